@@ -1,0 +1,1 @@
+"""gsvis: geometry-first visibility and streaming for trained 3D Gaussian Splatting scenes."""

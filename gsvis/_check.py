@@ -1,0 +1,108 @@
+"""Coerce and check array arguments; every error about a shape, a dtype or a range is worded here.
+
+Shapes are tuples of integers and names: `("N", 3)` takes any first length. Nothing here copies an array
+that is already of the right dtype and contiguous.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["floats", "in_range", "integers", "one_of", "positive_int", "same_length", "unit_vectors"]
+
+Shape = tuple[int | str, ...]
+
+
+def _spell(shape: Shape) -> str:
+    return "(" + ", ".join(str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+
+
+def _check_shape(name: str, array: NDArray[Any], shape: Shape) -> None:
+    fits = array.ndim == len(shape) and all(
+        isinstance(want, str) or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{name}: expected shape {_spell(shape)}, got {array.shape}")
+
+
+def floats(
+    name: str, value: ArrayLike, shape: Shape, dtype: type[np.floating[Any]] = np.float32, *, finite: bool = True
+) -> NDArray[Any]:
+    """A C-contiguous float array of the given shape, finite unless told otherwise."""
+    try:
+        array = np.ascontiguousarray(value, dtype=dtype)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name}: expected numbers of shape {_spell(shape)}, got {type(value).__name__}") from error
+    if np.ndim(value) == 0:  # ascontiguousarray makes scalars one-dimensional
+        array = array.reshape(())
+    _check_shape(name, array, shape)
+    if finite and array.size and not all_finite(array):
+        bad = np.argwhere(~np.isfinite(array))[0]
+        raise ValueError(f"{name}: expected finite values, got {array[tuple(bad)]} at index {tuple(bad.tolist())}")
+    return array
+
+
+def all_finite(array: NDArray[Any]) -> bool:
+    """Whether no entry is NaN or infinite; one pass and no mask in the usual case."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        # A sum of finite float32 taken in float64 cannot overflow, and NaN and inf survive it.
+        total = np.add.reduce(array, axis=None, dtype=np.float64)
+    return bool(np.isfinite(total)) or bool(np.isfinite(array).all())
+
+
+def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[Any]] = np.int64) -> NDArray[Any]:
+    """A C-contiguous integer array of the given shape; floats are refused, not rounded."""
+    array = np.asarray(value)
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"{name}: expected integers, got dtype {array.dtype}")
+    array = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
+    _check_shape(name, array, shape)
+    return array
+
+
+def in_range(name: str, array: NDArray[Any], low: float, high: float, *, open_low: bool = False) -> None:
+    """Raise unless low <= array <= high everywhere (low < array with `open_low`)."""
+    if array.size == 0:
+        return
+    least, most = array.min(), array.max()
+    if (least <= low if open_low else least < low) or most > high:
+        worst = least if (least <= low if open_low else least < low) else most
+        left = "(" if open_low or low == -np.inf else "["
+        right = ")" if high == np.inf else "]"
+        raise ValueError(f"{name}: expected values in {left}{low:g}, {high:g}{right}, got {worst:g}")
+
+
+def same_length(**arrays: NDArray[Any]) -> int:
+    """The common first length of the arrays, given by their names."""
+    lengths = {name: len(array) for name, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ValueError(f"{' / '.join(lengths)}: expected one length for all, got {told}")
+    return next(iter(lengths.values()))
+
+
+def positive_int(name: str, value: Any, *, at_least: int = 1) -> int:
+    """A Python integer of at least `at_least`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
+        raise ValueError(f"{name}: expected an integer of at least {at_least}, got {value!r}")
+    return int(value)
+
+
+def one_of(name: str, value: str, choices: tuple[str, ...]) -> str:
+    """The value, if it is one of the choices."""
+    if value not in choices:
+        raise ValueError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
+    return value
+
+
+def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
+    """(R, 3) directions, scaled to unit length; a zero vector is refused."""
+    array = floats(name, value, ("R", 3), dtype)
+    norms = np.sqrt(np.einsum("ij,ij->i", array, array, dtype=np.float64))
+    if array.size and norms.min() <= 0.0:
+        raise ValueError(f"{name}: expected non-zero directions, got a zero vector at index {int(norms.argmin())}")
+    unit: NDArray[Any] = (array / norms[:, None]).astype(dtype)
+    return unit

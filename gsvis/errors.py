@@ -1,0 +1,44 @@
+"""Every exception that gsvis raises on purpose, besides `ValueError` for a bad argument.
+
+    GsvisError
+    ├── FormatError       a file does not hold what its format promises
+    ├── SceneError        a scene is well formed but cannot serve the request (no free space, no Gaussian left)
+    └── BackendError      an engine or a library is missing or cannot do this; says what to install
+
+A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*.
+"""
+
+from __future__ import annotations
+
+from os import PathLike, fspath
+
+__all__ = ["BackendError", "FormatError", "GsvisError", "SceneError"]
+
+
+class GsvisError(Exception):
+    """Base of all errors that gsvis raises on purpose."""
+
+
+class FormatError(GsvisError):
+    """A file does not hold what its format promises.
+
+    Args:
+        path: The file or folder that was read.
+        where: The place in it: a byte offset, a property, a plane, a key. May be empty.
+        expected: What the format asks for there.
+        got: What was found.
+        remedy: What the user can do about it. May be empty.
+    """
+
+    def __init__(self, path: str | PathLike[str], where: str, expected: str, got: str, remedy: str = "") -> None:
+        self.path, self.where, self.expected, self.got, self.remedy = fspath(path), where, expected, got, remedy
+        place = f"{self.path}: {where}" if where else self.path
+        super().__init__(f"{place}: expected {expected}, got {got}" + (f"; {remedy}" if remedy else ""))
+
+
+class SceneError(GsvisError):
+    """A scene is well formed but cannot serve what was asked of it."""
+
+
+class BackendError(GsvisError):
+    """An engine or a library is missing, or cannot do what was asked; the message says what to install."""

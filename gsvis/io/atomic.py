@@ -1,0 +1,69 @@
+"""Files and folders that appear whole or not at all.
+
+Work is written beside its destination under a hidden name and moved into place at the end, so a crash, a full
+disk or Ctrl-C leaves what was there before untouched.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["atomic_folder", "atomic_path"]
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside `path` that becomes `path` when the block ends well, and is removed otherwise.
+
+    Args:
+        path: The file to write; its folder is made if it is missing.
+
+    Yields:
+        The path to write to, with the same suffix.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    os.close(handle)
+    partial = Path(name)
+    try:
+        yield partial
+        umask = os.umask(0)
+        os.umask(umask)
+        partial.chmod(0o666 & ~umask)  # mkstemp makes files only their owner can read
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary folder whose files move into `path` when the block ends well.
+
+    Files of the same name are replaced one by one; other files already in `path` stay: nothing a user made is lost.
+
+    Args:
+        path: The folder to fill; made if it is missing.
+
+    Yields:
+        The folder to write to.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        yield partial
+        target.mkdir(exist_ok=True)
+        for source in sorted(partial.rglob("*")):
+            destination = target / source.relative_to(partial)
+            if source.is_dir():
+                destination.mkdir(exist_ok=True)
+            else:
+                os.replace(source, destination)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)

@@ -1,0 +1,226 @@
+"""The scene: a frozen set of 3D Gaussians with activated values.
+
+Frame and units are the scene's own (any handedness-preserving world frame). Quaternions are wxyz, scales are
+standard deviations, opacities lie in [0, 1]. This module knows no file format, no camera and no renderer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.scene.sh import rotation_of_sh, sh_degree_of
+
+__all__ = ["Gaussians", "quats_from_rotations", "rotations_from_quats"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Gaussians:
+    """N 3D Gaussians, validated, read-only, activated.
+
+    Args:
+        means: (N, 3) centres, scene units.
+        quats: (N, 4) rotations wxyz, any non-zero length; stored normalised.
+        scales: (N, 3) standard deviations along the rotated axes, scene units, > 0.
+        opacities: (N,) in [0, 1].
+        sh0: (N, 1, 3) constant SH coefficient of each colour channel (colour = 0.5 + 0.28209 sh0).
+        shN: (N, K-1, 3) higher SH coefficients, K in {1, 4, 9, 16}; None means degree 0.
+
+    Raises:
+        ValueError: If a shape, a length or a value is out of its range; the message names the argument.
+    """
+
+    means: F32
+    quats: F32
+    scales: F32
+    opacities: F32
+    sh0: F32
+    shN: F32  # noqa: N815  the field's own name
+
+    def __init__(
+        self,
+        means: ArrayLike,
+        quats: ArrayLike,
+        scales: ArrayLike,
+        opacities: ArrayLike,
+        sh0: ArrayLike,
+        shN: ArrayLike | None = None,  # noqa: N803
+    ) -> None:
+        arrays: dict[str, F32] = {
+            "means": _check.floats("means", means, ("N", 3)),
+            "quats": _check.floats("quats", quats, ("N", 4)),
+            "scales": _check.floats("scales", scales, ("N", 3)),
+            "opacities": _check.floats("opacities", opacities, ("N",)),
+            "sh0": _check.floats("sh0", sh0, ("N", 1, 3)),
+        }
+        n = len(arrays["means"])
+        arrays["shN"] = np.zeros((n, 0, 3), np.float32) if shN is None else _check.floats("shN", shN, ("N", "K-1", 3))
+        _check.same_length(**arrays)
+        sh_degree_of(1 + arrays["shN"].shape[1])
+        _check.in_range("scales", arrays["scales"], 0.0, np.inf, open_low=True)
+        _check.in_range("opacities", arrays["opacities"], 0.0, 1.0)
+        arrays["quats"] = _normalised(arrays["quats"])
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @classmethod
+    def empty(cls, sh_degree: int = 0) -> Gaussians:
+        """A scene of no Gaussians."""
+        z = np.zeros
+        return cls(z((0, 3)), z((0, 4)), z((0, 3)), z(0), z((0, 1, 3)), z((0, (sh_degree + 1) ** 2 - 1, 3)))
+
+    @classmethod
+    def concatenate(cls, parts: list[Gaussians]) -> Gaussians:
+        """One scene of several; lower SH degrees are padded with zeros up to the highest.
+
+        Raises:
+            ValueError: If `parts` is empty.
+        """
+        if not parts:
+            raise ValueError("parts: expected at least one scene, got none")
+        width = max(part.shN.shape[1] for part in parts)
+        higher = [np.pad(part.shN, ((0, 0), (0, width - part.shN.shape[1]), (0, 0))) for part in parts]
+        joined = [np.concatenate([getattr(part, f) for part in parts]) for f in _NAMES[:-1]]
+        return cls(*joined, np.concatenate(higher))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def __getitem__(self, index: Any) -> Gaussians:
+        """The Gaussians at a slice, a boolean mask, an index array, or one integer (a scene of one)."""
+        if isinstance(index, int | np.integer):
+            index = np.asarray([index])
+        picked: Gaussians = object.__new__(type(self))  # already valid: no second check
+        for name in _NAMES:
+            array = np.ascontiguousarray(getattr(self, name)[index])
+            array.flags.writeable = False
+            object.__setattr__(picked, name, array)
+        return picked
+
+    def __repr__(self) -> str:
+        return f"Gaussians({len(self):,} of SH degree {self.sh_degree})"
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return sh_degree_of(1 + self.shN.shape[1])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held by the arrays."""
+        return sum(int(getattr(self, name).nbytes) for name in _NAMES)
+
+    def bounds(self, coverage: float = 0.98) -> F64:
+        """Axis-aligned box that holds the middle `coverage` of the centres on each axis.
+
+        Trained scenes have floaters thousands of scene sizes away, so the extreme centres say nothing.
+
+        Args:
+            coverage: Share of the centres kept on each axis, in (0, 1]; 1 gives the exact box.
+
+        Returns:
+            (2, 3) float64, lowest and highest corner.
+
+        Raises:
+            ValueError: If the scene is empty or `coverage` is out of range.
+        """
+        if len(self) == 0:
+            raise ValueError("bounds: expected at least one Gaussian, got an empty scene")
+        if not 0.0 < coverage <= 1.0:
+            raise ValueError(f"coverage: expected a value in (0, 1], got {coverage!r}")
+        tail = (1.0 - coverage) / 2.0
+        return np.asarray(np.quantile(self.means.astype(np.float64), [tail, 1.0 - tail], axis=0))
+
+    def rotations(self) -> F64:
+        """(N, 3, 3) rotation matrices, world from Gaussian; columns are the principal axes."""
+        return rotations_from_quats(self.quats)
+
+    def covars(self) -> F64:
+        """(N, 3, 3) covariances R diag(scales^2) R^T, scene units squared."""
+        half = self.rotations() * self.scales.astype(np.float64)[:, None, :]
+        return np.asarray(half @ np.swapaxes(half, 1, 2))
+
+    def transformed(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0), scale: float = 1.0) -> Gaussians:
+        """The same scene in another frame: x -> scale * R x + t; view-dependent colour turns with it.
+
+        Args:
+            rotation: (3, 3) rotation, new frame from old frame.
+            translation: (3,) in new scene units.
+            scale: New units per old unit, > 0.
+
+        Returns:
+            A new scene of the same length and order.
+
+        Raises:
+            ValueError: If `rotation` is no rotation or `scale` is not positive.
+        """
+        r = _check.floats("rotation", rotation, (3, 3), np.float64)
+        t = _check.floats("translation", translation, (3,), np.float64)
+        if not (np.isfinite(scale) and scale > 0):
+            raise ValueError(f"scale: expected a finite number > 0, got {scale!r}")
+        turn = rotation_of_sh(r, self.sh_degree)[1:, 1:]
+        quats = _quat_product(quats_from_rotations(r[None])[0], self.quats.astype(np.float64))
+        return Gaussians(
+            scale * (self.means.astype(np.float64) @ r.T) + t,
+            quats,
+            self.scales.astype(np.float64) * scale,
+            self.opacities,
+            self.sh0,
+            np.einsum("ij,njc->nic", turn, self.shN) if turn.size else self.shN,
+        )
+
+
+_NAMES = tuple(f.name for f in fields(Gaussians))
+
+
+def _normalised(quats: F32) -> F32:
+    squared = np.einsum("ij,ij->i", quats, quats, dtype=np.float64)
+    if len(squared) and squared.min() < 1e-24:
+        raise ValueError(f"quats: expected non-zero quaternions, got a zero one at index {int(squared.argmin())}")
+    if np.all(np.abs(squared - 1.0) < 2e-7):
+        return quats
+    scaled: F32 = (quats / np.sqrt(squared)[:, None]).astype(np.float32)
+    return scaled
+
+
+def _quat_product(left: F64, right: F64) -> F64:
+    """Hamilton product of one quaternion (4,) with many (N, 4), wxyz."""
+    w, x, y, z = left
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return right @ matrix.T
+
+
+def rotations_from_quats(quats: NDArray[np.floating[Any]]) -> F64:
+    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions wxyz."""
+    w, x, y, z = quats.astype(np.float64).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quats_from_rotations(rotations: NDArray[np.floating[Any]]) -> F64:
+    """(N, 4) unit quaternions wxyz, w >= 0, of (N, 3, 3) rotation matrices.
+
+    References:
+        Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", JGCD 2000.
+    """
+    m = rotations.astype(np.float64)
+    k = np.empty((len(m), 4, 4))
+    k[:, 0, 0] = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
+    k[:, 0, 1:] = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1)
+    k[:, 1:, 0] = k[:, 0, 1:]
+    k[:, 1:, 1:] = m + np.swapaxes(m, 1, 2) - np.eye(3) * k[:, 0, 0][:, None, None]
+    quats: F64 = np.linalg.eigh(k)[1][:, :, -1]
+    return quats * np.where(quats[:, :1] < 0, -1.0, 1.0)

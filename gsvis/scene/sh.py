@@ -1,0 +1,120 @@
+"""The real spherical harmonics of 3DGS, degrees 0 to 3: values, and how coefficients turn with the scene.
+
+Directions are unit vectors from the eye to the Gaussian, in the scene's frame, as in 3DGS. This module knows
+no Gaussians and no cameras: it is the meaning of the numbers in `sh0` and `shN`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+
+__all__ = ["SH_C0", "rotation_of_sh", "sh_basis", "sh_degree_of"]
+
+SH_C0 = 0.28209479177387814
+"""Value of the constant harmonic: base colour = 0.5 + SH_C0 * sh0."""
+
+_C1 = 0.4886025119029199
+_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+_C3 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+
+
+def sh_degree_of(num_coefficients: int) -> int:
+    """Degree of a set of 1, 4, 9 or 16 coefficients.
+
+    Raises:
+        ValueError: For any other number.
+    """
+    degrees = {1: 0, 4: 1, 9: 2, 16: 3}
+    if num_coefficients not in degrees:
+        raise ValueError(f"sh0 and shN: expected 1, 4, 9 or 16 coefficients together, got {num_coefficients}")
+    return degrees[num_coefficients]
+
+
+def sh_basis(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
+    """Values of the real spherical harmonics in the order and with the signs of 3DGS.
+
+    Args:
+        directions: (D, 3) unit vectors, eye to Gaussian, scene frame.
+        degree: 0 to 3.
+
+    Returns:
+        (D, (degree + 1)^2) float64.
+
+    Raises:
+        ValueError: If the shape or the degree is wrong.
+
+    References:
+        Sloan, "Efficient spherical harmonic evaluation", JCGT 2013; sign convention of Kerbl et al., 3DGS, 2023.
+    """
+    d = _check.floats("directions", directions, ("D", 3), np.float64)
+    if degree not in (0, 1, 2, 3):
+        raise ValueError(f"degree: expected 0, 1, 2 or 3, got {degree!r}")
+    x, y, z = d.T
+    columns = [np.full(len(d), SH_C0)]
+    if degree >= 1:
+        columns += [-_C1 * y, _C1 * z, -_C1 * x]
+    if degree >= 2:
+        columns += [
+            _C2[0] * x * y,
+            _C2[1] * y * z,
+            _C2[2] * (2 * z * z - x * x - y * y),
+            _C2[3] * x * z,
+            _C2[4] * (x * x - y * y),
+        ]
+    if degree >= 3:
+        columns += [
+            _C3[0] * y * (3 * x * x - y * y),
+            _C3[1] * x * y * z,
+            _C3[2] * y * (4 * z * z - x * x - y * y),
+            _C3[3] * z * (2 * z * z - 3 * x * x - 3 * y * y),
+            _C3[4] * x * (4 * z * z - x * x - y * y),
+            _C3[5] * z * (x * x - y * y),
+            _C3[6] * x * (x * x - 3 * y * y),
+        ]
+    return np.stack(columns, axis=1)
+
+
+def rotation_of_sh(rotation: ArrayLike, degree: int) -> NDArray[np.float64]:
+    """Matrix that turns SH coefficients with the scene.
+
+    If `f(d) = sh_basis(d) @ c` is a colour, then `sh_basis(d) @ (M @ c) == f(R^T d)`: the turned scene shows
+    in direction `R d` what the old one showed in direction `d`.
+
+    Args:
+        rotation: (3, 3) rotation R, new frame from old frame.
+        degree: 0 to 3.
+
+    Returns:
+        (K, K) float64, block diagonal by degree, orthogonal; K = (degree + 1)^2.
+
+    Raises:
+        ValueError: If `rotation` is not a rotation.
+
+    References:
+        The harmonics of one degree span a rotation-invariant space, so a least-squares fit over enough directions is exact.
+    """
+    r = _check.floats("rotation", rotation, (3, 3), np.float64)
+    if not np.allclose(r @ r.T, np.eye(3), atol=1e-6) or np.linalg.det(r) < 0:
+        raise ValueError("rotation: expected an orthonormal matrix with determinant 1, got another matrix")
+    golden = np.pi * (3.0 - np.sqrt(5.0))
+    i = np.arange(64)
+    z = 1.0 - (2.0 * i + 1.0) / len(i)
+    rho = np.sqrt(1.0 - z * z)
+    directions = np.stack([rho * np.cos(golden * i), rho * np.sin(golden * i), z], axis=1)
+    matrix, *_ = np.linalg.lstsq(sh_basis(directions, degree), sh_basis(directions @ r, degree), rcond=None)
+    for band in range(degree + 1):  # what lies off the blocks is rounding
+        rows = slice(band * band, (band + 1) ** 2)
+        matrix[rows, : rows.start] = 0.0
+        matrix[rows, rows.stop :] = 0.0
+    return np.asarray(matrix, np.float64)
