@@ -1,0 +1,32 @@
+"""What all tests share: fixed Hypothesis profiles and the folder of real data."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import matplotlib
+import pytest
+from hypothesis import HealthCheck, settings
+
+matplotlib.use("Agg")
+
+settings.register_profile(
+    "gsvis",
+    derandomize=True,
+    deadline=None,
+    max_examples=50,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+settings.load_profile("gsvis")
+
+_DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def realdata() -> Path:
+    """The folder of real scenes: `GSVIS_REALDATA`, or `../shared/data`; skips where there is none."""
+    folder = Path(os.environ.get("GSVIS_REALDATA", _DEFAULT_REALDATA))
+    if not folder.is_dir():
+        pytest.skip("no real data: set GSVIS_REALDATA to the folder that holds scenes/ and photos/")
+    return folder
