@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import matplotlib
 import pytest
 from hypothesis import HealthCheck, settings
 
-matplotlib.use("Agg")
+os.environ.setdefault("MPLBACKEND", "Agg")
 
 settings.register_profile(
     "gsvis",
