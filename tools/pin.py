@@ -44,7 +44,7 @@ def closure(root: str, extras: set[str]) -> dict[str, str]:
 def main() -> None:
     pins = closure("gsvis", {"dev"})
     python = f"{sys.version_info.major}.{sys.version_info.minor}"
-    # Pins may be too new for an older Python; torch is pinned everywhere, for an open range may bring gigabytes of CUDA.
+    # Pins may be too new for an older Python. torch is pinned everywhere: an open range may bring gigabytes of CUDA.
     lines = [
         f"{name}=={version}" + ("" if name == "torch" else f' ; python_version >= "{python}"')
         for name, version in sorted(pins.items())

@@ -102,7 +102,8 @@ def rotation_of_sh(rotation: ArrayLike, degree: int) -> NDArray[np.float64]:
         ValueError: If `rotation` is not a rotation.
 
     References:
-        The harmonics of one degree span a rotation-invariant space, so a least-squares fit over enough directions is exact.
+        The harmonics of one degree span a rotation-invariant space, so a least-squares fit over enough directions
+        is exact.
     """
     r = _check.floats("rotation", rotation, (3, 3), np.float64)
     if not np.allclose(r @ r.T, np.eye(3), atol=1e-6) or np.linalg.det(r) < 0:

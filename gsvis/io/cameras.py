@@ -1,0 +1,65 @@
+"""Cameras from the files people have: COLMAP models, `transforms.json`, INRIA's `cameras.json`.
+
+The format is told from the content; each lives in a file of its own. What comes out is in the frame of the file,
+OpenCV axes, camera from world.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.io.colmap import find_colmap, read_colmap
+from gsvis.io.inria_cameras import read_inria_cameras
+from gsvis.io.transforms_json import read_transforms
+from gsvis.io.views import Views, read_json
+from gsvis.scene.cameras import Cameras
+
+__all__ = ["load_cameras"]
+
+_KNOWN = "a COLMAP model (cameras and images, .bin or .txt), transforms.json or cameras.json"
+
+
+def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = None) -> Cameras:
+    """Read the posed cameras of a reconstruction.
+
+    Args:
+        path: A COLMAP model: its folder, one above it (`sparse/0`, `sparse` and `0` are tried), or one of its files.
+            Or a `transforms.json` of nerfstudio or instant-ngp, an INRIA `cameras.json`, or a folder with one of them.
+        size: (width, height) in pixels to rescale all cameras to; needed when a file mixes sizes or states none.
+
+    Returns:
+        The cameras, sorted by image name.
+
+    Raises:
+        FormatError: If the file is none of these, is cut short or malformed, holds distorted cameras or mixed sizes.
+        ValueError: If `size` is not two positive integers.
+    """
+    if size is not None:
+        if not isinstance(size, tuple | list) or len(size) != 2:
+            raise ValueError(f"size: expected (width, height), got {size!r}")
+        size = (_check.positive_int("size[0]", size[0]), _check.positive_int("size[1]", size[1]))
+    return _views(Path(path), size).cameras(size)
+
+
+def _views(path: Path, size: tuple[int, int] | None) -> Views:
+    if path.is_dir():
+        folder = find_colmap(path)
+        if folder is not None:
+            return read_colmap(folder)
+        for name in ("transforms.json", "cameras.json"):
+            if (path / name).is_file():
+                return _views(path / name, size)
+        raise FormatError(path, "", _KNOWN, "a folder without any of them")
+    if not path.is_file():
+        raise FormatError(path, "", _KNOWN, "no such file")
+    if path.suffix in (".bin", ".txt"):
+        return read_colmap(path.parent)
+    content = read_json(path)
+    if isinstance(content, dict):
+        return read_transforms(path, content, size)
+    if isinstance(content, list):
+        return read_inria_cameras(path, content)
+    raise FormatError(path, "", _KNOWN, f"JSON of {type(content).__name__}")

@@ -1,0 +1,209 @@
+"""COLMAP sparse models, binary and text: the cameras and images of a folder.
+
+Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centres lie at +0.5, as everywhere in
+gsvis. Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Points and tracks are skipped.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.errors import FormatError
+from gsvis.io.views import F64, Views, pinhole
+from gsvis.scene.gaussians import rotations_from_quats
+
+__all__ = ["find_colmap", "read_colmap"]
+
+# Name and number of parameters of COLMAP's camera models, by their id in the binary file.
+_MODELS = (
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+)
+_UNDISTORT = "undistort the images with `colmap image_undistorter` and give the model that it writes"
+
+Camera = tuple[str, int, int, F64]  # model, width, height, parameters
+Image = tuple[str, int, F64, F64]  # name, camera id, quaternion wxyz, translation
+
+
+def find_colmap(path: Path) -> Path | None:
+    """The folder of a COLMAP model, `path` or its usual `sparse/0`, `sparse` or `0`; None where there is none."""
+    for folder in (path, path / "sparse" / "0", path / "sparse", path / "0"):
+        for suffix in (".bin", ".txt"):
+            if (folder / f"cameras{suffix}").is_file() or (folder / f"images{suffix}").is_file():
+                return folder
+    return None
+
+
+def read_colmap(folder: Path) -> Views:
+    """The posed images of a COLMAP model.
+
+    Args:
+        folder: Holds `cameras.bin` and `images.bin`, or the same with `.txt`; the binary pair is preferred.
+
+    Raises:
+        FormatError: If a file is missing, cut short or malformed, or a camera in use is distorted.
+    """
+    suffix = ".bin" if (folder / "images.bin").is_file() or (folder / "cameras.bin").is_file() else ".txt"
+    paths = folder / f"cameras{suffix}", folder / f"images{suffix}"
+    for path in paths:
+        if not path.is_file():
+            raise FormatError(folder, "", f"{path.name} beside its partner", "no such file")
+    cameras = _cameras_bin(paths[0]) if suffix == ".bin" else _cameras_txt(paths[0])
+    images = _images_bin(paths[1]) if suffix == ".bin" else _images_txt(paths[1])
+    views = Views(paths[1], [], [], [], [])
+    intrinsics = {}
+    for name, camera_id, quat, translation in images:
+        where = f"image {name!r}"
+        if camera_id not in cameras:
+            raise FormatError(paths[1], where, "the id of a camera in " + paths[0].name, str(camera_id))
+        if camera_id not in intrinsics:
+            intrinsics[camera_id] = _intrinsics(paths[0], camera_id, cameras[camera_id])
+        with np.errstate(over="ignore"):
+            length = float(np.linalg.norm(quat))
+        if not (np.isfinite(length) and length > 1e-6 and np.isfinite(translation).all()):
+            raise FormatError(paths[1], where, "a finite pose with a non-zero quaternion", f"{quat} {translation}")
+        pose = np.eye(4)
+        pose[:3, :3] = rotations_from_quats((quat / length)[None])[0]
+        pose[:3, 3] = translation
+        views.names.append(name)
+        views.viewmats.append(pose)
+        views.Ks.append(intrinsics[camera_id])
+        views.sizes.append(cameras[camera_id][1:3])
+    return views
+
+
+def _intrinsics(path: Path, camera_id: int, camera: Camera) -> F64:
+    model, width, height, p = camera
+    where = f"camera {camera_id}"
+    if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+        raise FormatError(path, where, "model PINHOLE or SIMPLE_PINHOLE", model, _UNDISTORT)
+    return pinhole(path, where, p[[0, 0]] if model == "SIMPLE_PINHOLE" else p[:2], p[-2:], (width, height))
+
+
+class _Bytes:
+    """A file read from front to back, never past its end."""
+
+    def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
+        self.path, self.data, self.at = path, data, 0
+
+    def take(self, form: str, what: str) -> tuple[Any, ...]:
+        self.need(struct.calcsize(form), what)
+        values = struct.unpack_from(form, self.data, self.at)
+        self.at += struct.calcsize(form)
+        return values
+
+    def count(self, least: int, what: str) -> int:
+        """A 64-bit count of records of at least `least` bytes, refused when the file cannot hold them."""
+        (number,) = self.take("<Q", f"the number of {what}")
+        rest = len(self.data) - self.at
+        if number * least > rest:
+            told = f"a count of {number:,} and {rest:,} bytes to hold them"
+            raise FormatError(self.path, f"byte {self.at - 8:,}", f"a possible number of {what}", told)
+        return int(number)
+
+    def need(self, size: int, what: str) -> None:
+        rest = len(self.data) - self.at
+        if size > rest:
+            where = f"byte {self.at:,}"
+            raise FormatError(self.path, where, f"{size:,} bytes for {what}", f"the end of the file after {rest:,}")
+
+    def name(self, what: str) -> str:
+        end = self.data.find(b"\0", self.at, self.at + 4096)
+        if end < 0:
+            raise FormatError(self.path, f"byte {self.at:,}", f"{what} that ends within 4,096 bytes", "no end")
+        raw = bytes(self.data[self.at : end])
+        self.at = end + 1
+        return raw.decode("utf-8", errors="replace")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[_Bytes]:
+    if path.stat().st_size == 0:  # an empty file cannot be mapped
+        yield _Bytes(path, b"")
+        return
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        yield _Bytes(path, data)
+
+
+def _cameras_bin(path: Path) -> dict[int, Camera]:
+    cameras: dict[int, Camera] = {}
+    with _opened(path) as data:
+        for _ in range(data.count(24 + 3 * 8, "cameras")):
+            start = data.at
+            camera_id, model, width, height = data.take("<iiQQ", "a camera")
+            if not 0 <= model < len(_MODELS):
+                raise FormatError(path, f"byte {start + 4:,}", f"a model id from 0 to {len(_MODELS) - 1}", str(model))
+            name, number = _MODELS[model]
+            parameters = data.take(f"<{number}d", f"the parameters of camera {camera_id}")
+            cameras[camera_id] = (name, width, height, np.array(parameters))
+    return cameras
+
+
+def _images_bin(path: Path) -> Iterator[Image]:
+    with _opened(path) as data:
+        for _ in range(data.count(64 + 1 + 8, "images")):
+            _, *pose, camera_id = data.take("<i7di", "an image")
+            name = data.name("an image name")
+            points = data.count(24, f"points in image {name!r}")
+            data.at += 24 * points
+            yield name, camera_id, np.array(pose[:4]), np.array(pose[4:])
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            yield number, line.strip()
+
+
+def _cameras_txt(path: Path) -> dict[int, Camera]:
+    cameras: dict[int, Camera] = {}
+    counts = dict(_MODELS)
+    for number, line in _lines(path):
+        if not line or line.startswith("#"):
+            continue
+        camera_id, model, width, height, *parameters = [*line.split(), "", "", "", ""]
+        try:
+            values = np.array([float(p) for p in parameters if p])
+            camera = (model, int(width), int(height), values)
+            key = int(camera_id)
+        except ValueError as error:
+            expected = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"
+            raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
+        if len(values) != counts.get(model, len(values)):
+            told = f"{len(values)} parameters"
+            raise FormatError(path, f"line {number}", f"{counts[model]} parameters of {model}", told)
+        cameras[key] = camera
+    return cameras
+
+
+def _images_txt(path: Path) -> Iterator[Image]:
+    lines = _lines(path)
+    for number, line in lines:
+        if not line or line.startswith("#"):
+            continue
+        fields = line.split(maxsplit=9)
+        try:
+            _, *pose = [float(f) for f in fields[:8]]
+            camera_id, name = int(fields[8]), fields[9]
+        except (ValueError, IndexError) as error:
+            expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+            raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
+        yield name, camera_id, np.array(pose[:4]), np.array(pose[4:])
+        next(lines, None)  # the image's points, a line that may be empty
