@@ -1,0 +1,104 @@
+"""From decoded numbers to a scene: activations, packed quaternions, and errors that name the file.
+
+Readers hand over raw or activated arrays; what `Gaussians` refuses becomes a `FormatError`. All arrays are float32
+unless said otherwise, quaternions wxyz. This module knows no file.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import SH_C0
+
+__all__ = ["bytes_of_scene", "exp_scales", "gaussians_from", "largest_from_three", "logits", "sh0_from_rgb", "sigmoid"]
+
+F32 = NDArray[np.float32]
+LEAST_SCALE = float(np.finfo(np.float32).tiny)
+
+
+def sigmoid(logit_opacities: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
+    """1 / (1 + exp(-x)) in float32; infinite logits become 0 and 1, NaN stays NaN for the caller's check."""
+    with np.errstate(all="ignore"):
+        result: F32 = np.negative(logit_opacities, out=out, dtype=np.float32)
+        np.exp(result, out=result)
+        result += 1.0
+        np.reciprocal(result, out=result)
+    return np.asarray(result, np.float32)
+
+
+def logits(opacities: NDArray[np.floating[Any]]) -> F32:
+    """Inverse of `sigmoid`; 0 and 1 become -120 and 40, finite values that `sigmoid` turns back exactly."""
+    p = opacities.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        return np.clip(np.log(p) - np.log1p(-p), -120.0, 40.0).astype(np.float32)
+
+
+def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
+    """Exp in float32, kept above 0: a flat Gaussian's thickness may underflow. NaN and overflow stay for the check."""
+    with np.errstate(all="ignore"):
+        result: F32 = np.exp(log_scales, out=out, dtype=np.float32)
+        minus_infinity = np.isneginf(log_scales)
+        np.maximum(result, LEAST_SCALE, out=result)
+    if minus_infinity.any():
+        result[minus_infinity] = -np.inf
+    return result
+
+
+def sh0_from_rgb(rgb: NDArray[np.floating[Any]]) -> F32:
+    """(N, 1, 3) constant coefficients of (N, 3) base colours, 0 to 1."""
+    return ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None, :]
+
+
+def largest_from_three(three: NDArray[np.floating[Any]], largest: NDArray[np.integer[Any]]) -> F32:
+    """Unit quaternions of which the largest component was left out.
+
+    Args:
+        three: (N, 3) the other components, in their order.
+        largest: (N,) 0 to 3, the place of the missing one, which is positive.
+
+    Returns:
+        (N, 4) in the component order of the file.
+    """
+    rest = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("ij,ij->i", three, three)))
+    quats = np.empty((len(three), 4), np.float32)
+    for place in range(4):
+        rows = largest == place
+        quats[rows, place] = rest[rows]
+        for column, other in enumerate(c for c in range(4) if c != place):
+            quats[rows, other] = three[rows, column]
+    return quats
+
+
+def bytes_of_scene(count: int, sh_degree: int) -> int:
+    """Bytes of a scene's arrays in memory."""
+    return count * 4 * (11 + 3 * (sh_degree + 1) ** 2)
+
+
+def gaussians_from(
+    path: str | os.PathLike[str],
+    means: F32,
+    quats: F32,
+    scales: F32,
+    opacities: F32,
+    sh0: F32,
+    shN: F32 | None = None,  # noqa: N803  the field's own name
+) -> Gaussians:
+    """A scene of what a file held.
+
+    Raises:
+        FormatError: If there is no Gaussian, or a value is not finite, a quaternion zero, a scale negative.
+    """
+    if len(means) == 0:
+        raise FormatError(path, "", "at least one Gaussian", "none", "the file holds an empty scene")
+    try:
+        return Gaussians(means, quats, scales, opacities, sh0, shN)
+    except ValueError as error:
+        where, _, rest = str(error).partition(": expected ")
+        expected, _, got = rest.partition(", got ")
+        raise FormatError(path, where, expected or "valid values", got or str(error)) from error

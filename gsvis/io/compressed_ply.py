@@ -1,0 +1,141 @@
+"""PlayCanvas compressed PLY: 16 bytes a Gaussian, in chunks of 256 with their own value ranges.
+
+Elements `chunk` (float minima and maxima), `vertex` (four packed uints) and optionally `sh` (one byte a coefficient,
+channel by channel as in INRIA PLY). Older files have no colour range; their colours lie in [0, 1].
+"""
+
+from __future__ import annotations
+
+from io import BufferedReader
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._build import exp_scales, gaussians_from, largest_from_three, sh0_from_rgb
+from gsvis.io._ply_header import Element, PlyHeader
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["is_compressed", "read_compressed"]
+
+F32 = NDArray[np.float32]
+U32 = NDArray[np.uint32]
+_CHUNK = 256
+_VERTEX = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+
+def is_compressed(header: PlyHeader) -> bool:
+    """Whether the header is one of a compressed PLY: packed vertices."""
+    vertex = header.element("vertex")
+    return vertex is not None and any(name in vertex.properties for name in _VERTEX)
+
+
+def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
+    """Decode a compressed PLY.
+
+    Args:
+        header: Its header, for which `is_compressed` holds.
+        stream: The opened file.
+
+    Returns:
+        The scene, in the file's order and frame.
+
+    Raises:
+        FormatError: If elements or properties are missing, the file is truncated, or values are invalid.
+    """
+    vertex = _required(header, "vertex", _VERTEX, "u4")
+    bounds = tuple(f"{end}_{axis}" for end in ("min", "max") for axis in "xyz")
+    chunk = _required(header, "chunk", (*bounds, *(b.replace("_", "_scale_") for b in bounds)), "f4")
+    if header.encoding == "ascii":
+        raise FormatError(header.path, "header", "binary rows in a compressed PLY", "ascii")
+    chunks = -(-vertex.count // _CHUNK)
+    if chunk.count != chunks:
+        raise FormatError(
+            header.path, "element chunk", f"{chunks:,} chunks for {vertex.count:,} Gaussians", f"{chunk.count:,}"
+        )
+    packed, ranges = _rows(header, vertex, stream), _rows(header, chunk, stream)
+    which = np.arange(vertex.count) // _CHUNK
+
+    def spread(unit: F32, low: str, high: str, axes: str) -> F32:
+        """Unit values of (N, 3) into the ranges of their chunks."""
+        out = np.empty_like(unit)
+        with np.errstate(all="ignore"):
+            for j, axis in enumerate(axes):
+                a, b = ranges[low + axis][which], ranges[high + axis][which]
+                out[:, j] = a * (1.0 - unit[:, j]) + b * unit[:, j]
+        return out
+
+    means = spread(_unpack_111011(packed["packed_position"]), "min_", "max_", "xyz")
+    scales = exp_scales(spread(_unpack_111011(packed["packed_scale"]), "min_scale_", "max_scale_", "xyz"))
+    rgba = _unit(packed["packed_color"], (24, 16, 8, 0), (8, 8, 8, 8))
+    rgb = np.ascontiguousarray(rgba[:, :3])
+    if all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in "rgb"):
+        rgb = spread(rgb, "min_", "max_", "rgb")
+    turn = packed["packed_rotation"]
+    three = (_unit(turn, (20, 10, 0), (10, 10, 10)) - 0.5) * np.float32(np.sqrt(2.0))
+    quats = largest_from_three(three, turn >> np.uint32(30))
+    return gaussians_from(
+        header.path, means, quats, scales, rgba[:, 3], sh0_from_rgb(rgb), _higher(header, vertex.count, stream)
+    )
+
+
+def _required(header: PlyHeader, name: str, properties: tuple[str, ...], kind: str) -> Element:
+    """The element of that name with all those properties, each of that numpy type."""
+    element = header.element(name)
+    if element is None or element.row is None:
+        raise FormatError(header.path, "header", f"an element {name} of scalar properties", "none")
+    wrong = [p for p in properties if p not in element.properties or element.row[p].str[1:] != kind]
+    if wrong:
+        spelled = {"f4": "float", "u4": "uint", "u1": "uchar"}[kind]
+        raise FormatError(header.path, f"element {name}", f"{spelled} properties", f"none named {', '.join(wrong)}")
+    return element
+
+
+def _rows(header: PlyHeader, element: Element, stream: BufferedReader) -> NDArray[Any]:
+    """All rows of an element."""
+    row, offset = header.rows_of(element)
+    stream.seek(offset)
+    rows = np.frombuffer(stream.read(element.count * row.itemsize), np.uint8)
+    if len(rows) != element.count * row.itemsize:
+        raise FormatError(header.path, f"element {element.name}", "a file that stays as long as it was", "its end")
+    return rows.view(row)
+
+
+def _unit(packed: U32, shifts: tuple[int, ...], bits: tuple[int, ...]) -> F32:
+    """(N, len(shifts)) bit fields as fractions of their largest value."""
+    out = np.empty((len(packed), len(shifts)), np.float32)
+    for j, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
+        most = (1 << width) - 1
+        out[:, j] = ((packed >> np.uint32(shift)) & np.uint32(most)) / np.float32(most)
+    return out
+
+
+def _unpack_111011(packed: U32) -> F32:
+    """(N, 3) fractions from 11, 10 and 11 bits, most significant first."""
+    return _unit(packed, (21, 11, 0), (11, 10, 11))
+
+
+def _higher(header: PlyHeader, count: int, stream: BufferedReader) -> F32 | None:
+    """(N, K-1, 3) coefficients of the optional `sh` element: bytes over [-4, 4], its ends exact."""
+    sh = header.element("sh")
+    if sh is None:
+        return None
+    columns = len(sh.properties)
+    if columns not in (9, 24, 45) or sh.count != count:
+        raise FormatError(
+            header.path,
+            "element sh",
+            f"9, 24 or 45 properties and {count:,} rows",
+            f"{columns} properties and {sh.count:,} rows",
+        )
+    _required(header, "sh", tuple(f"f_rest_{i}" for i in range(columns)), "u1")
+    rows = _rows(header, sh, stream)
+    levels = (np.arange(256, dtype=np.float32) + 0.5) / 256.0
+    levels[[0, 255]] = 0.0, 1.0
+    levels = (levels - 0.5) * 8.0
+    out = np.empty((count, columns // 3, 3), np.float32)
+    for channel in range(3):
+        for k in range(columns // 3):
+            out[:, k, channel] = levels[rows[f"f_rest_{channel * (columns // 3) + k}"]]
+    return out

@@ -1,0 +1,197 @@
+"""INRIA PLY: the file that 3DGS training writes, read and written.
+
+One `vertex` element with raw values: x y z, f_dc_*, f_rest_* (all coefficients of red, then green, then blue),
+opacity (logit), scale_* (log), rot_* (wxyz). Other columns and elements are skipped. The frame is the file's own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from io import BufferedReader
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._build import exp_scales, gaussians_from, logits, sigmoid
+from gsvis.io._ply_header import Element, PlyHeader, parse_header
+from gsvis.io.atomic import atomic_path
+from gsvis.io.compressed_ply import is_compressed, read_compressed
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["load_ply", "save_ply"]
+
+_CHUNK_BYTES = 2 << 20  # what is read, transposed and activated while it stays in the cache
+_MEANS = ("x", "y", "z")
+_SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALES = ("scale_0", "scale_1", "scale_2")
+_QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+_REQUIRED = (*_MEANS, *_SH0, "opacity", *_SCALES, *_QUATS)
+
+
+def load_ply(path: str | os.PathLike[str]) -> Gaussians:
+    """Read a PLY of Gaussians, plain or compressed (PlayCanvas).
+
+    Args:
+        path: The file.
+
+    Returns:
+        The scene, in the file's order and frame.
+
+    Raises:
+        FormatError: If the file is no such PLY, is truncated, or holds invalid values.
+        OSError: If it cannot be opened.
+    """
+    with open(path, "rb") as stream:
+        header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
+        if is_compressed(header):
+            return read_compressed(header, stream)
+        return _read(header, stream)
+
+
+def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
+    vertex = header.element("vertex")
+    if vertex is None:
+        names = ", ".join(e.name for e in header.elements) or "none"
+        raise FormatError(header.path, "header", "an element named vertex", f"elements: {names}")
+    header.rows_of(vertex)
+    higher = _higher_columns(header.path, vertex)
+    n = vertex.count
+    means, quats, scales = (np.empty((n, k), np.float32) for k in (3, 4, 3))
+    opacities = np.empty((n, 1), np.float32)
+    sh0, sh_rest = np.empty((n, 3), np.float32), np.empty((n, len(higher)), np.float32)
+    groups = [(means, _MEANS), (quats, _QUATS), (scales, _SCALES), (opacities, ("opacity",)), (sh0, _SH0)]
+    groups += [(sh_rest, higher)] if higher else []
+    gather = _Gather(vertex, [columns for _, columns in groups])
+    start = 0
+    for rows in _chunks(header, vertex, stream):
+        stop = start + len(rows)
+        for group, (array, _) in enumerate(groups):
+            gather(rows, group, array[start:stop])
+        exp_scales(scales[start:stop], out=scales[start:stop])
+        sigmoid(opacities[start:stop], out=opacities[start:stop])
+        start = stop
+    shN = sh_rest.reshape(n, -1, 3) if higher else None
+    return gaussians_from(header.path, means, quats, scales, opacities[:, 0], sh0[:, None, :], shN)
+
+
+def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
+    """The f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
+
+    Raises:
+        FormatError: If a property is missing or the number of f_rest columns fits no SH degree.
+    """
+    have = set(vertex.properties)
+    missing = [name for name in _REQUIRED if name not in have]
+    if missing:
+        colored = {"red", "green", "blue"} <= have and "opacity" in missing
+        remedy = "this is a point cloud or a mesh, not a trained scene" if colored or "x" in missing else ""
+        raise FormatError(
+            path, "element vertex", f"properties {', '.join(_REQUIRED)}", f"no {', '.join(missing)}", remedy
+        )
+    rest = sum(name.startswith("f_rest_") and name[7:].isdecimal() for name in have)
+    if rest not in (0, 9, 24, 45) or any(f"f_rest_{i}" not in have for i in range(rest)):
+        raise FormatError(
+            path, "element vertex", "0, 9, 24 or 45 properties f_rest_0, f_rest_1, ... (SH degree 0 to 3)", f"{rest}"
+        )
+    per_channel = rest // 3
+    return tuple(f"f_rest_{channel * per_channel + k}" for k in range(per_channel) for channel in range(3))
+
+
+class _Gather:
+    """Copies named columns of packed rows into a (rows, columns) float32 array.
+
+    Rows of float32 alone, as nearly all files have them, take one indexed copy; others one copy for each column.
+    """
+
+    def __init__(self, vertex: Element, groups: list[tuple[str, ...]]) -> None:
+        assert vertex.row is not None
+        self.columns = groups
+        self.uniform = all(vertex.row[name] == np.dtype(np.float32) for name in vertex.properties)
+        place = {name: i for i, name in enumerate(vertex.properties)}
+        self.indices = [np.array([place[name] for name in group]) for group in groups]
+
+    def __call__(self, rows: NDArray[Any], group: int, out: NDArray[np.float32]) -> None:
+        if self.uniform:
+            values = rows.view(np.float32).reshape(len(rows), -1)
+            np.take(values, self.indices[group], axis=1, out=out, mode="clip")
+            return
+        with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which the scene refuses
+            for j, name in enumerate(self.columns[group]):
+                out[:, j] = rows[name]
+
+
+def _chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> Iterator[NDArray[Any]]:
+    """The rows of an element, a few thousand at a time; a chunk is overwritten by the next one."""
+    row, offset = header.rows_of(element)
+    per_chunk = max(1, _CHUNK_BYTES // row.itemsize)
+    if header.encoding == "ascii":
+        yield from _ascii_chunks(header, element, stream, row, per_chunk)
+        return
+    stream.seek(offset)
+    buffer = np.empty(min(per_chunk, element.count), row)
+    raw = buffer.view(np.uint8).data
+    for start in range(0, element.count, per_chunk):
+        rows = min(per_chunk, element.count - start)
+        if stream.readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
+            raise FormatError(header.path, f"row {start:,}", "a file that stays as long as it was", "its end")
+        yield buffer[:rows]
+
+
+def _ascii_chunks(
+    header: PlyHeader, element: Element, stream: BufferedReader, row: np.dtype[np.void], per_chunk: int
+) -> Iterator[NDArray[Any]]:
+    stream.seek(header.size)
+    lines = islice(stream, element.offset, None)
+    for start in range(0, element.count, per_chunk):
+        rows = min(per_chunk, element.count - start)
+        words = b" ".join(islice(lines, rows)).split()
+        where = f"element {element.name}, rows {start:,} to {start + rows - 1:,}"
+        if len(words) != rows * len(element.properties):
+            raise FormatError(
+                header.path, where, f"{rows * len(element.properties):,} numbers", f"{len(words):,}", "is it truncated?"
+            )
+        try:
+            values = np.array(words, dtype=np.float64).reshape(rows, -1)
+        except ValueError as error:
+            raise FormatError(header.path, where, "numbers", str(error)) from error
+        table = np.empty(rows, row)
+        with np.errstate(all="ignore"):
+            for j, name in enumerate(element.properties):
+                table[name] = values[:, j]
+        yield table
+
+
+def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
+    """Write an INRIA PLY, binary little endian, in the property order of 3DGS, whole or not at all.
+
+    Opacities 0 and 1 have no finite logit and are written as -120 and 40, which read back as 0 and 1.
+
+    Args:
+        scene: What to write; its order and frame are kept.
+        path: The file; its folder is made if missing.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    n, k = len(scene), scene.shN.shape[1]
+    rest = tuple(f"f_rest_{i}" for i in range(3 * k))
+    names = (*_MEANS, "nx", "ny", "nz", *_SH0, *rest, "opacity", *_SCALES, *_QUATS)
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *(f"property float {p}" for p in names)]
+    at = {name: i for i, name in enumerate(names)}
+    per_chunk = max(1, _CHUNK_BYTES // (4 * len(names)))
+    with atomic_path(path) as partial, open(partial, "wb") as stream:
+        stream.write(("\n".join(lines) + "\nend_header\n").encode("ascii"))
+        for start in range(0, n, per_chunk):
+            some = slice(start, min(start + per_chunk, n))
+            table = np.zeros((some.stop - start, len(names)), "<f4")
+            table[:, 0:3] = scene.means[some]
+            table[:, at["f_dc_0"] : at["f_dc_0"] + 3] = scene.sh0[some, 0]
+            table[:, at["f_dc_0"] + 3 : at["opacity"]] = scene.shN[some].transpose(0, 2, 1).reshape(len(table), 3 * k)
+            table[:, at["opacity"]] = logits(scene.opacities[some])
+            table[:, at["scale_0"] : at["scale_0"] + 3] = np.log(scene.scales[some].astype(np.float64))
+            table[:, at["rot_0"] :] = scene.quats[some]
+            stream.write(table.data)
