@@ -33,11 +33,12 @@ def floats(
 ) -> NDArray[Any]:
     """A C-contiguous float array of the given shape, finite unless told otherwise."""
     try:
-        array = np.ascontiguousarray(value, dtype=dtype)
+        if np.iscomplexobj(value):
+            raise TypeError
+        with np.errstate(over="ignore"):  # what overflows to inf is refused below
+            array = np.asarray(value, dtype=dtype, order="C")
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name}: expected numbers of shape {_spell(shape)}, got {type(value).__name__}") from error
-    if np.ndim(value) == 0:  # ascontiguousarray makes scalars one-dimensional
-        array = array.reshape(())
     _check_shape(name, array, shape)
     if finite and array.size and not all_finite(array):
         bad = np.argwhere(~np.isfinite(array))[0]
@@ -58,7 +59,9 @@ def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[A
     array = np.asarray(value)
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"{name}: expected integers, got dtype {array.dtype}")
-    array = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
+    if array.size and not np.can_cast(array.dtype, dtype):  # would wrap around in silence
+        in_range(name, array, np.iinfo(dtype).min, np.iinfo(dtype).max)
+    array = np.asarray(array, dtype=dtype, order="C")
     _check_shape(name, array, shape)
     return array
 
@@ -68,8 +71,9 @@ def in_range(name: str, array: NDArray[Any], low: float, high: float, *, open_lo
     if array.size == 0:
         return
     least, most = array.min(), array.max()
-    if (least <= low if open_low else least < low) or most > high:
-        worst = least if (least <= low if open_low else least < low) else most
+    above = least > low if open_low else least >= low
+    if not (above and most <= high):  # worded so that NaN fails
+        worst = most if above else least
         left = "(" if open_low or low == -np.inf else "["
         right = ")" if high == np.inf else "]"
         raise ValueError(f"{name}: expected values in {left}{low:g}, {high:g}{right}, got {worst:g}")
@@ -101,8 +105,15 @@ def one_of(name: str, value: str, choices: tuple[str, ...]) -> str:
 def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
     """(R, 3) directions, scaled to unit length; a zero vector is refused."""
     array = floats(name, value, ("R", 3), dtype)
-    norms = np.sqrt(np.einsum("ij,ij->i", array, array, dtype=np.float64))
+    norms = _lengths(array)
+    if array.size and not 1e-150 < norms.min() <= norms.max() < 1e150:  # the squares left the range of float64
+        array = array / np.maximum(np.abs(array).max(axis=1, keepdims=True), np.finfo(dtype).tiny)
+        norms = _lengths(array)
     if array.size and norms.min() <= 0.0:
         raise ValueError(f"{name}: expected non-zero directions, got a zero vector at index {int(norms.argmin())}")
     unit: NDArray[Any] = (array / norms[:, None]).astype(dtype)
     return unit
+
+
+def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors, dtype=np.float64)))

@@ -35,6 +35,10 @@ class FormatError(GsvisError):
         place = f"{self.path}: {where}" if where else self.path
         super().__init__(f"{place}: expected {expected}, got {got}" + (f"; {remedy}" if remedy else ""))
 
+    def __reduce__(self) -> tuple[type[FormatError], tuple[str, ...]]:
+        """Pickled by its parts, so that it comes back whole from a worker process."""
+        return type(self), (self.path, self.where, self.expected, self.got, self.remedy)
+
 
 class SceneError(GsvisError):
     """A scene is well formed but cannot serve what was asked of it."""

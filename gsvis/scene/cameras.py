@@ -28,8 +28,10 @@ def intrinsics(width: int, height: int, fov: float) -> F64:
         fov: Horizontal field of view in degrees, in (0, 180).
 
     Raises:
-        ValueError: If `fov` is out of range.
+        ValueError: If a size is not positive or `fov` is out of range.
     """
+    _check.positive_int("width", width)
+    _check.positive_int("height", height)
     if not 0.0 < fov < 180.0:
         raise ValueError(f"fov: expected degrees in (0, 180), got {fov!r}")
     focal = 0.5 * width / np.tan(np.radians(fov) / 2.0)
@@ -115,7 +117,7 @@ class Cameras:
             ValueError: If an eye lies on its target.
         """
         eye = _check.floats("eyes", eyes, ("C", 3), np.float64)
-        target = np.broadcast_to(np.asarray(targets, np.float64), eye.shape)
+        target = _check.floats("targets", targets, (3,) if np.ndim(targets) == 1 else (len(eye), 3), np.float64)
         forward = target - eye
         distance = np.linalg.norm(forward, axis=1)
         if len(eye) and distance.min() <= 0:
@@ -123,7 +125,7 @@ class Cameras:
                 f"eyes: expected eyes apart from their targets, got camera {int(distance.argmin())} on its target"
             )
         forward = forward / distance[:, None]
-        upward = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, 3)))
+        upward = _check.unit_vectors("up", _check.floats("up", up, (3,), np.float64)[None])
         down = np.repeat(-upward, len(eye), axis=0)
         down -= np.sum(down * forward, axis=1, keepdims=True) * forward
         parallel = np.linalg.norm(down, axis=1) < 1e-6
@@ -163,9 +165,11 @@ class Cameras:
             fov: Horizontal field of view, degrees.
         """
         middle = _check.floats("center", center, (3,), np.float64)
-        axis = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, 3)))[0]
-        if not radius > 0 or not -90 < elevation < 90:
-            raise ValueError(f"radius, elevation: expected > 0 and within (-90, 90), got {radius!r}, {elevation!r}")
+        axis = _check.unit_vectors("up", _check.floats("up", up, (3,), np.float64)[None])[0]
+        if not 0 < radius < np.inf:
+            raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
+        if not -90 < elevation < 90:
+            raise ValueError(f"elevation: expected degrees in (-90, 90), got {elevation!r}")
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         first /= np.linalg.norm(first)
         turn = 2.0 * np.pi * np.arange(_check.positive_int("count", count)) / count
@@ -186,6 +190,7 @@ class Cameras:
             6 V cameras, the six faces of a viewpoint one after the other.
         """
         points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
+        _check.positive_int("size", size)
         forwards = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
         downs = np.array([[0, 0, -1]] * 4 + [[0, -1, 0]] * 2, np.float64)
         rotations = np.stack([np.cross(downs, forwards), downs, forwards], axis=1)
@@ -220,6 +225,8 @@ class Cameras:
 
     def resized(self, width: int, height: int) -> Cameras:
         """The same views sampled with another number of pixels."""
+        _check.positive_int("width", width)
+        _check.positive_int("height", height)
         factor = np.array([width / self.width, height / self.height, 1.0])
         return Cameras(self.viewmats, self.Ks * factor[None, :, None], width, height, self.names)
 

@@ -89,8 +89,8 @@ class Gaussians:
             raise ValueError("parts: expected at least one scene, got none")
         width = max(part.shN.shape[1] for part in parts)
         higher = [np.pad(part.shN, ((0, 0), (0, width - part.shN.shape[1]), (0, 0))) for part in parts]
-        joined = [np.concatenate([getattr(part, f) for part in parts]) for f in _NAMES[:-1]]
-        return cls(*joined, np.concatenate(higher))
+        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES[:-1]}
+        return cls(**joined, shN=np.concatenate(higher))
 
     def __len__(self) -> int:
         return len(self.means)
@@ -99,6 +99,8 @@ class Gaussians:
         """The Gaussians at a slice, a boolean mask, an index array, or one integer (a scene of one)."""
         if isinstance(index, int | np.integer):
             index = np.asarray([index])
+        if isinstance(index, tuple) or np.ndim(index) > 1:
+            raise IndexError("index: expected a slice, a mask, an index array or an integer, got several dimensions")
         picked: Gaussians = object.__new__(type(self))  # already valid: no second check
         for name in _NAMES:
             array = np.ascontiguousarray(getattr(self, name)[index])
@@ -196,7 +198,7 @@ def _quat_product(left: F64, right: F64) -> F64:
     """Hamilton product of one quaternion (4,) with many (N, 4), wxyz."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return right @ matrix.T
+    return np.asarray(right @ matrix.T)
 
 
 def rotations_from_quats(quats: NDArray[np.floating[Any]]) -> F64:

@@ -1,0 +1,134 @@
+"""Argument checks: what passes is handed on unchanged and uncopied; what does not is named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gsvis import _check
+
+
+def test_a_fitting_array_is_not_copied() -> None:
+    floats, integers = np.zeros((4, 3), np.float32), np.zeros(4, np.int64)
+    assert _check.floats("x", floats, ("N", 3)) is floats
+    assert _check.integers("x", integers, ("N",)) is integers
+
+
+def test_lists_layouts_and_dtypes_are_coerced_and_the_argument_left_alone() -> None:
+    source = np.arange(6, dtype=">f8").reshape(3, 2).T
+    before = source.copy()
+    array = _check.floats("x", source, (2, "N"))
+    assert array.dtype == np.float32
+    assert array.flags.c_contiguous
+    np.testing.assert_array_equal(array, before)
+    np.testing.assert_array_equal(source, before)
+    assert _check.floats("x", 3, ()).shape == ()
+    assert _check.floats("x", [[1, 2, 3]], ("N", 3)).shape == (1, 3)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (np.zeros((2, 4)), r"x: expected shape \(N, 3\), got \(2, 4\)"),
+        (np.zeros(3), r"x: expected shape \(N, 3\), got \(3,\)"),
+        (5.0, r"x: expected shape \(N, 3\), got \(\)"),
+        ([[1, 2], [3]], r"x: expected numbers of shape \(N, 3\), got list"),
+        ("abc", r"x: expected numbers of shape \(N, 3\), got str"),
+        (None, r"x: expected shape \(N, 3\), got \(\)"),
+        (np.zeros((1, 3), complex), r"x: expected numbers"),
+        ([[10**400, 0, 0]], r"x: expected numbers"),
+        ([[1, np.nan, 0]], r"x: expected finite values, got nan at index \(0, 1\)"),
+        (np.array([[0, 0, 1e300]]), r"x: expected finite values, got inf at index \(0, 2\)"),
+    ],
+)
+def test_bad_floats_are_named(value: Any, told: str) -> None:
+    with pytest.raises(ValueError, match="^" + told):
+        _check.floats("x", value, ("N", 3))
+
+
+@given(
+    hnp.arrays(
+        st.sampled_from([np.float32, np.float64]),
+        hnp.array_shapes(min_side=0, max_dims=3),
+        elements={"allow_nan": True, "allow_infinity": True},
+    )
+)
+def test_all_finite_is_what_it_says(array: np.ndarray) -> None:
+    assert _check.all_finite(array) == bool(np.isfinite(array).all())
+
+
+def test_all_finite_survives_sums_that_overflow_or_cancel() -> None:
+    assert _check.all_finite(np.full(4, 1.7e308))
+    assert not _check.all_finite(np.array([np.inf, -np.inf]))
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ([1.0, 2.0], "x: expected integers, got dtype float64"),
+        ([True], "x: expected integers, got dtype bool"),
+        ([2**70], "x: expected integers, got dtype object"),
+        ([[1]], r"x: expected shape \(N,\), got \(1, 1\)"),
+        (np.array([2**63], np.uint64), "x: expected values in"),
+    ],
+)
+def test_bad_integers_are_named(value: Any, told: str) -> None:
+    with pytest.raises(ValueError, match="^" + told):
+        _check.integers("x", value, ("N",))
+
+
+def test_integers_never_wrap_around() -> None:
+    with pytest.raises(ValueError, match=r"x: expected values in \[0, 255\], got 256"):
+        _check.integers("x", [0, 256], ("N",), np.uint8)
+    assert _check.integers("x", [0, 255], ("N",), np.uint8).dtype == np.uint8
+    assert _check.integers("x", [], ("N",)).dtype == np.int64
+
+
+def test_ranges_are_closed_unless_told_and_refuse_nan() -> None:
+    _check.in_range("x", np.array([0.0, 1.0]), 0.0, 1.0)
+    _check.in_range("x", np.array([]), 0.0, 1.0)
+    with pytest.raises(ValueError, match=r"x: expected values in \(0, inf\), got 0"):
+        _check.in_range("x", np.array([0.0, 1.0]), 0.0, np.inf, open_low=True)
+    with pytest.raises(ValueError, match=r"x: expected values in \[0, 1\], got 2"):
+        _check.in_range("x", np.array([0.0, 2.0]), 0.0, 1.0)
+    with pytest.raises(ValueError, match=r"x: expected values in \[0, 1\], got nan"):
+        _check.in_range("x", np.array([0.5, np.nan]), 0.0, 1.0)
+
+
+def test_lengths_must_agree() -> None:
+    assert _check.same_length(a=np.zeros(3), b=np.zeros((3, 2))) == 3
+    with pytest.raises(ValueError, match="a / b: expected one length for all, got a 3, b 2"):
+        _check.same_length(a=np.zeros(3), b=np.zeros(2))
+
+
+@pytest.mark.parametrize("value", [0, -1, 1.0, True, "1", None, np.float32(1)])
+def test_bad_counts_are_named(value: Any) -> None:
+    with pytest.raises(ValueError, match="x: expected an integer of at least 1, got"):
+        _check.positive_int("x", value)
+
+
+def test_numpy_integers_count_and_choices_are_listed() -> None:
+    assert type(_check.positive_int("x", np.uint8(3))) is int
+    assert _check.one_of("x", "a", ("a", "b")) == "a"
+    with pytest.raises(ValueError, match="x: expected one of 'a', 'b', got 'c'"):
+        _check.one_of("x", "c", ("a", "b"))
+
+
+@given(hnp.arrays(np.float64, (5, 3), elements=st.floats(-1e308, 1e308, allow_subnormal=False)))
+def test_unit_vectors_are_unit_at_every_scale(vectors: np.ndarray) -> None:
+    vectors[np.abs(vectors).max(axis=1) < 1e-300] = [1e-200, 0, 0]
+    unit = _check.unit_vectors("x", vectors)
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, atol=1e-12)
+    scale = np.abs(vectors).max(axis=1, keepdims=True)
+    assert (np.einsum("ij,ij->i", unit, vectors / scale) > 0.5).all()
+
+
+def test_a_zero_direction_is_named() -> None:
+    with pytest.raises(ValueError, match="x: expected non-zero directions, got a zero vector at index 1"):
+        _check.unit_vectors("x", [[1, 0, 0], [0, 0, 0]])
+    assert _check.unit_vectors("x", np.zeros((0, 3))).shape == (0, 3)
