@@ -25,11 +25,11 @@ LEAST_SCALE = float(np.finfo(np.float32).tiny)
 def sigmoid(logit_opacities: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
     """1 / (1 + exp(-x)) in float32; infinite logits become 0 and 1, NaN stays NaN for the caller's check."""
     with np.errstate(all="ignore"):
-        result: F32 = np.negative(logit_opacities, out=out, dtype=np.float32)
-        np.exp(result, out=result)
+        negated = np.negative(np.asarray(logit_opacities, np.float32), out=out)
+        result: F32 = np.exp(negated, out=out)
         result += 1.0
         np.reciprocal(result, out=result)
-    return np.asarray(result, np.float32)
+    return result
 
 
 def logits(opacities: NDArray[np.floating[Any]]) -> F32:
@@ -42,8 +42,8 @@ def logits(opacities: NDArray[np.floating[Any]]) -> F32:
 def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
     """Exp in float32, kept above 0: a flat Gaussian's thickness may underflow. NaN and overflow stay for the check."""
     with np.errstate(all="ignore"):
-        result: F32 = np.exp(log_scales, out=out, dtype=np.float32)
         minus_infinity = np.isneginf(log_scales)
+        result: F32 = np.exp(log_scales, out=out, dtype=np.float32)
         np.maximum(result, LEAST_SCALE, out=result)
     if minus_infinity.any():
         result[minus_infinity] = -np.inf

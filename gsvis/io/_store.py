@@ -1,0 +1,151 @@
+"""The files of a SOG scene by name, from a folder or from a zip, with nothing taken on trust.
+
+Names were checked with `safe_name`; every read is bounded by what a `Budget` allows. This module knows no planes.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+from typing import Protocol
+
+from gsvis.errors import FormatError
+from gsvis.io._limits import Budget, read_whole, safe_name
+
+__all__ = ["FolderStore", "Store", "ZipStore"]
+
+_ZIP_FAULTS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    OSError,
+    ValueError,
+    NotImplementedError,
+    RuntimeError,
+    OverflowError,
+)
+
+
+class Store(Protocol):
+    """Where the files of a scene come from."""
+
+    path: str
+    """What error messages call it."""
+
+    def file_bytes(self, names: list[str]) -> int:
+        """Real bytes on disk behind these files."""
+
+    def read(self, name: str, budget: Budget) -> bytes:
+        """Content of one file."""
+
+
+class FolderStore:
+    """Files in a folder.
+
+    Args:
+        folder: The folder.
+        path: What error messages call it, such as the path of its meta.json.
+    """
+
+    def __init__(self, folder: Path, path: str | os.PathLike[str]) -> None:
+        self.folder, self.path = folder, os.fspath(path)
+
+    def _file(self, name: str) -> Path:
+        file = self.folder / name
+        if not file.is_file():
+            raise FormatError(self.path, name, "a file of that name beside the meta data", "none", "is the copy whole?")
+        return file
+
+    def file_bytes(self, names: list[str]) -> int:
+        """Real bytes on disk behind these files.
+
+        Raises:
+            FormatError: If one is missing.
+        """
+        return sum(self._file(name).stat().st_size for name in dict.fromkeys(names))
+
+    def read(self, name: str, budget: Budget) -> bytes:
+        """Content of one file.
+
+        Raises:
+            FormatError: If it is missing.
+        """
+        file = self._file(name)
+        size = file.stat().st_size
+        budget.claim(size, name)
+        return read_whole(file, size)
+
+
+class ZipStore:
+    """Files in a zip, beside its `meta.json`.
+
+    Args:
+        path: The zip.
+
+    Raises:
+        FormatError: If it is no zip, holds unsafe names, or holds no `meta.json`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = os.fspath(path)
+        self.size = os.stat(path).st_size
+        try:
+            self._zip = zipfile.ZipFile(path)
+        except _ZIP_FAULTS as error:
+            raise FormatError(path, "", "a zip archive", str(error), "is it truncated?") from error
+        try:
+            self._entries = self._safe_entries()
+        except FormatError:
+            self._zip.close()
+            raise
+
+    def _safe_entries(self) -> dict[str, zipfile.ZipInfo]:
+        entries = {}
+        for info in self._zip.infolist():
+            entries[safe_name(self.path, "zip entry", info.orig_filename)] = info
+        metas = sorted((n for n in entries if PurePosixPath(n).name == "meta.json"), key=lambda n: (n.count("/"), n))
+        if not metas:
+            raise FormatError(self.path, "", "a meta.json in the zip", "none", "this is no SOG scene")
+        prefix = metas[0][: -len("meta.json")]
+        return {name[len(prefix) :]: info for name, info in entries.items() if name.startswith(prefix)}
+
+    def __enter__(self) -> ZipStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._zip.close()
+
+    def file_bytes(self, names: list[str]) -> int:
+        """Real bytes on disk behind these files: never more than the zip has.
+
+        Raises:
+            FormatError: If one is missing.
+        """
+        for name in names:
+            if name not in self._entries:
+                raise FormatError(self.path, name, "an entry of that name in the zip", "none")
+        return self.size
+
+    def read(self, name: str, budget: Budget) -> bytes:
+        """Content of one entry.
+
+        Raises:
+            FormatError: If it is missing, damaged, encrypted, or expands absurdly.
+        """
+        self.file_bytes([name])
+        info = self._entries[name]
+        if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError(self.path, name, "a stored or deflated entry", "encryption or another compression")
+        budget.claim(info.file_size, name)
+        try:
+            with self._zip.open(info) as stream:
+                data = stream.read(info.file_size + 1)
+        except _ZIP_FAULTS as error:
+            raise FormatError(self.path, name, "an intact zip entry", str(error) or "a damaged one") from error
+        if len(data) != info.file_size:
+            raise FormatError(self.path, name, f"{info.file_size:,} bytes", f"{len(data):,}", "the zip is damaged")
+        return data

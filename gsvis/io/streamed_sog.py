@@ -1,0 +1,171 @@
+"""Streamed SOG: an octree of SOG scenes, `lod-meta.json`, read at one level of detail.
+
+Every leaf of the tree names, for each level, a run of Gaussians in one of the listed SOG scenes. Level 0 is the finest.
+Files of a level may be absent; the message then says which levels are there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.errors import FormatError
+from gsvis.io._json import Fields, parse_object
+from gsvis.io._limits import Budget, safe_name
+from gsvis.io._store import FolderStore, ZipStore
+from gsvis.io.sog import SogMeta, read_sog
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["load_streamed_sog", "streamed_sog_lods"]
+
+Runs = dict[int, list[tuple[int, int]]]
+_MAX_COUNT = 1 << 40
+
+
+def streamed_sog_lods(path: str | os.PathLike[str]) -> tuple[int, ...]:
+    """Levels of detail that are present, finest first.
+
+    Args:
+        path: A folder with `lod-meta.json`, or that file.
+
+    Raises:
+        FormatError: If the file is damaged.
+    """
+    tree = _Tree(path)
+    return tuple(lod for lod in sorted(tree.runs) if not tree.absent(lod))
+
+
+def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> Gaussians:
+    """Read one level of detail of a streamed SOG scene, with its environment if it has one.
+
+    Args:
+        path: A folder with `lod-meta.json`, or that file.
+        lod: The level; None takes the finest that is present.
+
+    Returns:
+        The Gaussians of all leaves, in the order of the listed files and of the Gaussians in them.
+
+    Raises:
+        FormatError: If the level or the environment is absent (the message names the levels that are present), or
+            a file is damaged.
+        OSError: If the file cannot be opened.
+    """
+    tree = _Tree(path)
+    present = [level for level in sorted(tree.runs) if not tree.absent(level)]
+    remedy = f"LODs present: {', '.join(map(str, present)) or 'none'}"
+    named = f"LODs named in the file: {', '.join(map(str, sorted(tree.runs))) or 'none'}"
+    if lod is None:
+        if not present:
+            raise FormatError(tree.path, "", "the files of at least one LOD", "none", named)
+        lod = present[0]
+    if lod not in tree.runs:
+        raise FormatError(tree.path, "", f"a LOD {lod}", named, remedy)
+    absent = tree.absent(lod)
+    if absent:
+        raise FormatError(tree.path, "", f"the files of LOD {lod}", f"no {_some(absent)}", remedy)
+    environment = tree.environment
+    if environment and not (tree.folder / environment).is_file():
+        raise FormatError(tree.path, "environment", f"the file {environment}", "none", remedy)
+    parts = []
+    for file, runs in sorted(tree.runs[lod].items()):
+        parts.append(_pieces(tree, file, runs))
+    if environment:
+        parts.append(_scene(tree, environment))
+    return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+
+
+def _some(names: list[str]) -> str:
+    """A few names and how many more."""
+    shown = ", ".join(names[:3])
+    return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
+
+
+class _Tree:
+    """The checked content of a `lod-meta.json`.
+
+    Args:
+        path: A folder with that file, or the file.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        file = Path(path)
+        self.path = file / "lod-meta.json" if file.is_dir() else file
+        self.folder = self.path.parent
+        data = self.path.read_bytes()
+        self.budget = Budget(self.path, len(data))
+        fields = parse_object(self.path, data)
+        self.files = [safe_name(self.path, f"filenames[{i}]", n) for i, n in enumerate(fields.items("filenames"))]
+        if len(set(self.files)) < len(self.files):
+            raise FormatError(self.path, "filenames", "every file once", "a file named twice")
+        self.environment: str | None = None
+        if "environment" in fields:
+            self.environment = safe_name(self.path, "environment", fields.raw("environment"))
+        self.runs: dict[int, Runs] = defaultdict(lambda: defaultdict(list))
+        self._collect(fields.raw("tree"))
+
+    def _collect(self, tree: Any) -> None:
+        """Fill `runs`: for each level and file the (offset, count) of all leaves."""
+        stack = [tree]
+        while stack:
+            node = Fields(self.path, "tree", stack.pop())
+            if "children" in node:
+                stack.extend(node.items("children"))
+            if "lods" not in node:
+                continue
+            for key, value in node.child("lods").value.items():
+                if not (key.isascii() and key.isdecimal() and len(key) < 4):
+                    raise FormatError(self.path, "tree.lods", "levels 0, 1, 2, ...", repr(key[:40]))
+                run = Fields(self.path, f"tree.lods.{key}", value)
+                file = run.integer("file", 0, len(self.files) - 1)
+                offset, count = run.integer("offset", 0, _MAX_COUNT), run.integer("count", 0, _MAX_COUNT)
+                if count:
+                    self.runs[int(key)][file].append((offset, count))
+
+    def absent(self, lod: int) -> list[str]:
+        """Files that a level needs and that are not there."""
+        names = [self.files[file] for file in sorted(self.runs[lod])]
+        return [name for name in names if not (self.folder / name).is_file()]
+
+
+def _scene(tree: _Tree, name: str) -> Gaussians:
+    """One of the SOG scenes that the tree refers to, a meta.json or a zip, whole."""
+    path = tree.folder / name
+    if path.suffix.lower() != ".json":
+        with ZipStore(path) as archive:
+            tree.budget.file_bytes += archive.size
+            meta = SogMeta(parse_object(path, archive.read("meta.json", tree.budget)))
+            return read_sog(meta, archive, tree.budget)
+    data = path.read_bytes()
+    meta, store = SogMeta(parse_object(path, data)), FolderStore(path.parent, path)
+    tree.budget.file_bytes += len(data) + store.file_bytes(meta.names)
+    return read_sog(meta, store, tree.budget)
+
+
+def _pieces(tree: _Tree, file: int, runs: list[tuple[int, int]]) -> Gaussians:
+    """The Gaussians of one file that the runs name, in file order.
+
+    Raises:
+        FormatError: If a run ends behind the file or runs overlap.
+    """
+    scene = _scene(tree, tree.files[file])
+    first, count = np.array(sorted(runs), np.int64).T
+    last = first + count
+    if last.max() > len(scene):
+        raise FormatError(
+            tree.path,
+            f"leaves of {tree.files[file]}",
+            f"runs within {len(scene):,} Gaussians",
+            f"an end at {last.max():,}",
+        )
+    if (first[1:] < last[:-1]).any():
+        raise FormatError(tree.path, f"leaves of {tree.files[file]}", "runs that do not overlap", "two that do")
+    if count.sum() == len(scene):
+        return scene
+    kept = np.zeros(len(scene) + 1, np.int8)
+    np.add.at(kept, first, 1)
+    np.add.at(kept, last, -1)
+    return scene[np.cumsum(kept[:-1], dtype=np.int8).astype(bool)]
