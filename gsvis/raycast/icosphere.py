@@ -1,0 +1,65 @@
+"""The icosahedron and its subdivisions: unit vertices and outward triangles.
+
+Vertices (0, ±1, ±phi) and cyclic permutations, scaled to length 1; each subdivision cuts every face in four at its
+edge midpoints, pushed to the unit sphere. The order of vertices and faces is part of the file formats: never change it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+
+__all__ = ["icosphere"]
+
+
+@lru_cache(maxsize=8)
+def icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Unit sphere of 20 * 4^subdivisions triangles.
+
+    Args:
+        subdivisions: 0 gives the icosahedron, 1 the 80 faces of the direction sets.
+
+    Returns:
+        vertices: (V, 3) unit vectors, read-only; those of a coarser sphere come first.
+        faces: (F, 3) int64, counter-clockwise seen from outside, read-only; the four parts of face f are 4f..4f+3.
+
+    Raises:
+        ValueError: If `subdivisions` is negative.
+    """
+    _check.positive_int("subdivisions", subdivisions, at_least=0)
+    phi = (1.0 + 5.0**0.5) / 2.0
+    signs = [(s, t) for s in (1.0, -1.0) for t in (phi, -phi)]
+    corners = [(0.0, s, t) for s, t in signs] + [(s, t, 0.0) for s, t in signs] + [(t, 0.0, s) for s, t in signs]
+    vertices = np.array(corners) / np.hypot(1.0, phi)
+    edge = np.min(np.linalg.norm(vertices[0] - vertices[1:], axis=1))
+    near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 1.01 * edge
+    triangles = [
+        (a, b, c)
+        for a in range(12)
+        for b in range(a + 1, 12)
+        for c in range(b + 1, 12)
+        if near[a, b] and near[b, c] and near[a, c]
+    ]
+    faces = np.array([t if np.linalg.det(vertices[list(t)]) > 0 else (t[0], t[2], t[1]) for t in triangles], np.int64)
+    for _ in range(subdivisions):
+        vertices, faces = _subdivided(vertices, faces)
+    vertices.flags.writeable = False
+    faces.flags.writeable = False
+    return vertices, faces
+
+
+def _subdivided(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
+    midpoints = vertices[unique].sum(axis=1)
+    midpoints /= np.linalg.norm(midpoints, axis=1, keepdims=True)
+    a, b, c = faces.T
+    ab, bc, ca = (inverse.reshape(-1, 3) + len(vertices)).T
+    parts = np.stack([np.stack(part, axis=1) for part in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))], axis=1)
+    return np.concatenate([vertices, midpoints]), parts.reshape(-1, 3)

@@ -1,0 +1,53 @@
+"""The brute-force tracer: every Gaussian against every ray, as the definitions say it. The oracle of this room.
+
+Slow and short on purpose: float64 NumPy, one ray at a time, no hierarchy, no proxies. World frame, scene units.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gsvis.raycast.proxies import MIN_ALPHA
+from gsvis.raycast.tracer import MAX_ALPHA, MIN_TRANSMITTANCE, Contributions, _rays
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["brute_force_contributions"]
+
+
+def brute_force_contributions(
+    g: Gaussians, rays_o: ArrayLike, rays_d: ArrayLike, *, min_alpha: float = MIN_ALPHA
+) -> Contributions:
+    """What `Tracer.contributions` must return, from the definitions alone.
+
+    Args:
+        g: The scene.
+        rays_o: (R, 3) origins, world frame.
+        rays_d: (R, 3) directions, any non-zero length.
+        min_alpha: Alpha below this is nothing.
+    """
+    origins, directions = _rays(rays_o, rays_d)
+    whitening = np.swapaxes(g.rotations(), 1, 2) / g.scales.astype(np.float64)[:, :, None]
+    opacities = g.opacities.astype(np.float64)
+    content = np.concatenate([g.means, g.scales, g.quats, g.opacities[:, None], g.sh0[:, 0]], axis=1)
+    rank = np.empty(len(g), np.int64)
+    rank[np.lexsort(content.T[::-1])] = np.arange(len(g))
+    parts = []
+    for o, d in zip(origins, directions, strict=True):
+        p = np.einsum("nij,nj->ni", whitening, o - g.means.astype(np.float64))
+        q = whitening @ d
+        length = np.linalg.norm(q, axis=1)
+        unit = q / length[:, None]
+        depth = np.maximum(-np.einsum("ni,ni->n", p, unit) / length, 0.0)
+        across = np.linalg.norm(np.cross(p, unit), axis=1)
+        distance = np.where(depth > 0.0, across, np.linalg.norm(p, axis=1))
+        alpha = opacities * np.exp(-0.5 * distance**2)
+        hit = np.flatnonzero(alpha >= min_alpha)
+        hit = hit[np.lexsort((rank[hit], depth[hit].astype(np.float32)))]
+        alpha = np.minimum(alpha[hit], MAX_ALPHA)
+        transmittance = np.concatenate([[1.0], np.cumprod(1.0 - alpha)])[:-1]
+        lit = transmittance >= MIN_TRANSMITTANCE
+        weight = (alpha * transmittance)[lit].astype(np.float32)
+        fields = (hit[lit], alpha[lit].astype(np.float32), weight, depth[hit][lit].astype(np.float32))
+        parts.append(Contributions(np.array([0, lit.sum()]), *fields))
+    return Contributions.concatenate(parts)

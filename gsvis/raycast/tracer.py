@@ -1,0 +1,224 @@
+"""Rays against a scene: every Gaussian that contributes to a ray, front to back, or the first proxy it meets.
+
+Rays start at `rays_o` and run along unit `rays_d` in the world frame; depths are in scene units. What alpha, weight
+and depth mean on a ray, and where a ray stops, is in docs/conventions.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.raycast import _kernels
+from gsvis.raycast.engines import ENGINES, Engine
+from gsvis.raycast.hierarchy import Hierarchy
+from gsvis.raycast.proxies import EllipsoidProxies
+
+__all__ = ["MAX_ALPHA", "MIN_TRANSMITTANCE", "TAU", "Contributions", "FirstHits", "Tracer"]
+
+MAX_ALPHA = 0.999
+"""Alpha is capped here."""
+MIN_TRANSMITTANCE = 1e-4
+"""A ray stops when less light than this is left."""
+TAU = 1.0 / 255.0
+"""Default weight from which a Gaussian is visible."""
+
+_ROW = 128  # hits a ray has room for at first; the few rays with more are traced again
+_BYTES_A_HIT = 16
+_FACE_RAYS = 4096
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Contributions:
+    """What R rays meet, in CSR form: ray r owns `ray_offsets[r]:ray_offsets[r + 1]`, front to back.
+
+    Attributes:
+        ray_offsets: (R + 1,) int64.
+        gaussian_ids: (H,) int64.
+        alphas: (H,) float32 in [min_alpha, 0.999].
+        weights: (H,) float32, alpha times the transmittance in front.
+        depths: (H,) float32, scene units along the ray.
+    """
+
+    ray_offsets: NDArray[np.int64]
+    gaussian_ids: NDArray[np.int64]
+    alphas: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    depths: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.ray_offsets) - 1
+
+    def __repr__(self) -> str:
+        return f"Contributions({len(self.gaussian_ids):,} hits of {len(self):,} rays)"
+
+    @property
+    def ray_ids(self) -> NDArray[np.int64]:
+        """(H,) the ray of each hit."""
+        return np.repeat(np.arange(len(self)), np.diff(self.ray_offsets))
+
+    @property
+    def transmittance(self) -> F64:
+        """(R,) light left behind all hits of each ray, in [0, 1]."""
+        logs = np.concatenate([[0.0], np.cumsum(np.log1p(-self.alphas.astype(np.float64)))])
+        return np.asarray(np.exp(logs[self.ray_offsets[1:]] - logs[self.ray_offsets[:-1]]))
+
+    @staticmethod
+    def concatenate(parts: list[Contributions]) -> Contributions:
+        """The contributions of several lots of rays as one."""
+        counts = np.concatenate([np.diff(part.ray_offsets) for part in parts] or [np.zeros(0, np.int64)])
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        fields = [("gaussian_ids", np.int64), ("alphas", np.float32), ("weights", np.float32), ("depths", np.float32)]
+        joined = [np.concatenate([getattr(p, name) for p in parts] or [np.zeros(0, dtype)]) for name, dtype in fields]
+        return Contributions(offsets, *joined)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstHits:
+    """The first proxy face each ray meets, as if proxies were opaque.
+
+    Attributes:
+        t_hit: (R,) float64, scene units; inf for a miss.
+        gaussian_ids: (R,) int64; -1 for a miss.
+    """
+
+    t_hit: F64
+    gaussian_ids: NDArray[np.int64]
+
+
+class Tracer:
+    """Traces rays against the proxies of a scene.
+
+    What a query needs is built when it is first asked: an Embree scene of the triangles for `first_hit` and
+    `search="faces"`, the ellipsoid hierarchy for everything else.
+
+    Args:
+        proxies: What to trace.
+        engine: "open3d" (all cores) or "embreex"; both are Embree.
+
+    Raises:
+        ValueError: If the engine is unknown.
+        BackendError: On first use, if the engine's library is missing; says what to install.
+    """
+
+    def __init__(self, proxies: EllipsoidProxies, engine: str = "open3d") -> None:
+        self.engine = _check.one_of("engine", engine, tuple(ENGINES))
+        self.proxies = proxies
+
+    def __repr__(self) -> str:
+        return f"Tracer({self.proxies!r}, engine={self.engine!r})"
+
+    @cached_property
+    def hierarchy(self) -> Hierarchy:
+        """The hierarchy over the ellipsoids."""
+        return Hierarchy.from_proxies(self.proxies)
+
+    @cached_property
+    def embree(self) -> Engine:
+        """The engine's scene of all proxy triangles."""
+        return ENGINES[self.engine](*self.proxies.meshes())
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """(min_alpha, max_alpha, min_transmittance), as the kernels take them."""
+        return self.proxies.min_alpha, MAX_ALPHA, MIN_TRANSMITTANCE
+
+    def first_hit(self, rays_o: ArrayLike, rays_d: ArrayLike) -> FirstHits:
+        """The first proxy each ray meets.
+
+        Args:
+            rays_o: (R, 3) origins, world frame.
+            rays_d: (R, 3) directions, any non-zero length.
+
+        Raises:
+            ValueError: If shapes differ or values are not finite.
+        """
+        rays_o, rays_d = _rays(rays_o, rays_d)
+        t_hit, faces = self.embree.first_face(rays_o, rays_d)
+        owners = faces // self.proxies.faces_per_proxy
+        ids = np.where(faces < 0, -1, self.proxies.ids[owners] if len(self.proxies) else -1)
+        return FirstHits(t_hit, ids)
+
+    def contributions(
+        self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str = "hierarchy", max_memory: int = 256 << 20
+    ) -> Contributions:
+        """All Gaussians that contribute to each ray, front to back.
+
+        Args:
+            rays_o: (R, 3) origins, world frame.
+            rays_d: (R, 3) directions, any non-zero length.
+            search: "hierarchy" walks the ellipsoids and stops where light is spent; "faces" lets the engine list
+                every proxy face first (engine "open3d"). Same answer; the second is the slower twin.
+            max_memory: Bytes of working memory beside the result; rays are traced in chunks that fit.
+
+        Raises:
+            ValueError: If shapes differ or values are not finite.
+            BackendError: If the engine cannot list faces.
+        """
+        chunks = self.iter_contributions(rays_o, rays_d, search=search, max_memory=max_memory)
+        return Contributions.concatenate([part for _, part in chunks])
+
+    def iter_contributions(
+        self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str = "hierarchy", max_memory: int = 256 << 20
+    ) -> Iterator[tuple[int, Contributions]]:
+        """`contributions` chunk by chunk, for results larger than memory.
+
+        Yields:
+            The index of the chunk's first ray, and the contributions of its rays.
+        """
+        _check.one_of("search", search, ("hierarchy", "faces"))
+        _check.positive_int("max_memory", max_memory)
+        rays_o, rays_d = _rays(rays_o, rays_d)
+        step = max(64, max_memory // (2 * _ROW * _BYTES_A_HIT))
+        trace = self._trace_hierarchy
+        if search == "faces":
+            step, trace = min(step, _FACE_RAYS), self._trace_faces
+        for start in range(0, len(rays_o), step):
+            yield start, trace(rays_o[start : start + step], rays_d[start : start + step], max_memory)
+
+    def _trace_hierarchy(self, rays_o: F64, rays_d: F64, max_memory: int) -> Contributions:
+        counts, rows = self._trace_rows(rays_o, rays_d, _ROW)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        long = np.flatnonzero(counts > _ROW)
+        packed = [np.empty(offsets[-1], dtype) for dtype in (np.int32, np.float32, np.float32, np.float32)]
+        _kernels.pack(offsets, np.arange(len(rays_o)), *rows, *packed)
+        while len(long):  # these found no room in their rows
+            room = int(counts[long].max())
+            some, long = np.split(long, [max(1, max_memory // (2 * room * _BYTES_A_HIT))])
+            _, rows = self._trace_rows(rays_o[some], rays_d[some], room)
+            _kernels.pack(offsets, some, *rows, *packed)
+        return Contributions(offsets, self.hierarchy.ids[packed[0]], *packed[1:])
+
+    def _trace_rows(self, rays_o: F64, rays_d: F64, room: int) -> tuple[NDArray[np.int64], list[NDArray[np.float32]]]:
+        counts = np.empty(len(rays_o), np.int64)
+        rows = [np.empty((len(rays_o), room), dtype) for dtype in (np.int32, np.float32, np.float32, np.float32)]
+        _kernels.trace_rays(*self.hierarchy.arrays, rays_o, rays_d, self.limits, counts, *rows)
+        return counts, rows
+
+    def _trace_faces(self, rays_o: F64, rays_d: F64, max_memory: int) -> Contributions:
+        ray_ids, faces = self.embree.all_faces(rays_o, rays_d)
+        m = max(1, len(self.proxies))
+        pairs = np.unique(ray_ids * m + faces // self.proxies.faces_per_proxy)  # a convex proxy is hit twice
+        positions = self.hierarchy.positions[self.proxies.ids[pairs % m]] if len(self.proxies) else pairs
+        offsets = np.searchsorted(pairs // m, np.arange(len(rays_o) + 1))
+        values = [np.empty(len(pairs), np.float32) for _ in range(3)]
+        counts = np.empty(len(rays_o), np.int64)
+        table, content, _, _ = self.hierarchy.arrays
+        _kernels.weigh_candidates(table, content, rays_o, rays_d, self.limits, offsets, positions, counts, *values)
+        kept = np.arange(len(pairs)) - np.repeat(offsets[:-1], np.diff(offsets)) < np.repeat(counts, np.diff(offsets))
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        return Contributions(ends, self.hierarchy.ids[positions[kept]], *(value[kept] for value in values))
+
+
+def _rays(rays_o: ArrayLike, rays_d: ArrayLike) -> tuple[F64, F64]:
+    origins = _check.floats("rays_o", rays_o, ("R", 3), np.float64)
+    directions = _check.unit_vectors("rays_d", rays_d)
+    _check.same_length(rays_o=origins, rays_d=directions)
+    return origins, directions
