@@ -25,6 +25,8 @@ F64 = NDArray[np.float64]
 class Gaussians:
     """N 3D Gaussians, validated, read-only, activated.
 
+    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterwards.
+
     Args:
         means: (N, 3) centres, scene units.
         quats: (N, 4) rotations wxyz, any non-zero length; stored normalised.
