@@ -1,0 +1,98 @@
+"""Public names are frozen in `api_surface.json`: a change to them is made on purpose, or not at all.
+
+After a change that is meant: `python tests/test_api_surface.py --write`, and a line in CHANGELOG.md.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+FROZEN = Path(__file__).with_name("api_surface.json")
+
+
+def packages() -> list[str]:
+    """gsvis and its rooms that state their public names."""
+    rooms = sorted(p.parent.name for p in (ROOT / "gsvis").glob("*/__init__.py") if not p.parent.name.startswith("_"))
+    files = sorted(p.stem for p in (ROOT / "gsvis").glob("*.py") if not p.stem.startswith("_"))
+    return ["gsvis", *(f"gsvis.{name}" for name in sorted({*rooms, *files}))]
+
+
+def described(value: Any) -> Any:
+    """A signature for a function, the public members for a class, the type for anything else."""
+    if inspect.isclass(value):
+        members = (
+            {"__init__": signature(value)} if "__init__" in vars(value) or not issubclass(value, Exception) else {}
+        )
+        for name, member in sorted(vars(value).items()):
+            if name.startswith("_"):
+                continue
+            if isinstance(member, property):
+                members[name] = "property"
+            elif callable(member) or isinstance(member, classmethod | staticmethod):
+                members[name] = signature(getattr(value, name))
+        return members
+    return signature(value) if callable(value) and hasattr(value, "__module__") else type(value).__name__
+
+
+class Bare:
+    """Prints an annotation, a string under `from __future__ import annotations`, without quotes."""
+
+    def __init__(self, annotation: Any) -> None:
+        self.annotation = annotation
+
+    def __repr__(self) -> str:
+        return self.annotation if isinstance(self.annotation, str) else inspect.formatannotation(self.annotation)
+
+
+def signature(value: Any) -> str:
+    if hasattr(value, "__origin__"):
+        return "alias"
+    try:
+        written = inspect.signature(value)
+    except (TypeError, ValueError):  # a class written in C
+        return type(value).__name__
+    empty = inspect.Signature.empty
+    parameters = [
+        p if p.annotation is empty else p.replace(annotation=Bare(p.annotation)) for p in written.parameters.values()
+    ]
+    returns = written.return_annotation
+    return str(written.replace(parameters=parameters, return_annotation=empty if returns is empty else Bare(returns)))
+
+
+def surface() -> dict[str, dict[str, Any]]:
+    found = {}
+    for package in packages():
+        module = importlib.import_module(package)
+        names = getattr(module, "__all__", None)
+        if names is not None:
+            found[package] = {name: described(getattr(module, name)) for name in sorted(names)}
+    return found
+
+
+def test_public_names_are_the_frozen_ones() -> None:
+    told = "the public names changed; if that is meant: python tests/test_api_surface.py --write"
+    assert surface() == json.loads(FROZEN.read_text(encoding="utf-8")), told
+
+
+def test_public_names_are_documented_where_they_live() -> None:
+    for package in packages():
+        module = importlib.import_module(package)
+        for name in getattr(module, "__all__", []):
+            value = getattr(module, name)
+            if inspect.isclass(value) or inspect.isfunction(value):
+                assert inspect.getdoc(value), f"{package}.{name} has no docstring"
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
+    text = json.dumps(surface(), indent=1, ensure_ascii=False) + "\n"
+    if "--write" in sys.argv[1:]:
+        FROZEN.write_text(text, encoding="utf-8")
+    else:
+        sys.stdout.write(text)

@@ -1,0 +1,112 @@
+"""The house: data flows one way, and some things have no place in it. Read from the source, nothing is imported."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "gsvis"
+ROOMS = (
+    "errors",
+    "progress",
+    "_check",
+    "scene",
+    "io",
+    "color",
+    "render",
+    "raycast",
+    "hpr",
+    "visibility",
+    "train",
+    "package",
+    "abr",
+    "serve",
+    "report",
+    "cli",
+)
+NOT_NAMES = ("util", "helper", "manager", "common", "misc")
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def room_of(module: str) -> str | None:
+    """The room of `gsvis.room.module`; None for the package itself, which may show every room."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else None
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Full names of all that a module imports from gsvis, at its top, in functions and under conditions."""
+    package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "gsvis")
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            source = ".".join([*base, *(node.module or "").split(".")]).rstrip(".")
+            if source == "gsvis":  # `from gsvis import io` names rooms
+                yield from (f"gsvis.{alias.name}" for alias in node.names)
+            elif source.startswith("gsvis."):
+                yield source
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_imports_only_from_rooms_above_it(path: Path) -> None:
+    room = room_of(name_of(path))
+    if room is None:
+        return
+    assert room in ROOMS, f"{room} has no place in the order of rooms"
+    for target in imported(path):
+        other = room_of(target)
+        assert other in ROOMS, f"{target}: import it from its room, not from the package"
+        assert ROOMS.index(other) <= ROOMS.index(room), f"{name_of(path)} imports {target}, a room below it"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_keeps_the_habits_of_the_house(path: Path) -> None:
+    source = path.read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    assert len(source.splitlines()) <= 500
+    assert not any(word in path.stem for word in NOT_NAMES)
+    if source.strip():
+        assert ast.get_docstring(tree), "a module opens by saying what it is about"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in ("breakpoint", "eval", "exec"), f"line {node.lineno}"
+            assert node.func.id != "print" or room_of(name_of(path)) == "cli", f"line {node.lineno}: print"
+        if isinstance(node, ast.ExceptHandler):
+            assert node.type is not None, f"line {node.lineno}: a bare except"
+
+
+def test_every_room_in_the_tree_has_a_place_in_the_order() -> None:
+    rooms = {p.stem for p in PACKAGE.iterdir() if p.suffix == ".py" or (p / "__init__.py").is_file()}
+    assert rooms - {"__init__", "__main__"} <= set(ROOMS)
+
+
+def test_the_reader_of_imports_sees_every_spelling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "gsvis"
+    (package / "io").mkdir(parents=True)
+    monkeypatch.setattr(f"{__name__}.PACKAGE", package)
+    module = package / "io" / "x.py"
+    module.write_text(
+        "import gsvis.raycast.tracer as t, numpy\nfrom gsvis import cli\nfrom gsvis.scene.sh import SH_C0\n"
+        "from . import ply\nfrom .ply import read\nfrom ..report import html\nfrom .. import hpr\n"
+        "def f():\n    from gsvis.serve import run\n"
+    )
+    assert sorted(imported(module)) == [
+        "gsvis.cli",
+        "gsvis.hpr",
+        "gsvis.io",
+        "gsvis.io.ply",
+        "gsvis.raycast.tracer",
+        "gsvis.report",
+        "gsvis.scene.sh",
+        "gsvis.serve",
+    ]
