@@ -41,13 +41,13 @@ def described(value: Any) -> Any:
 
 
 class Bare:
-    """Prints an annotation, a string under `from __future__ import annotations`, without quotes."""
+    """Prints as the text it is given, without quotes."""
 
-    def __init__(self, annotation: Any) -> None:
-        self.annotation = annotation
+    def __init__(self, text: str) -> None:
+        self.text = text
 
     def __repr__(self) -> str:
-        return self.annotation if isinstance(self.annotation, str) else inspect.formatannotation(self.annotation)
+        return self.text
 
 
 def signature(value: Any) -> str:
@@ -57,12 +57,20 @@ def signature(value: Any) -> str:
         written = inspect.signature(value)
     except (TypeError, ValueError):  # a class written in C
         return type(value).__name__
-    empty = inspect.Signature.empty
     parameters = [
-        p if p.annotation is empty else p.replace(annotation=Bare(p.annotation)) for p in written.parameters.values()
+        p.replace(annotation=annotation(p.annotation), default=default(p.default)) for p in written.parameters.values()
     ]
-    returns = written.return_annotation
-    return str(written.replace(parameters=parameters, return_annotation=empty if returns is empty else Bare(returns)))
+    return str(written.replace(parameters=parameters, return_annotation=annotation(written.return_annotation)))
+
+
+def annotation(value: Any) -> Any:
+    """As it stands in the source: under `from __future__ import annotations` it is a string."""
+    return Bare(value) if isinstance(value, str) else value
+
+
+def default(value: Any) -> Any:
+    """A function by its name: its address differs from run to run."""
+    return Bare(value.__qualname__) if inspect.isroutine(value) else value
 
 
 def surface() -> dict[str, dict[str, Any]]:
