@@ -1,0 +1,258 @@
+"""Direction sets: from which of the 80 faces of the once-subdivided icosahedron each Gaussian has been seen.
+
+Directions point from the Gaussian to the eye, world frame. A set is 10 bytes: bit f % 8 of byte f // 8 is face f. Sets
+are gathered from viewpoints, or traced outward from the Gaussians into navigable space (DESIGN decision 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.raycast import _directions
+from gsvis.raycast.icosphere import icosphere
+from gsvis.raycast.tracer import TAU, Tracer
+from gsvis.raycast.visible import visible_in
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = [
+    "NUM_FACES",
+    "direction_cdf",
+    "direction_fractions",
+    "directions_from_cameras",
+    "face_directions",
+    "face_of",
+    "icosphere_faces",
+    "jaccard",
+    "seen_directions",
+    "trace_directions",
+]
+
+NUM_FACES = 80
+"""Faces of the once-subdivided icosahedron."""
+
+_CHUNK = 4096
+
+U8 = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+
+
+def icosphere_faces() -> F64:
+    """(80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
+    vertices, faces = icosphere(1)
+    return vertices[faces]
+
+
+def face_directions(rays_per_face: int = 1) -> F64:
+    """Directions spread over each face.
+
+    Args:
+        rays_per_face: 1, 4, 16 or 64: the centres of the face cut in that many parts.
+
+    Returns:
+        (80, rays_per_face, 3) unit vectors.
+
+    Raises:
+        ValueError: If `rays_per_face` is another number.
+    """
+    if rays_per_face not in (1, 4, 16, 64):
+        raise ValueError(f"rays_per_face: expected 1, 4, 16 or 64, got {rays_per_face!r}")
+    vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))
+    centres = vertices[faces].mean(axis=1)
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    return centres.reshape(NUM_FACES, rays_per_face, 3)
+
+
+def face_of(directions: ArrayLike) -> NDArray[np.int64]:
+    """The face that holds each direction.
+
+    Args:
+        directions: (D, 3) from the Gaussian to the eye, any non-zero length.
+
+    Returns:
+        (D,) int64 in [0, 80). A direction on an edge belongs to one of its faces, always the same.
+
+    Raises:
+        ValueError: If a direction is zero or not finite.
+    """
+    unit = _check.unit_vectors("directions", directions)
+    faces = np.empty(len(unit), np.int64)
+    _directions.faces_of(unit, *_face_planes(), faces)
+    return faces
+
+
+def seen_directions(g: Gaussians, weights: ArrayLike, viewpoints: ArrayLike, tau: float = TAU) -> U8:
+    """Direction sets gathered from viewpoints: a face counts when anything in it was seen.
+
+    Sets of several calls are joined with `|`.
+
+    Args:
+        g: The scene, N Gaussians.
+        weights: (V, N) largest weight of each Gaussian from each viewpoint.
+        viewpoints: (V, 3) positions, world frame.
+        tau: Weight from which a Gaussian counts as seen.
+
+    Returns:
+        (N, 10) uint8.
+
+    Raises:
+        ValueError: If shapes do not fit.
+
+    References:
+        SRBF-Gaussian, section 3.1.
+    """
+    points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
+    seen = _check.floats("weights", weights, (len(points), len(g)))
+    sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
+    _directions.gather(g.means, seen, points, np.float32(tau), *_face_planes(), sets)
+    return sets
+
+
+def directions_from_cameras(
+    tracer: Tracer, cameras: Cameras, tau: float = TAU, *, progress: Progress = silent
+) -> U8:
+    """Direction sets gathered from the pixel rays of cameras.
+
+    Args:
+        tracer: The scene, N Gaussians.
+        cameras: Any number; one is held in memory at a time.
+        tau: Weight from which a Gaussian counts as seen.
+        progress: Called with stage "cameras".
+
+    Returns:
+        (N, 10) uint8.
+    """
+    g = tracer.proxies.gaussians
+    sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
+    progress("cameras", 0, len(cameras))
+    for c in range(len(cameras)):
+        camera = cameras[c]
+        sets |= seen_directions(g, visible_in(tracer, camera), camera.viewpoints, tau)
+        progress("cameras", c + 1, len(cameras))
+    return sets
+
+
+def trace_directions(
+    tracer: Tracer,
+    navigable: NavigableSpace,
+    *,
+    ids: ArrayLike | None = None,
+    rays_per_face: int = 1,
+    tau: float = TAU,
+    progress: Progress = silent,
+) -> U8:
+    """Direction sets traced outward: a face counts when an eye in navigable space would see the Gaussian along it.
+
+    On each ray from the centre of the Gaussian the eye is put into the first navigable voxel that the ray meets;
+    farther eyes on the same ray see no more. No cameras are needed.
+
+    Args:
+        tracer: The scene, N Gaussians.
+        navigable: Where eyes may be.
+        ids: (M,) Gaussians to trace; None means all N.
+        rays_per_face: 1, 4, 16 or 64 rays spread over each face; one that sees is enough.
+        tau: Weight from which a Gaussian counts as seen.
+        progress: Called with stage "directions".
+
+    Returns:
+        (M, 10) uint8.
+
+    Raises:
+        ValueError: If an id is out of range.
+    """
+    hierarchy = tracer.hierarchy
+    chosen = np.arange(len(hierarchy.positions)) if ids is None else _check.integers("ids", ids, ("M",))
+    if len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(hierarchy.positions):
+        raise ValueError(f"ids: expected values in [0, {len(hierarchy.positions)}), got {chosen.min()}..{chosen.max()}")
+    rays = face_directions(rays_per_face)
+    sets = np.zeros((len(chosen), NUM_FACES // 8), np.uint8)
+    grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
+    progress("directions", 0, len(chosen))
+    for start in range(0, len(chosen), _CHUNK):
+        part = slice(start, min(start + _CHUNK, len(chosen)))
+        targets = hierarchy.positions[chosen[part]]
+        _directions.trace_outward(*hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets[part])
+        progress("directions", part.stop, len(chosen))
+    return sets
+
+
+def direction_fractions(sets: ArrayLike) -> NDArray[np.float32]:
+    """Share of the 80 directions from which each Gaussian has been seen.
+
+    Args:
+        sets: (N, 10) uint8 direction sets.
+
+    Returns:
+        (N,) seen faces over 80, in [0, 1]; 0 for a Gaussian never seen.
+
+    Raises:
+        ValueError: If the last axis is not 10 bytes.
+
+    References:
+        SRBF-Gaussian, section 3.1 and figure 3.
+    """
+    return _counts(_sets("sets", sets)).astype(np.float32) / np.float32(NUM_FACES)
+
+
+def direction_cdf(fractions: ArrayLike) -> F64:
+    """Cumulative distribution of direction fractions.
+
+    Args:
+        fractions: (N,) as `direction_fractions` gives them.
+
+    Returns:
+        (81,) float64; entry k is the share of Gaussians seen from at most k faces. The share seen from *less than*
+        k faces, as the paper counts, is entry k - 1.
+
+    Raises:
+        ValueError: If `fractions` is empty or out of [0, 1].
+
+    References:
+        SRBF-Gaussian, figure 3.
+    """
+    values = _check.floats("fractions", fractions, ("N",))
+    if len(values) == 0:
+        raise ValueError("fractions: expected at least one, got none")
+    _check.in_range("fractions", values, 0.0, 1.0)
+    counts = np.bincount(np.rint(values * NUM_FACES).astype(np.int64), minlength=NUM_FACES + 1)
+    return np.asarray(np.cumsum(counts) / len(values))
+
+
+def jaccard(left: ArrayLike, right: ArrayLike) -> F64:
+    """Agreement of two direction sets of each Gaussian: faces in both over faces in either.
+
+    Args:
+        left: (N, 10) uint8.
+        right: (N, 10) uint8.
+
+    Returns:
+        (N,) float64 in [0, 1]; 1 where both are empty.
+    """
+    a, b = _sets("left", left), _sets("right", right)
+    _check.same_length(left=a, right=b)
+    either = _counts(a | b)
+    return np.where(either == 0, 1.0, _counts(a & b) / np.maximum(either, 1))
+
+
+def _sets(name: str, value: ArrayLike) -> U8:
+    array = np.asarray(value)
+    if array.ndim != 2 or array.shape[1] != NUM_FACES // 8 or array.dtype != np.uint8:
+        raise ValueError(f"{name}: expected (N, 10) uint8, got {array.shape} {array.dtype}")
+    return array
+
+
+def _counts(sets: U8) -> NDArray[np.int64]:
+    return np.asarray(np.unpackbits(sets, axis=1).sum(axis=1, dtype=np.int64))
+
+
+def _face_planes() -> tuple[F64, F64]:
+    """Centres (20, 3) of the icosahedron's faces, and (20, 3, 3) planes that cut off their three corners."""
+    vertices, faces = icosphere(0)
+    centres = vertices[faces].sum(axis=1)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    planes = np.stack([np.cross(a + b, c + a), np.cross(b + c, a + b), np.cross(c + a, b + c)], axis=1)
+    return np.ascontiguousarray(centres), np.ascontiguousarray(planes)

@@ -1,0 +1,148 @@
+"""Which Gaussians an eye sees, and by how much: the largest weight of each over rays from viewpoints or cameras.
+
+Two samplings (DESIGN decision 2). Pixel rays give what an image of that size shows; Gaussians smaller than a pixel
+fall between them. Gaussian rays go from the eye to each Gaussian and need no resolution. World frame, scene units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import get_num_threads
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.raycast import _kernels
+from gsvis.raycast.tracer import TAU, Tracer
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import rotations_from_quats
+
+__all__ = ["GaussianRays", "visible_from", "visible_in"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GaussianRays:
+    """How Gaussian rays are cast.
+
+    Attributes:
+        ring: Rays to points on the one-sigma ring seen from the eye, besides the one to the centre. 0 sees a
+            Gaussian only by its centre; 4 or more also finds those that peep past an edge.
+        floor: Weights below it are given as 0, so that hidden Gaussians end early.
+    """
+
+    ring: int = 0
+    floor: float = TAU / 4.0
+
+    def __post_init__(self) -> None:
+        _check.positive_int("ring", self.ring, at_least=0)
+        if not 0.0 <= self.floor <= 1.0:
+            raise ValueError(f"floor: expected a weight in [0, 1], got {self.floor!r}")
+
+
+def visible_in(tracer: Tracer, cameras: Cameras, *, progress: Progress = silent) -> F32:
+    """Largest weight of each Gaussian over the pixel rays of each camera.
+
+    Args:
+        tracer: The scene.
+        cameras: C cameras; one ray through each pixel centre.
+        progress: Called with stage "cameras".
+
+    Returns:
+        (C, N) float32; a Gaussian is visible in camera c where the entry is at least tau.
+    """
+    weights = np.zeros((len(cameras), len(tracer.proxies.gaussians)), np.float32)
+    progress("cameras", 0, len(cameras))
+    for c in range(len(cameras)):
+        weights[c] = _largest(tracer, *cameras[c].rays())
+        progress("cameras", c + 1, len(cameras))
+    return weights
+
+
+def visible_from(
+    tracer: Tracer,
+    viewpoints: ArrayLike,
+    *,
+    sampling: str = "pixels",
+    size: int = 128,
+    rays: GaussianRays | None = None,
+    progress: Progress = silent,
+) -> F32:
+    """Largest weight of each Gaussian from each viewpoint, in all directions.
+
+    Args:
+        tracer: The scene.
+        viewpoints: (V, 3) positions, world frame.
+        sampling: "pixels" casts the rays of a cubemap; "gaussians" casts rays to every Gaussian.
+        size: Pixels along a side of the cubemap faces (sampling "pixels").
+        rays: How Gaussian rays are cast (sampling "gaussians"); None means `GaussianRays()`.
+        progress: Called with stage "viewpoints".
+
+    Returns:
+        (V, N) float32; a Gaussian is visible from viewpoint v where the entry is at least tau.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    _check.one_of("sampling", sampling, ("pixels", "gaussians"))
+    points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
+    weights = np.zeros((len(points), len(tracer.proxies.gaussians)), np.float32)
+    progress("viewpoints", 0, len(points))
+    for v, point in enumerate(points):
+        if sampling == "pixels":
+            weights[v] = _largest(tracer, *Cameras.cubemap(point[None], size).rays())
+        else:
+            weights[v] = _to_gaussians(tracer, point, rays or GaussianRays())
+        progress("viewpoints", v + 1, len(points))
+    return weights
+
+
+def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
+    hierarchy = tracer.hierarchy
+    rows = np.zeros((get_num_threads(), len(hierarchy.ids)), np.float32)
+    _kernels.largest_weights(*hierarchy.arrays, rays_o, rays_d, tracer.limits, rows)
+    weights = np.zeros(len(hierarchy.positions), np.float32)
+    weights[hierarchy.ids] = rows.max(axis=0) if len(rows) else 0.0
+    return weights
+
+
+def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays) -> F32:
+    """Weights (N,) from one eye along rays to the centre and the ring of each Gaussian."""
+    hierarchy, g = tracer.hierarchy, tracer.proxies.gaussians
+    targets = np.arange(len(hierarchy.ids))
+    best = np.zeros(len(targets))
+    out = np.empty(len(targets))
+    for offset in _offsets(hierarchy.table, g.quats[hierarchy.ids], g.scales[hierarchy.ids], eye, rays.ring):
+        toward = hierarchy.table[:, :3] + offset - eye
+        length = np.linalg.norm(toward, axis=1)
+        toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is in the centre: every direction is as good
+        toward /= np.where(length == 0.0, 1.0, length)[:, None]
+        rays_o = np.broadcast_to(eye, toward.shape)
+        _kernels.weights_of(
+            *hierarchy.arrays, np.ascontiguousarray(rays_o), toward, targets, tracer.limits, rays.floor, out
+        )
+        np.maximum(best, out, out=best)
+    weights = np.zeros(len(hierarchy.positions), np.float32)
+    weights[hierarchy.ids] = best
+    return weights
+
+
+def _offsets(table: F64, quats: F32, scales: F32, eye: F64, ring: int) -> list[F64]:
+    """Offsets (M, 3) from the centres of the points that rays are cast to."""
+    offsets = [np.zeros((len(table), 3))]
+    if ring == 0 or len(table) == 0:
+        return offsets
+    axes = rotations_from_quats(quats) * scales.astype(np.float64)[:, None, :]  # world from whitened
+    view = np.einsum("nij,nj->ni", table[:, 3:12].reshape(-1, 3, 3), table[:, :3] - eye)
+    norm = np.linalg.norm(view, axis=1, keepdims=True)
+    view = np.where(norm > 0.0, view / np.where(norm > 0.0, norm, 1.0), (1.0, 0.0, 0.0))
+    u = np.cross(view, np.eye(3)[np.abs(view).argmin(axis=1)])
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(view, u)
+    for angle in 2.0 * np.pi * np.arange(ring) / ring:
+        offsets.append(np.einsum("nij,nj->ni", axes, np.cos(angle) * u + np.sin(angle) * v))
+    return offsets
