@@ -1,0 +1,238 @@
+"""The voxel grid under navigable space: which voxels stop light, and which of the others a visitor would be in.
+
+Frame and units are the scene's own. This module knows no camera.
+
+Rule. A voxel is free when an eye in it loses less than `max_alpha` to the Gaussians that overlap it, and nothing
+occupied lies within `clearance` voxels. A visitor has ground below and things around: the free voxels are cut down
+to those that stop light in at least half of the grid directions within 60 degrees of straight down, and in a share
+of all 26 grid directions, both averaged over five voxels. The share is the first of 0.7, 0.3, 0.1 at which the largest
+connected part still holds 5% of the box: rooms pass at 0.7, ground under the sky at 0.3. A lone object without ground
+is tried without that condition. Of what remains, the largest connected part is kept. A scene without floaters that
+fails at 0.7 is a lone object: it is looked at from outside, so its free space is what lies around it, at its height.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gsvis.errors import SceneError
+from gsvis.scene._kernels import splat_depth
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["MIN_ALPHA", "Occupancy", "robust_box"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Depth = NDArray[np.float32]
+
+MIN_ALPHA, MAX_ALPHA = 1.0 / 255.0, 0.999  # docs/conventions.md
+INFLATION = 0.5  # standard deviation, in voxels, by which Gaussians are blurred so that no sheet slips between centres
+REACH = 3.0  # standard deviations
+SOLID = float(np.log(2.0))  # optical depth along a grid direction that counts as seeing something: half the light
+ENCLOSED = 0.7
+RULES = ((0.5, ENCLOSED), (0.5, 0.3), (0.5, 0.1), (0.0, 0.3), (0.0, 0.1), (0.0, 0.0))  # least share below, around
+MIN_SHARE = 0.05  # of the box, for a rule to be taken
+SMOOTHING = 5  # voxels: 26 directions see in stripes
+NUM_TARGETS = 4096
+_CHUNK = 1 << 17
+
+
+@dataclass(frozen=True, eq=False)
+class Occupancy:
+    """A grid over a box of the scene.
+
+    Args:
+        origin: (3,) lowest corner of voxel (0, 0, 0).
+        voxel_size: Side of a voxel, scene units.
+        depth: (X, Y, Z) optical depth that an eye in the voxel loses to the Gaussians there.
+        occupied: (X, Y, Z) voxels that stop light.
+        clear: (X, Y, Z) voxels far enough from occupied ones.
+    """
+
+    origin: F64
+    voxel_size: float
+    depth: Depth
+    occupied: Mask
+    clear: Mask
+
+    @classmethod
+    def of(cls, seen: Gaussians, low: F64, high: F64, resolution: int, max_alpha: float, clearance: float) -> Occupancy:
+        """The grid over a box, `resolution` voxels along its longest side.
+
+        Raises:
+            SceneError: If no voxel is clear.
+        """
+        voxel_size = float((high - low).max()) / resolution
+        counts = np.clip(np.ceil((high - low) / voxel_size - 1e-6), 1, resolution).astype(int)
+        origin = 0.5 * (low + high) - 0.5 * counts * voxel_size
+        depth = _optical_depth(seen, origin, voxel_size, (int(counts[0]), int(counts[1]), int(counts[2])))
+        occupied = np.asarray(depth >= -np.log1p(-max_alpha), bool)
+        clear = ~_dilated(occupied, clearance)
+        if not clear.any():
+            raise SceneError(
+                f"no navigable space: all {clear.size} voxels of {voxel_size:.3g} units are occupied or too close to"
+                " it; raise max_alpha or resolution, lower clearance, or give cameras"
+            )
+        return cls(origin, voxel_size, depth, occupied, clear)
+
+    def choose(self, up: F64, seeds: F64) -> tuple[Mask, str, bool]:
+        """The connected part or parts of the clear voxels by the first rule that leaves enough.
+
+        Args:
+            up: (3,) unit up axis.
+            seeds: (S, 3) positions known to be navigable; may be none.
+
+        Returns:
+            free: (X, Y, Z) the chosen voxels.
+            rule: What chose them, in words.
+            enclosed: Whether it was the first rule.
+
+        Raises:
+            SceneError: If most seeds lie away from clear voxels.
+        """
+        below, around = _surroundings(self.depth, up)
+        voxels = np.clip(np.floor((seeds - self.origin) / self.voxel_size), -9, 1 << 20).astype(np.int64)
+        for min_below, min_around in RULES:
+            labels, count = ndimage.label(self.clear & (below >= min_below) & (around >= min_around))
+            if count == 0:
+                continue
+            rule = f"free, {min_around:.0%} enclosed" + (", ground below" if min_below else "")
+            enclosed = min_around == ENCLOSED
+            if len(voxels):
+                held = [found for found in _labels_near(labels, voxels) if found]
+                if len(held) >= 0.5 * len(voxels):
+                    return np.isin(labels, sorted(set().union(*held))), f"{rule}, holding seeds", enclosed
+                continue
+            part, size = _largest(labels)
+            if size >= MIN_SHARE * labels.size or (min_below, min_around) == RULES[-1]:
+                return part, rule, enclosed
+        raise SceneError(
+            f"no navigable space: fewer than half of the {len(seeds)} seeds lie within two voxels of free space;"
+            " do they share the scene's frame? otherwise raise max_alpha or lower clearance"
+        )
+
+    def largest_part(self) -> Mask:
+        """The largest connected part of the clear voxels, by no further rule."""
+        return _largest(ndimage.label(self.clear)[0])[0]
+
+    def targets(self, seen: Gaussians) -> F64:
+        """(T, 3) centres inside the grid, drawn evenly by opacity times area; the same ones every time."""
+        shape = np.array(self.depth.shape)
+        place = (seen.means - self.origin) / self.voxel_size
+        inside = np.flatnonzero(np.all((place >= 0) & (place < shape), axis=1))
+        if len(inside) == 0:
+            return np.zeros((0, 3))
+        cap = 0.05 * float(shape.max()) * self.voxel_size  # no giant takes all
+        scales = np.minimum(np.sort(seen.scales[inside].astype(np.float64), axis=1), cap)
+        total = np.cumsum(seen.opacities[inside] * scales[:, 1] * scales[:, 2])
+        places = (np.arange(NUM_TARGETS) + 0.5) / NUM_TARGETS * total[-1]
+        return np.asarray(seen.means[inside[np.searchsorted(total, places).clip(0, len(inside) - 1)]], np.float64)
+
+
+def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
+    """Corners of the box that holds the middle `coverage` of the centres on each axis, and the seeds; never empty."""
+    low, high = seen.bounds(coverage)
+    if len(seeds):
+        low, high = np.minimum(low, seeds.min(axis=0)), np.maximum(high, seeds.max(axis=0))
+    if not (high - low).max() > 0.0:  # a single point
+        spread = 3.0 * float(seen.scales.max())
+        low, high = low - spread, high + spread
+    return low, high
+
+
+def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[int, int, int]) -> Depth:
+    """(X, Y, Z) sum of -log(1 - alpha) over the Gaussians that reach a voxel.
+
+    A Gaussian is blurred by half a voxel, so that a thin disc between voxel centres is found; its alpha falls by the
+    share of a voxel's cross-section that it covers, so that many faint or tiny ones add up to what they stop together.
+    """
+    depth = np.zeros(shape, np.float32)
+    for start in range(0, len(seen), _CHUNK):
+        part = seen[start : start + _CHUNK]
+        scales = np.minimum(part.scales.astype(np.float64) / voxel_size, 1e5)
+        blurred = scales**2 + INFLATION**2
+        wide, wide_blurred = np.sort(scales, axis=1)[:, 1:], np.sort(blurred, axis=1)[:, 1:]
+        alphas = np.minimum(part.opacities, MAX_ALPHA) * (wide / np.sqrt(wide_blurred)).prod(axis=1)
+        rotations = part.rotations()
+        inverse = (rotations / blurred[:, None, :]) @ np.swapaxes(rotations, 1, 2)
+        rows, columns = np.triu_indices(3)
+        splat_depth(
+            depth,
+            (part.means.astype(np.float64) - origin) / voxel_size,
+            np.ascontiguousarray(inverse[:, rows, columns]),
+            alphas.astype(np.float64),
+            REACH,
+        )
+    return depth
+
+
+def _dilated(mask: Mask, radius: float) -> Mask:
+    """The mask with everything within `radius` voxels of it, between centres."""
+    reach = int(radius)
+    if reach < 1 or not mask.any():
+        return mask
+    steps = np.arange(-reach, reach + 1)
+    ball = steps[:, None, None] ** 2 + steps[:, None] ** 2 + steps**2 <= radius**2
+    return np.asarray(ndimage.binary_dilation(mask, ball), bool)
+
+
+def _sweeps(depth: Depth) -> Iterator[tuple[NDArray[np.int64], Depth]]:
+    """For each of the 26 grid directions, the optical depth beyond each voxel up to the edge of the grid."""
+    for step in itertools.product((-1, 0, 1), repeat=3):
+        if not any(step):
+            continue
+        axis = next(i for i in range(3) if step[i])
+        layers = np.moveaxis(depth, axis, 0)
+        total = np.zeros_like(layers)
+        here, there = zip(
+            *(
+                (slice(max(-s, 0), n - max(s, 0)), slice(max(s, 0), n - max(-s, 0)))
+                for s, n in zip((step[i] for i in range(3) if i != axis), layers.shape[1:], strict=True)
+            ),
+            strict=True,
+        )
+        for i in range(len(layers) - 2, -1, -1) if step[axis] > 0 else range(1, len(layers)):
+            ahead = i + step[axis]
+            total[i][here] = layers[ahead][there] + total[ahead][there]
+        yield np.array(step), np.moveaxis(total, 0, axis)
+
+
+def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
+    """(X, Y, Z) share of directions that stop half the light: of those within 60 degrees of down, and of all 26."""
+    below, around = np.zeros(depth.shape, np.uint8), np.zeros(depth.shape, np.uint8)
+    downward = 0
+    for step, total in _sweeps(depth):
+        solid = total >= SOLID
+        around += solid
+        if step @ up <= -0.5 * np.linalg.norm(step) + 1e-9:
+            below += solid
+            downward += 1
+    return _smoothed(below, max(downward, 1)), _smoothed(around, 26)
+
+
+def _smoothed(counts: NDArray[np.uint8], of: int) -> Depth:
+    shares = counts.astype(np.float32)
+    shares /= of
+    return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)
+
+
+def _largest(labels: NDArray[np.int32]) -> tuple[Mask, int]:
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.asarray(labels == sizes.argmax(), bool), int(sizes.max())
+
+
+def _labels_near(labels: NDArray[np.int32], voxels: NDArray[np.int64]) -> list[set[int]]:
+    """Labels within two voxels of each of the given voxels."""
+    found = []
+    for voxel in voxels:
+        start, stop = np.maximum(voxel - 2, 0), np.maximum(voxel + 3, 0)
+        around = labels[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))]
+        found.append(set(np.unique(around).tolist()) - {0})
+    return found

@@ -1,0 +1,243 @@
+"""Navigable space: where a visitor's eye can be; free of opacity, inside robust bounds, connected.
+
+A voxel grid in the scene's own frame and units. Built from the Gaussians alone, or from a box; samples viewpoints
+and cameras for everything that needs views and has none. Knows no file and no renderer.
+
+Which voxels count is decided in `_occupancy.py`; its opening lines state the rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene._occupancy import MIN_ALPHA, Occupancy, robust_box
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import axis_vector, guess_up, has_no_floaters
+
+__all__ = ["NavigableSpace"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MAX_RESOLUTION = 384
+_TRIES = 16  # targets drawn for a camera
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NavigableSpace:
+    """Voxels in which an eye may be, with what is needed to point cameras at content.
+
+    Args:
+        origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
+        voxel_size: Side of a voxel, scene units.
+        free: (X, Y, Z) navigable voxels.
+        up: (3,) unit up axis of cameras.
+        occupied: (X, Y, Z) voxels that stop light; none by default.
+        targets: (T, 3) points worth looking at; with none, cameras look at points of the box.
+        rule: Which rule chose the voxels, for reports.
+
+    Raises:
+        ValueError: If a shape or a value is wrong.
+        SceneError: If no voxel is free.
+    """
+
+    origin: F64
+    voxel_size: float
+    free: Mask
+    up: F64
+    occupied: Mask = field(default_factory=lambda: np.zeros((0, 0, 0), bool))
+    targets: F64 = field(default_factory=lambda: np.zeros((0, 3)))
+    rule: str = "given"
+
+    def __post_init__(self) -> None:
+        free = np.ascontiguousarray(self.free, dtype=bool)
+        if free.ndim != 3:
+            raise ValueError(f"free: expected shape (X, Y, Z), got {free.shape}")
+        if not free.any():
+            raise SceneError("no navigable space: no voxel is free")
+        occupied = np.ascontiguousarray(self.occupied, dtype=bool)
+        if occupied.size == 0:
+            occupied = np.zeros(free.shape, bool)
+        if occupied.shape != free.shape:
+            raise ValueError(f"occupied: expected shape {free.shape}, as free, got {occupied.shape}")
+        if not (np.isfinite(self.voxel_size) and self.voxel_size > 0):
+            raise ValueError(f"voxel_size: expected a finite number > 0, got {self.voxel_size!r}")
+        arrays = {
+            "origin": _check.floats("origin", self.origin, (3,), np.float64),
+            "free": free,
+            "up": _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0],
+            "occupied": occupied,
+            "targets": _check.floats("targets", self.targets, ("T", 3), np.float64),
+        }
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+        object.__setattr__(self, "voxel_size", float(self.voxel_size))
+
+    @classmethod
+    def from_scene(
+        cls,
+        g: Gaussians,
+        *,
+        resolution: int = 160,
+        max_alpha: float = 0.25,
+        clearance: float = 1.0,
+        coverage: float = 0.98,
+        up: ArrayLike | str | None = None,
+        seeds: ArrayLike | None = None,
+    ) -> NavigableSpace:
+        """The navigable space of a scene, by the rule at the top of this module.
+
+        Args:
+            g: The scene.
+            resolution: Voxels along the longest side of the box, 8 to 384.
+            max_alpha: Share of light, in (0, 1), from which on a voxel counts as occupied.
+            clearance: Distance to keep from occupied voxels, in voxels, between centres.
+            coverage: Share of the centres inside the box on each axis; what lies beyond is ignored.
+            up: (3,) direction or an axis such as "+z"; guessed by default.
+            seeds: (S, 3) positions known to be navigable, such as captured cameras. The box is widened to hold
+                them, and the connected parts that hold them are kept instead of the largest.
+
+        Raises:
+            ValueError: If an argument is out of range.
+            SceneError: If the scene has no free space.
+        """
+        _check.positive_int("resolution", resolution, at_least=8)
+        for name, value, least, most in (
+            ("resolution", resolution, 8, MAX_RESOLUTION),
+            ("max_alpha", max_alpha, 1e-6, 1.0 - 1e-6),
+            ("clearance", clearance, 0.0, 32.0),
+        ):
+            if not least <= value <= most:
+                raise ValueError(f"{name}: expected a value in [{least:g}, {most:g}], got {value!r}")
+        points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
+        seen = g[g.opacities >= MIN_ALPHA]
+        if len(seen) == 0:
+            raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
+        axis = axis_vector(guess_up(g)[0]) if up is None else axis_vector(up) if isinstance(up, str) else up
+        axis = _check.unit_vectors("up", np.reshape(np.asarray(axis, np.float64), (1, -1)))[0]
+        low, high = robust_box(seen, coverage, points)
+        space = Occupancy.of(seen, low, high, resolution, max_alpha, clearance)
+        free, rule, enclosed = space.choose(axis, points)
+        if not enclosed and not len(points) and has_no_floaters(seen):
+            margin = 0.5 * float((high - low).max()) * (1.0 - np.abs(axis))
+            space = Occupancy.of(seen, low - margin, high + margin, resolution, max_alpha, clearance)
+            free, rule = space.largest_part(), "free, around a lone object"
+        return cls(space.origin, space.voxel_size, free, axis, space.occupied, space.targets(seen), rule)
+
+    @classmethod
+    def from_box(
+        cls, low: ArrayLike, high: ArrayLike, resolution: int = 32, *, up: ArrayLike = (0.0, 0.0, 1.0)
+    ) -> NavigableSpace:
+        """Everything inside a box; the grid is fitted to its longest side.
+
+        Args:
+            low: (3,) lowest corner.
+            high: (3,) highest corner, above `low` on every axis.
+            resolution: Voxels along the longest side; the others are rounded down, to at least one.
+            up: (3,) up direction.
+
+        Raises:
+            ValueError: If the box is empty or `resolution` is out of range.
+        """
+        corner = _check.floats("low", low, (3,), np.float64)
+        side = _check.floats("high", high, (3,), np.float64) - corner
+        if not side.min() > 0:
+            raise ValueError(f"high: expected a corner above low on every axis, got sides {side.tolist()}")
+        if _check.positive_int("resolution", resolution) > MAX_RESOLUTION:
+            raise ValueError(f"resolution: expected at most {MAX_RESOLUTION}, got {resolution}")
+        size = min(float(side.max()) / resolution, float(side.min()))
+        shape = np.maximum(np.floor(side / size + 1e-9).astype(int), 1)
+        start = corner + 0.5 * (side - shape * size)
+        return cls(start, size, np.ones(shape, bool), np.asarray(up, np.float64), rule="box")
+
+    def __repr__(self) -> str:
+        x, y, z = self.free.shape
+        return f"NavigableSpace({self.free.mean():.1%} of {x} x {y} x {z} voxels of {self.voxel_size:.3g}; {self.rule})"
+
+    @property
+    def volume(self) -> float:
+        """Volume of the free voxels, scene units cubed."""
+        return float(np.count_nonzero(self.free)) * self.voxel_size**3
+
+    def contains(self, points: ArrayLike) -> Mask:
+        """(M,) whether each of the (M, 3) points lies in a navigable voxel."""
+        array = _check.floats("points", points, ("M", 3), np.float64)
+        return self._look_up(self.free, array)
+
+    def sample_viewpoints(self, count: int, rng: np.random.Generator) -> F64:
+        """(count, 3) positions uniform in the navigable space.
+
+        Args:
+            count: Number of viewpoints.
+            rng: Source of randomness; the same state gives the same viewpoints.
+        """
+        _check.positive_int("count", count, at_least=0)
+        flat = np.flatnonzero(self.free)
+        voxels = np.stack(np.unravel_index(flat[rng.integers(len(flat), size=count)], self.free.shape), axis=1)
+        # Kept off the faces of the voxel, so that rounding never puts a viewpoint into the next one.
+        return np.asarray(self.origin + self.voxel_size * (voxels + 0.001 + 0.998 * rng.random((count, 3))))
+
+    def sample_cameras(
+        self, count: int, rng: np.random.Generator, *, width: int = 256, height: int = 192, fov: float = 60.0
+    ) -> Cameras:
+        """Cameras as a visitor would hold them: anywhere in the space, upright, looking at something.
+
+        Each looks towards a random target within 45 degrees of the horizon whose line of sight stays free for at
+        least 5% of the grid's longest side. Where 16 draws find none, it takes the draw with the longest free line.
+
+        Args:
+            count: Number of cameras.
+            rng: Source of randomness; the same state gives the same cameras.
+            width: Pixels.
+            height: Pixels.
+            fov: Horizontal field of view, degrees.
+        """
+        eyes = self.sample_viewpoints(count, rng)
+        shape = np.array(self.free.shape)
+        if len(self.targets):
+            aims = self.targets[rng.integers(len(self.targets), size=(count, _TRIES))]
+        else:
+            aims = self.origin + self.voxel_size * shape * rng.random((count, _TRIES, 3))
+        sight = aims - eyes[:, None, :]
+        distances = np.maximum(np.linalg.norm(sight, axis=2), 1e-9 * self.voxel_size)
+        directions = sight / distances[:, :, None]
+        runs = self._free_runs(np.repeat(eyes, _TRIES, axis=0), directions.reshape(-1, 3), distances.reshape(-1))
+        runs = runs.reshape(count, _TRIES)
+        level = np.abs(directions @ self.up) <= np.sqrt(0.5)
+        good = level & (runs >= 0.05 * float(shape.max()) * self.voxel_size)
+        best = np.where(good.any(axis=1), good.argmax(axis=1), np.where(level, runs, runs - 1e9).argmax(axis=1))
+        chosen = directions[np.arange(count), best]
+        chosen[~np.any(chosen, axis=1)] = np.eye(3)[np.abs(self.up).argmin()]  # an eye on all its targets
+        return Cameras.look_at(eyes, eyes + self.voxel_size * chosen, up=self.up, width=width, height=height, fov=fov)
+
+    def _look_up(self, grid: Mask, points: F64) -> Mask:
+        shape = np.array(grid.shape)
+        with np.errstate(over="ignore"):
+            place = (points - self.origin) / self.voxel_size
+        inside = np.all((place >= 0) & (place < shape), axis=1)
+        result = np.zeros(len(points), bool)
+        result[inside] = grid[tuple(place[inside].astype(np.int64).T)]
+        return result
+
+    def _free_runs(self, starts: F64, directions: F64, lengths: F64) -> F64:
+        """(M,) how far each line goes, at most its length, before it enters an occupied voxel."""
+        runs = lengths.copy()
+        going = np.arange(len(starts))
+        t = 0.0
+        while len(going):
+            t += 0.5 * self.voxel_size
+            going = going[lengths[going] > t]
+            hit = self._look_up(self.occupied, starts[going] + t * directions[going])
+            runs[going[hit]] = t
+            going = going[~hit]
+            if t > 2.0 * sum(self.free.shape) * self.voxel_size:  # targets far outside the grid
+                break
+        return np.asarray(runs)
