@@ -28,6 +28,10 @@ class FormatError(GsvisError):
         expected: What the format asks for there.
         got: What was found.
         remedy: What the user can do about it. May be empty.
+
+    Examples:
+        >>> print(FormatError("scene.ply", "byte 12", "100 bytes", "the end of the file", "download it again"))
+        scene.ply: byte 12: expected 100 bytes, got the end of the file; download it again
     """
 
     def __init__(self, path: str | PathLike[str], where: str, expected: str, got: str, remedy: str = "") -> None:

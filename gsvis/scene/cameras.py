@@ -29,6 +29,10 @@ def intrinsics(width: int, height: int, fov: float) -> F64:
 
     Raises:
         ValueError: If a size is not positive or `fov` is out of range.
+
+    Examples:
+        >>> intrinsics(200, 100, 90.0).tolist()
+        [[100.0, 0.0, 100.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]]
     """
     _check.positive_int("width", width)
     _check.positive_int("height", height)
@@ -188,6 +192,13 @@ class Cameras:
 
         Returns:
             6 V cameras, the six faces of a viewpoint one after the other.
+
+        Examples:
+            >>> around = Cameras.cubemap([[0, 0, 0], [1, 0, 0]], size=32)
+            >>> around
+            Cameras(12 of 32 x 32)
+            >>> len(around.rays()[0])
+            12288
         """
         points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
         _check.positive_int("size", size)

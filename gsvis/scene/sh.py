@@ -56,6 +56,10 @@ def sh_basis(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
 
     References:
         Sloan, "Efficient spherical harmonic evaluation", JCGT 2013; sign convention of Kerbl et al., 3DGS, 2023.
+
+    Examples:
+        >>> sh_basis([[0, 0, 1]], 1).round(3).tolist()
+        [[0.282, -0.0, 0.489, -0.0]]
     """
     d = _check.floats("directions", directions, ("D", 3), np.float64)
     if degree not in (0, 1, 2, 3):
