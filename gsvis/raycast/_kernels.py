@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import get_thread_id, njit, prange
 
-from gsvis.raycast._bvh import WIDTH
-from gsvis.raycast._simd import meets_eight
+from gsvis.raycast._kernels_bvh import WIDTH
+from gsvis.raycast._kernels_simd import meets_eight
 
 STACK = 512  # deeper than any hierarchy: 8 children a level, below 64 levels
 _PRUNE_EVERY = 16
@@ -18,7 +18,7 @@ TINY = 1e-300
 
 
 @njit(cache=True, inline="always")
-def _peak(table, g, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+def _peak(table, g, ox, oy, oz, dx, dy, dz):
     """Squared distance in standard deviations at the ray's largest response, and the depth of that point."""
     row = table[g]
     x, y, z = ox - row[0], oy - row[1], oz - row[2]
@@ -37,7 +37,7 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def before(table, content, i, depth_i, j, depth_j):  # type: ignore[no-untyped-def]
+def before(table, content, i, depth_i, j, depth_j):
     """Whether hit i comes before hit j: by float32 depth, and at equal depth by content, never by index."""
     if depth_i != depth_j:
         return depth_i < depth_j
@@ -51,7 +51,7 @@ def before(table, content, i, depth_i, j, depth_j):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def sort_hits(table, content, ids, alphas, depths, count):  # type: ignore[no-untyped-def]
+def sort_hits(table, content, ids, alphas, depths, count):
     """Order the first `count` hits front to back, in place (shell sort: short, nearly sorted lists)."""
     for gap in (132, 57, 23, 10, 4, 1):
         for i in range(gap, count):
@@ -64,7 +64,7 @@ def sort_hits(table, content, ids, alphas, depths, count):  # type: ignore[no-un
 
 
 @njit(cache=True)
-def spent_after(alphas, count, min_transmittance):  # type: ignore[no-untyped-def]
+def spent_after(alphas, count, min_transmittance):
     """How many of the sorted hits count: up to the one at which transmittance falls below the bound."""
     transmittance = 1.0
     for i in range(count):
@@ -75,7 +75,9 @@ def spent_after(alphas, count, min_transmittance):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def trace_ray(table, content, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):  # type: ignore[no-untyped-def]
+def trace_ray(
+    table, content, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
+):
     """All hits of one ray, sorted and cut where transmittance is spent.
 
     `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers, which are
@@ -135,7 +137,7 @@ def trace_ray(table, content, boxes, children, ray_o, ray_d, limits, ids, alphas
 
 
 @njit(cache=True)
-def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):  # type: ignore[no-untyped-def]
+def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
     """Weight of one Gaussian on one ray; 0 where it is below `floor`, so that hidden ones end early.
 
     Transmittance is a product, so what lies in front needs no order and no list.
@@ -187,7 +189,7 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):  # type: ignore[no-untyped-def]
+def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):
     """Weight of targets[r] on ray r, into out (R,)."""
     blocks = (len(rays_o) + 255) // 256
     for block in prange(blocks):
@@ -196,13 +198,26 @@ def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits,
         t_near = np.empty(WIDTH, np.float64)
         for r in range(256 * block, min(len(rays_o), 256 * block + 256)):
             out[r] = weight_of(
-                table, content, boxes, children, rays_o[r], rays_d[r], targets[r], limits, floor, stack_node, stack_near, t_near
+                table,
+                content,
+                boxes,
+                children,
+                rays_o[r],
+                rays_d[r],
+                targets[r],
+                limits,
+                floor,
+                stack_node,
+                stack_near,
+                t_near,
             )
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def trace_rays(table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas, out_weights, out_depths):  # type: ignore[no-untyped-def]
-    """Hits of many rays into (R, capacity) arrays; `out_count` holds the true number, also where it exceeds the capacity."""
+def trace_rays(
+    table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas, out_weights, out_depths
+):
+    """Hits of many rays into (R, capacity) arrays; `out_count` holds the true number, which may exceed the capacity."""
     capacity = out_ids.shape[1]
     blocks = (len(rays_o) + 63) // 64
     for block in prange(blocks):
@@ -214,7 +229,19 @@ def trace_rays(table, content, boxes, children, rays_o, rays_d, limits, out_coun
         t_near = np.empty(WIDTH, np.float64)
         for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
             count, ids, alphas, depths = trace_ray(
-                table, content, boxes, children, rays_o[r], rays_d[r], limits, ids, alphas, depths, stack_node, stack_near, t_near
+                table,
+                content,
+                boxes,
+                children,
+                rays_o[r],
+                rays_d[r],
+                limits,
+                ids,
+                alphas,
+                depths,
+                stack_node,
+                stack_near,
+                t_near,
             )
             out_count[r] = count
             if count <= capacity:
@@ -222,7 +249,7 @@ def trace_rays(table, content, boxes, children, rays_o, rays_d, limits, out_coun
 
 
 @njit(cache=True)
-def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_depths):  # type: ignore[no-untyped-def]
+def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_depths):
     """Sorted hits of one ray with their weights into its output row."""
     transmittance = 1.0
     for i in range(count):
@@ -232,7 +259,9 @@ def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_dept
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def weigh_candidates(table, content, rays_o, rays_d, limits, offsets, candidates, out_count, out_alphas, out_weights, out_depths):  # type: ignore[no-untyped-def]
+def weigh_candidates(
+    table, content, rays_o, rays_d, limits, offsets, candidates, out_count, out_alphas, out_weights, out_depths
+):
     """Evaluate, sort and cut the candidates of each ray in place: ray r owns offsets[r]:offsets[r + 1].
 
     `candidates` are distinct positions within a ray; on return its first out_count[r] entries are the hits.
@@ -257,12 +286,19 @@ def weigh_candidates(table, content, rays_o, rays_d, limits, offsets, candidates
         count = spent_after(alphas, count, min_transmittance)
         out_count[r] = count
         store(
-            ids, alphas, depths, count, candidates[start:stop], out_alphas[start:stop], out_weights[start:stop], out_depths[start:stop]
+            ids,
+            alphas,
+            depths,
+            count,
+            candidates[start:stop],
+            out_alphas[start:stop],
+            out_weights[start:stop],
+            out_depths[start:stop],
         )
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):  # type: ignore[no-untyped-def]
+def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
     """Largest weight of every Gaussian over the rays, into out (threads, N) float32, one row per thread."""
     blocks = (len(rays_o) + 63) // 64
     for block in prange(blocks):
@@ -275,7 +311,19 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
         t_near = np.empty(WIDTH, np.float64)
         for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
             count, ids, alphas, depths = trace_ray(
-                table, content, boxes, children, rays_o[r], rays_d[r], limits, ids, alphas, depths, stack_node, stack_near, t_near
+                table,
+                content,
+                boxes,
+                children,
+                rays_o[r],
+                rays_d[r],
+                limits,
+                ids,
+                alphas,
+                depths,
+                stack_node,
+                stack_near,
+                t_near,
             )
             transmittance = 1.0
             for i in range(count):
@@ -284,7 +332,7 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def pack(offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):  # type: ignore[no-untyped-def]
+def pack(offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):
     """Copy padded rows into CSR arrays: row i holds ray rays[i]; rows too short for their ray are skipped."""
     capacity = ids.shape[1]
     for i in prange(len(rays)):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
-from gsvis.raycast import _directions
+from gsvis.raycast import _kernels_directions
 from gsvis.raycast.icosphere import icosphere
 from gsvis.raycast.tracer import TAU, Tracer
 from gsvis.raycast.visible import visible_in
@@ -44,7 +44,7 @@ F64 = NDArray[np.float64]
 def icosphere_faces() -> F64:
     """(80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
     vertices, faces = icosphere(1)
-    return vertices[faces]
+    return np.asarray(vertices[faces])
 
 
 def face_directions(rays_per_face: int = 1) -> F64:
@@ -81,7 +81,7 @@ def face_of(directions: ArrayLike) -> NDArray[np.int64]:
     """
     unit = _check.unit_vectors("directions", directions)
     faces = np.empty(len(unit), np.int64)
-    _directions.faces_of(unit, *_face_planes(), faces)
+    _kernels_directions.faces_of(unit, *_face_planes(), faces)
     return faces
 
 
@@ -108,13 +108,11 @@ def seen_directions(g: Gaussians, weights: ArrayLike, viewpoints: ArrayLike, tau
     points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
     seen = _check.floats("weights", weights, (len(points), len(g)))
     sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
-    _directions.gather(g.means, seen, points, np.float32(tau), *_face_planes(), sets)
+    _kernels_directions.gather(g.means, seen, points, np.float32(tau), *_face_planes(), sets)
     return sets
 
 
-def directions_from_cameras(
-    tracer: Tracer, cameras: Cameras, tau: float = TAU, *, progress: Progress = silent
-) -> U8:
+def directions_from_cameras(tracer: Tracer, cameras: Cameras, tau: float = TAU, *, progress: Progress = silent) -> U8:
     """Direction sets gathered from the pixel rays of cameras.
 
     Args:
@@ -175,7 +173,9 @@ def trace_directions(
     for start in range(0, len(chosen), _CHUNK):
         part = slice(start, min(start + _CHUNK, len(chosen)))
         targets = hierarchy.positions[chosen[part]]
-        _directions.trace_outward(*hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets[part])
+        _kernels_directions.trace_outward(
+            *hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets[part]
+        )
         progress("directions", part.stop, len(chosen))
     return sets
 
@@ -195,7 +195,7 @@ def direction_fractions(sets: ArrayLike) -> NDArray[np.float32]:
     References:
         SRBF-Gaussian, section 3.1 and figure 3.
     """
-    return _counts(_sets("sets", sets)).astype(np.float32) / np.float32(NUM_FACES)
+    return np.asarray(_counts(_sets("sets", sets)) / NUM_FACES, np.float32)
 
 
 def direction_cdf(fractions: ArrayLike) -> F64:

@@ -46,6 +46,7 @@ class Open3dEngine:
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(faces):
             self._scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces))
+            self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
         """See `Engine`."""
@@ -72,6 +73,7 @@ class EmbreexEngine:
             ) from error
         self._scene: Any = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, vertices, faces.astype(np.int32)) if len(faces) else None
+        self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
         """See `Engine`."""

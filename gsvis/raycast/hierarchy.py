@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.raycast import _bvh
+from gsvis.raycast import _kernels_bvh
 from gsvis.raycast.proxies import EllipsoidProxies
 
 __all__ = ["Hierarchy"]
@@ -52,7 +52,7 @@ class Hierarchy:
             half += 1e-9 * (np.abs(means) + half)  # rounding of the boxes and of the slab test
             low[part] = np.nextafter((means - half).astype(np.float32), np.float32(-np.inf))
             high[part] = np.nextafter((means + half).astype(np.float32), np.float32(np.inf))
-        order, boxes, children = _bvh.build(low, high)
+        order, boxes, children = _kernels_bvh.build(low, high)
         ids = proxies.ids[order]
         table = np.zeros((m, 16), np.float64)
         for part in _parts(m):

@@ -15,7 +15,9 @@ from gsvis.scene.sh import sh_basis
 __all__ = ["ray_image"]
 
 
-def ray_image(tracer: Tracer, camera: Cameras, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> NDArray[np.float32]:
+def ray_image(
+    tracer: Tracer, camera: Cameras, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> NDArray[np.float32]:
     """What one camera sees, ray by ray.
 
     Args:

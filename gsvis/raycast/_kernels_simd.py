@@ -15,11 +15,12 @@ from numba.extending import intrinsic
 __all__ = ["meets_eight"]
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):  # type: ignore[no-untyped-def]
+@intrinsic
+def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
     """Slab test of a ray against the eight child boxes of a node.
 
     Args:
+        typing_context: numba's, unused.
         boxes: (M, 6, 8) float32 lowest x y z, highest x y z; empty children have +inf in all six.
         node: Index into `boxes`.
         origin: Tuple of three float64.

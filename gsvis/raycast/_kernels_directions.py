@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from gsvis.raycast._bvh import WIDTH
 from gsvis.raycast._kernels import STACK, weight_of
+from gsvis.raycast._kernels_bvh import WIDTH
 
 
 @njit(cache=True)
-def face_of(x, y, z, centres, planes):  # type: ignore[no-untyped-def]
+def face_of(x, y, z, centres, planes):
     """The face in [0, 80) that holds the direction (x, y, z), of any length."""
     best, most = 0, -np.inf
     for f in range(20):
@@ -28,14 +28,14 @@ def face_of(x, y, z, centres, planes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def faces_of(directions, centres, planes, out):  # type: ignore[no-untyped-def]
+def faces_of(directions, centres, planes, out):
     """Faces of directions (D, 3) into out (D,)."""
     for i in prange(len(directions)):
         out[i] = face_of(directions[i, 0], directions[i, 1], directions[i, 2], centres, planes)
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def gather(means, weights, viewpoints, tau, centres, planes, sets):  # type: ignore[no-untyped-def]
+def gather(means, weights, viewpoints, tau, centres, planes, sets):
     """Set the bit of the face towards every viewpoint that sees the Gaussian."""
     for i in prange(len(means)):
         for v in range(len(viewpoints)):
@@ -51,7 +51,7 @@ def gather(means, weights, viewpoints, tau, centres, planes, sets):  # type: ign
 
 
 @njit(cache=True)
-def first_free(mean, direction, free, origin, size, out):  # type: ignore[no-untyped-def]
+def first_free(mean, direction, free, origin, size, out):
     """Walk the grid from `mean`; put the middle of the stretch inside the first free voxel into `out`.
 
     Returns False where the ray leaves the grid before it meets one.
@@ -96,7 +96,7 @@ def first_free(mean, direction, free, origin, size, out):  # type: ignore[no-unt
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def trace_outward(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):  # type: ignore[no-untyped-def]
+def trace_outward(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
     """Direction sets of targets (M,) hierarchy positions (-1 never matters) along rays (80, K, 3)."""
     for i in prange(len(targets)):
         g = targets[i]

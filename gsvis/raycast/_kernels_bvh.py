@@ -14,13 +14,13 @@ _BINS = 16
 
 
 @njit(cache=True)
-def _area(lo, hi):  # type: ignore[no-untyped-def]
+def _area(lo, hi):
     x, y, z = hi[0] - lo[0], hi[1] - lo[1], hi[2] - lo[2]
     return x * y + y * z + z * x
 
 
 @njit(cache=True)
-def _bounds(order, start, stop, lo, hi, out_lo, out_hi):  # type: ignore[no-untyped-def]
+def _bounds(order, start, stop, lo, hi, out_lo, out_hi):
     out_lo[:] = np.inf
     out_hi[:] = -np.inf
     for i in range(start, stop):
@@ -31,8 +31,8 @@ def _bounds(order, start, stop, lo, hi, out_lo, out_hi):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def _split(order, start, stop, lo, hi):  # type: ignore[no-untyped-def]
-    """Partition order[start:stop] where the binned surface area heuristic is least; returns the first index of the right part."""
+def _split(order, start, stop, lo, hi):
+    """Partition order[start:stop] by the binned surface area heuristic; returns the first index of the right part."""
     c_lo = np.full(3, np.inf)
     c_hi = np.full(3, -np.inf)
     for i in range(start, stop):
@@ -99,7 +99,7 @@ def _split(order, start, stop, lo, hi):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def build(lo, hi):  # type: ignore[no-untyped-def]
+def build(lo, hi):
     """Build the hierarchy over boxes lo, hi (N, 3) float32.
 
     Returns:
