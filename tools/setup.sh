@@ -18,7 +18,7 @@ command -v "$python" >/dev/null || stop "no $python found; install Python 3.10 o
 
 # What a bare Debian lacks: venv is split from python3, and open3d's wheel links these libraries of the system.
 missing=()
-[ -x $venv/bin/python ] || "$python" -c 'import ensurepip, venv' 2>/dev/null ||
+$venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     missing+=("$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')")
 if [ "$(uname -s)-$(uname -m)" = Linux-x86_64 ]; then
     while read -r library package; do
@@ -45,9 +45,9 @@ if [ ${#missing[@]} -gt 0 ]; then
     rm -f "$log"
 fi
 
-if [ ! -x $venv/bin/python ]; then
+if ! $venv/bin/python -m pip --version >/dev/null 2>&1; then  # none yet, or one that was interrupted
     say "creating $venv with $("$python" -V)"
-    "$python" -m venv $venv
+    "$python" -m venv --clear $venv
 fi
 
 say "installing gsvis${extra:+ with its $extra tools} into $venv (minutes the first time)"

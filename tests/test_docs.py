@@ -1,0 +1,79 @@
+"""What the papers of the house say is so: commands, links, the README's example, the pins."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+def page(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", PAGES, ids=page)
+def test_every_link_leads_somewhere(path: Path) -> None:
+    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)#\s]+)", text):
+        if "://" not in target:
+            assert (path.parent / target).exists(), f"{page(path)}: {target} does not exist"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=page)
+def test_every_make_command_exists(path: Path) -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    for command in re.findall(r"(?:`|^)make ([a-z]+)", path.read_text(encoding="utf-8"), flags=re.MULTILINE):
+        assert command in targets, f"{page(path)}: make {command} does not exist"
+
+
+def test_the_example_of_the_readme_runs_as_it_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import gsvis
+
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(example.strip().splitlines()) <= 15
+    monkeypatch.chdir(tmp_path)
+    means = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    gsvis.save_scene(
+        gsvis.Gaussians(means, np.tile([1, 0, 0, 0], (50, 1)), np.full((50, 3), 0.1), np.full(50, 0.9), means[:, None]),
+        "scene.ply",
+    )
+    model = tmp_path / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    (model / "images.txt").write_text("1 1 0 0 0 0 0 4 1 a.jpg\n\n2 0 0 1 0 0 0 4 1 b.jpg\n\n")
+    exec(compile(example, "README.md", "exec"), {})
+    needs, seen = (float(n) for n in re.findall(r"([\d.]+)%", capsys.readouterr().out))
+    assert 50 < needs <= 100
+    assert 0 < seen <= 2 / 80 * 100 + 0.1  # two eyes, two directions of 80
+
+
+def test_what_gsvis_depends_on_is_pinned_within_its_range() -> None:
+    pins = {
+        canonicalize_name(pin.name): pin
+        for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+        if not line.startswith("#")
+        for pin in [Requirement(line)]
+    }
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    lists = re.findall(r"^(?:dependencies|dev) = \[\n(.*?)^\]", text, flags=re.DOTALL | re.MULTILINE)
+    assert len(lists) == 2
+    for line in re.findall(r'^ +"(.*)",$', "".join(lists), flags=re.MULTILINE):
+        wanted = Requirement(line)
+        if canonicalize_name(wanted.name) != "open3d":  # its CPU build stands in for it
+            (pin,) = pins[canonicalize_name(wanted.name)].specifier
+            assert wanted.specifier.contains(pin.version), f"{wanted} against {pin}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="POSIX file modes")
+def test_ci_can_be_run() -> None:
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
