@@ -47,7 +47,7 @@ fi
 
 if ! $venv/bin/python -m pip --version >/dev/null 2>&1; then  # none yet, or one that was interrupted
     say "creating $venv with $("$python" -V)"
-    "$python" -m venv --clear $venv
+    "$python" -m venv $venv
 fi
 
 say "installing gsvis${extra:+ with its $extra tools} into $venv (minutes the first time)"
