@@ -35,6 +35,12 @@ _MODELS = (
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
     ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 )
 _UNDISTORT = "undistort the images with `colmap image_undistorter` and give the model that it writes"
 
@@ -145,7 +151,7 @@ def _opened(path: Path) -> Iterator[_Bytes]:
 def _cameras_bin(path: Path) -> dict[int, Camera]:
     cameras: dict[int, Camera] = {}
     with _opened(path) as data:
-        for _ in range(data.count(24 + 3 * 8, "cameras")):
+        for _ in range(data.count(24 + 2 * 8, "cameras")):
             start = data.at
             camera_id, model, width, height = data.take("<iiQQ", "a camera")
             if not 0 <= model < len(_MODELS):

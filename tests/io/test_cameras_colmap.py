@@ -139,7 +139,7 @@ def test_an_unknown_model_and_a_missing_partner_are_told(tmp_path: Path) -> None
     data = bytearray((tmp_path / "cameras.bin").read_bytes())
     data[12:16] = struct.pack("<i", 99)
     (tmp_path / "cameras.bin").write_bytes(data)
-    with pytest.raises(FormatError, match="byte 12: expected a model id from 0 to 11, got 99"):
+    with pytest.raises(FormatError, match="byte 12: expected a model id from 0 to 17, got 99"):
         load_cameras(tmp_path)
     (tmp_path / "cameras.bin").unlink()
     with pytest.raises(FormatError, match=r"expected cameras\.bin beside its partner"):
