@@ -1,0 +1,140 @@
+"""The command line: arguments to library calls, status to stderr, results to stdout.
+
+Exit codes: 0 done, 2 the input or the arguments are wrong, 1 anything else, 130 interrupted, 141 nobody reads stdout.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gsvis.cli.arguments import Command
+
+__all__ = ["main"]
+
+_ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on the CPU.
+
+  gsvis inspect scene.ply                    what is in it, what looks wrong
+  gsvis analyze scene.ply -o report          visibility report with pictures
+  gsvis analyze builtin:two_rooms -o report  the same without a scene at hand
+  gsvis convert scene.ply small.spz --min-opacity 0.02
+
+gsvis COMMAND --help tells more, gsvis --version the version."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: Arguments without the program's name; None takes those of the process.
+
+    Returns:
+        The exit code.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments or os.environ.get("GSVIS_DEBUG", "") not in ("", "0")
+    before = _stop_politely()
+    try:
+        if arguments[:1] == ["--version"]:
+            sys.stdout.write(f"gsvis {version()}\n")
+        else:
+            _run(parse(arguments or ["--help"]))
+        sys.stdout.flush()
+    except SystemExit as done:  # from tyro, which has said what it had to say
+        return done.code if isinstance(done.code, int) else 2
+    except KeyboardInterrupt:
+        return _told("interrupted; nothing was left half-written", 130)
+    except BrokenPipeError:
+        # What reads stdout has gone. Python would complain once more when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except Exception as error:
+        if debug:
+            raise
+        return _told(*_explained(error))
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
+    return 0
+
+
+def parse(arguments: Sequence[str]) -> Command:
+    """The command that the arguments ask for.
+
+    Raises:
+        SystemExit: After help (0), or after wrong arguments (2); what was wrong is on stderr.
+    """
+    import tyro
+
+    from gsvis.cli.arguments import Command
+
+    command: Command = tyro.cli(
+        Command,
+        prog="gsvis",
+        description=_ABOUT,
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+    )
+    return command
+
+
+def version() -> str:
+    """The installed version of gsvis."""
+    from importlib.metadata import version as installed
+
+    return installed("gsvis")
+
+
+def _run(command: Command) -> None:
+    from gsvis.cli import arguments
+
+    if isinstance(command, arguments.Inspect):
+        from gsvis.cli.inspect import run_inspect
+
+        run_inspect(command)
+    elif isinstance(command, arguments.Analyze):
+        from gsvis.cli.analyze import run_analyze
+
+        run_analyze(command)
+    else:
+        from gsvis.cli.convert import run_convert
+
+        run_convert(command)
+
+
+def _explained(error: Exception) -> tuple[str, int]:
+    """One line for the user, and the exit code."""
+    from gsvis.errors import GsvisError
+
+    text = " ".join(str(error).split())
+    if isinstance(error, FileNotFoundError) and error.filename is not None:
+        return f"error: {os.fsdecode(error.filename)}: no such file or folder", 2
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"error: {os.fsdecode(error.filename)}: {(error.strerror or text).lower()}", 2
+    if isinstance(error, GsvisError | ValueError | OSError):
+        return f"error: {text}", 2
+    if isinstance(error, MemoryError):
+        return "error: out of memory; try a coarser --lod, a --crop with gsvis convert, or fewer pixels", 1
+    return f"internal error: {type(error).__name__}: {text}; please report it with what --debug shows", 1
+
+
+def _told(line: str, code: int) -> int:
+    sys.stderr.write(f"gsvis: {line}\n")
+    return code
+
+
+def _stop_politely() -> signal._HANDLER:
+    """Let SIGTERM stop the work as Ctrl-C does, so that half-written files are removed; what it did before."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        return signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not in the main thread: leave signals alone
+        return None

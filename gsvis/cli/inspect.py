@@ -1,0 +1,85 @@
+"""`gsvis inspect`: what a scene holds and what looks wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from gsvis.cli.arguments import Inspect
+from gsvis.cli.source import Source, load_source
+from gsvis.cli.terminal import Status, facts, print_json, show
+from gsvis.scene.inspection import inspect_scene
+
+__all__ = ["run_inspect"]
+
+
+def run_inspect(command: Inspect) -> None:
+    """Read the scene, measure it, print a table or JSON.
+
+    Raises:
+        GsvisError: If the file cannot be read as a scene.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If there is no such file.
+    """
+    with Status() as status:
+        status("reading", 0, 1)
+        source = load_source(command.scene, command.lod)
+        report = inspect_scene(source.gaussians).as_dict()
+        status("reading", 1, 1)
+    if command.json:
+        place = {"scene": source.name, "lod": source.lod, "lods_present": list(source.lods)}
+        print_json({"format": "gsvis-inspection", "version": 1, **place, **report})
+        return
+    show(facts(source.name, _rows(source, report)), *_verdict(report["problems"]))
+
+
+def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = [("Gaussians", f"{report['count']:,}"), ("SH degree", str(report["sh_degree"]))]
+    if source.lods:
+        rows.append(("LODs present", ", ".join(map(str, source.lods))))
+    if source.path is not None and source.path.is_file() and not source.lods:
+        rows.append(("file", f"{_bytes(source.path.stat().st_size)}, {_suffix(source.path)}"))
+    rows.append(("in memory", _bytes(report["bytes_in_memory"])))
+    if report["count"] == 0:
+        return rows
+    rows += [
+        ("likely up axis", f"{report['up']}, confidence {report['up_confidence']:.0%}"),
+        ("middle 98% of centres", _box(report["robust_bounds"])),
+        ("all centres", _box(report["bounds"])),
+        ("opacity", _quantiles(report["opacities"])),
+        ("largest scale", _quantiles(report["scales"])),
+        ("opacity >= 1/2", f"{report['opaque_share']:.1%}"),
+        ("opacity < 1/255", f"{report['invisible_share']:.1%}"),
+        ("flat discs, needles", f"{report['disc_share']:.1%}, {report['needle_share']:.1%}"),
+        ("floaters", f"{report['floaters']:,}"),
+        ("exact repeats", f"{report['duplicates']:,}"),
+    ]
+    return rows
+
+
+def _verdict(problems: list[str]) -> list[str]:
+    if not problems:
+        return [" Nothing looks wrong."]
+    return [" What looks wrong:", *(f" - {problem}" for problem in problems)]
+
+
+def _box(corners: list[list[float]]) -> str:
+    low, high = corners
+    size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
+    ranges = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    return f"{size}\n{ranges}"
+
+
+def _quantiles(found: dict[str, float]) -> str:
+    return f"median {found['p50']:.3g}, p10 {found['p10']:.3g}, p90 {found['p90']:.3g}, max {found['max']:.3g}"
+
+
+def _bytes(count: int) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count} bytes"
+
+
+def _suffix(path: Path) -> str:
+    return "".join(path.suffixes[-2:]) if path.name.endswith(".compressed.ply") else path.suffix or "no suffix"

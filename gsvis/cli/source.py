@@ -1,0 +1,120 @@
+"""Where a command's scene and cameras come from: a file, a built-in scene, or sampling; and where results may go."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["Source", "check_folder", "check_source", "evenly", "load_source"]
+
+BUILTIN = "builtin:"
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A scene and what is known about it besides its Gaussians.
+
+    Attributes:
+        name: What to call it in a report.
+        gaussians: The scene.
+        path: Its file; None for a built-in scene.
+        lod: The level of detail that was asked for.
+        lods: Levels of detail that are present in a streamed scene; empty for any other.
+        navigable: Known navigable space of a built-in scene.
+    """
+
+    name: str
+    gaussians: Gaussians
+    path: Path | None = None
+    lod: int | None = None
+    lods: tuple[int, ...] = ()
+    navigable: NavigableSpace | None = None
+
+
+def check_source(scene: str, lod: int | None) -> None:
+    """Say at once what is wrong with the name of a scene.
+
+    Raises:
+        ValueError: If there is no built-in scene of that name, or it is asked for a level of detail.
+        FileNotFoundError: If there is no such file.
+    """
+    if not scene.startswith(BUILTIN):
+        if not Path(scene).exists():
+            raise FileNotFoundError(2, "no such file or folder", scene)
+        return
+    from gsvis.scene.procedural import BUILTIN_SCENES
+
+    name = scene.removeprefix(BUILTIN)
+    if name not in BUILTIN_SCENES:
+        known = ", ".join(BUILTIN + each for each in BUILTIN_SCENES)
+        raise ValueError(f"SCENE: expected one of {known}, or a path, got {scene!r}")
+    if lod is not None:
+        raise ValueError(f"--lod: expected none for a built-in scene, got {lod}; leave it out")
+
+
+def load_source(scene: str, lod: int | None) -> Source:
+    """The scene of a path or a `builtin:NAME`.
+
+    Raises:
+        GsvisError: If the file cannot be read as a scene.
+        ValueError: If there is no built-in scene of that name.
+        FileNotFoundError: If there is no such file.
+    """
+    check_source(scene, lod)
+    if scene.startswith(BUILTIN):
+        from gsvis.scene.procedural import builtin_scene
+
+        made = builtin_scene(scene.removeprefix(BUILTIN))
+        return Source(scene, made.gaussians, navigable=made.navigable)
+    from gsvis.io import load_scene
+    from gsvis.io.streamed_sog import streamed_sog_lods
+
+    path = Path(scene)
+    g = load_scene(path, lod=lod)
+    meta = path / "lod-meta.json" if path.is_dir() else path
+    lods = streamed_sog_lods(meta) if meta.name == "lod-meta.json" and meta.is_file() else ()
+    if lods and lod is None:
+        lod = lods[0]
+    return Source(_called(path, lod), g, path, lod, lods)
+
+
+def _called(path: Path, lod: int | None) -> str:
+    """'showroom, LOD 3' for showroom/lod-meta.json, 'biker' for biker.compressed.ply."""
+    resolved = path.resolve()
+    inner = resolved.name in ("lod-meta.json", "meta.json") or resolved.is_dir()
+    name = (resolved if resolved.is_dir() else resolved.parent).name if inner else resolved.name.split(".")[0]
+    return (name or resolved.name) + ("" if lod is None else f", LOD {lod}")
+
+
+def evenly(cameras: Cameras, count: int) -> Cameras:
+    """`count` of the cameras at even steps, in their order; all of them if there are not more."""
+    if count >= len(cameras):
+        return cameras
+    return cameras[np.floor(np.arange(count) * len(cameras) / count).astype(int)]
+
+
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Say at once if files cannot be written into a folder that may still have to be made; leaves no trace.
+
+    Raises:
+        ValueError: If the path, or a folder above it, is a file.
+        OSError: If nothing may be written there.
+    """
+    folder = Path(path).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise ValueError(f"{path}: expected a folder to write to, got the file {folder}; name another")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, f"cannot write there ({os.strerror(error.errno or 0).lower()})", str(path)) from None

@@ -1,0 +1,147 @@
+"""What a user sees while work runs, and what comes out: progress on stderr, tables or one JSON document on stdout."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+    from rich.table import Table
+
+__all__ = ["Status", "facts", "print_json", "show"]
+
+_SAID = {
+    "reading": "reading the scene",
+    "space": "finding navigable space",
+    "kernels": "preparing kernels",
+    "structure": "building the tracing structure",
+    "cameras": "tracing cameras",
+    "directions": "tracing directions outward",
+    "pictures": "rendering pictures",
+    "writing": "writing",
+}
+_EVERY = 10.0  # seconds between plain lines of one stage
+
+
+class Status(AbstractContextManager["Status"]):
+    """A progress callback for the library: bars with an ETA on a terminal, a plain line now and then elsewhere.
+
+    Call it as `status(stage, done, total)`. A stage of total 1 has no bar, only its time. `seconds` holds how long
+    each finished stage took.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._starts: dict[str, float] = {}
+        self._spoke = 0.0
+        self._tasks: dict[str, TaskID] = {}
+        self._bars: Progress | None = _bars() if sys.stderr.isatty() else None
+
+    def __enter__(self) -> Status:
+        if self._bars:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """The progress callback (gsvis.progress.Progress)."""
+        now = time.perf_counter()
+        first = stage not in self._starts or done == 0
+        if first:
+            self._starts[stage] = now
+        elapsed = now - self._starts[stage]
+        if done >= total and not first:
+            self.seconds[stage] = round(elapsed, 3)
+        said = _SAID.get(stage, stage)
+        if self._bars:
+            if stage not in self._tasks:
+                self._tasks[stage] = self._bars.add_task(said, total=total if total > 1 else None)
+            self._bars.update(self._tasks[stage], completed=done, total=total if total > 1 or done else None)
+        elif first:
+            self._say(said)
+        elif done >= total:
+            if elapsed >= _EVERY:
+                self._say(f"{said}: done in {_clock(elapsed)}")
+        elif done and now - self._spoke >= _EVERY:
+            left = elapsed / done * (total - done)
+            self._say(f"{said}: {done:,} of {total:,}, about {_clock(left)} left")
+
+    def _say(self, line: str) -> None:
+        self._spoke = time.perf_counter()
+        sys.stderr.write(f"gsvis: {line}\n")
+        sys.stderr.flush()
+
+
+def _bars() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.text import Text
+
+    class Clock(ProgressColumn):
+        """Time taken once finished, time left before."""
+
+        def render(self, task: Task) -> Text:
+            if task.finished or task.total is None:
+                return Text(_clock(task.finished_time or task.elapsed or 0.0), style="dim")
+            left = task.time_remaining
+            return Text("" if left is None else f"{_clock(left)} left", style="cyan")
+
+    class Count(ProgressColumn):
+        """How many of how many; nothing for a stage of one step."""
+
+        def render(self, task: Task) -> Text:
+            counted = task.total is not None and task.total > 1
+            return Text(f"{int(task.completed):,}/{int(task.total or 0):,}" if counted else "", style="dim")
+
+    return Progress(
+        TextColumn("{task.description:<31}"),
+        BarColumn(bar_width=20),
+        Count(),
+        Clock(),
+        console=Console(stderr=True),
+    )
+
+
+def _clock(seconds: float) -> str:
+    """45 -> '45 s', 125 -> '2 min 05 s'; short times with one digit."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60:02d} s"
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """One JSON document on stdout; NaN and infinity, which JSON does not know, are an error."""
+    sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def facts(title: str, rows: Iterable[tuple[str, str]]) -> Table:
+    """A table of names and values."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(name, value)
+    return table
+
+
+def show(*parts: Table | str) -> None:
+    """Tables and lines on stdout, in at most 80 columns, in colour only on a terminal."""
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else 80, highlight=False)
+    if console.width > 80:
+        console = Console(width=80, highlight=False)
+    for part in parts:
+        console.print(part, markup=False, soft_wrap=isinstance(part, str))

@@ -1,0 +1,353 @@
+"""What views need of a scene, and from how many directions its Gaussians can be seen: the paper's section 3.1.
+
+Cameras are traced one at a time and only counters and direction sets are kept, so memory does not grow with their
+number. World frame of the scene; visible means a largest weight of at least tau (docs/conventions.md). Knows no file,
+no plot and no command line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
+from gsvis.raycast import TAU, EllipsoidProxies, Tracer, directions, visible_in
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["PAPER", "Agreement", "Analysis", "AnalysisConfig", "DirectionCdf", "Settling", "analyze"]
+
+PAPER = MappingProxyType(
+    {"mean_visible": 0.2021, "one_view_visible": 0.3358, "below_33_faces": 0.394, "below_48_faces": 0.804}
+)
+"""What SRBF-Gaussian, section 3.1, found on Tanks & Temples: shares of all Gaussians, in [0, 1]."""
+
+FACE_LIMITS = (33, 48)
+"""41.25% and 60% of the 80 faces; the paper's shares are of Gaussians seen from *less* than these."""
+
+SETTLED = 0.01
+"""Shares that change by less than this when the number of cameras doubles have settled."""
+
+U8 = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AnalysisConfig:
+    """How a scene is analysed.
+
+    Attributes:
+        tau: Weight in (0, 1] from which a Gaussian is visible.
+        traced_sample: Gaussians drawn at random whose directions are traced outward; 0 traces none.
+        rays_per_face: Rays of that tracing over each of the 80 faces: 1, 4, 16 or 64.
+        seed: Of the sample and of the order in which cameras are taken.
+    """
+
+    tau: float = TAU
+    traced_sample: int = 5000
+    rays_per_face: int = 4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tau <= 1.0:
+            raise ValueError(f"tau: expected a weight in (0, 1], got {self.tau!r}")
+        _check.positive_int("traced_sample", self.traced_sample, at_least=0)
+        _check.positive_int("seed", self.seed, at_least=0)
+        if self.rays_per_face not in (1, 4, 16, 64):
+            raise ValueError(f"rays_per_face: expected 1, 4, 16 or 64, got {self.rays_per_face!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionCdf:
+    """Of how many of the 80 faces the Gaussians are seen.
+
+    Attributes:
+        count: Number of Gaussians.
+        values: (81,) float64; entry k is the share of them seen from at most k faces.
+    """
+
+    count: int
+    values: F64
+
+    @classmethod
+    def of(cls, sets: U8) -> DirectionCdf:
+        """The distribution of direction sets (N, 10), N > 0."""
+        return cls(len(sets), directions.direction_cdf(directions.direction_fractions(sets)))
+
+    @property
+    def seen(self) -> int:
+        """How many Gaussians are seen from at least one face."""
+        return round(self.count * (1.0 - float(self.values[0])))
+
+    @property
+    def values_of_seen(self) -> F64:
+        """(81,) the same over the Gaussians seen at least once; all 1 if there is none."""
+        none = float(self.values[0])
+        return np.asarray((self.values - none) / (1.0 - none)) if self.seen else np.ones_like(self.values)
+
+    def below(self, faces: int, *, of_seen: bool = False) -> float:
+        """Share of the Gaussians seen from strictly fewer than `faces` faces.
+
+        Args:
+            faces: 1 to 80.
+            of_seen: Count only Gaussians seen at least once.
+        """
+        return float((self.values_of_seen if of_seen else self.values)[faces - 1])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists."""
+        return {
+            "gaussians": self.count,
+            "seen_at_least_once": self.seen,
+            "share_below": [
+                {"faces": k, "of_all": self.below(k), "of_seen": self.below(k, of_seen=True)} for k in FACE_LIMITS
+            ],
+            "cdf_of_all": self.values.tolist(),
+            "cdf_of_seen": self.values_of_seen.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class Settling:
+    """Whether more cameras would still change the gathered directions: the figures after part of the cameras.
+
+    Attributes:
+        cameras: Number of cameras taken so far, in a random order.
+        seen: Gaussians seen at least once by them.
+        below_33_of_all: Share of all Gaussians seen from fewer than 33 faces.
+        below_48_of_all: The same for 48 faces.
+        below_33_of_seen: Share of the Gaussians seen at least once.
+        below_48_of_seen: The same for 48 faces.
+    """
+
+    cameras: int
+    seen: int
+    below_33_of_all: float
+    below_48_of_all: float
+    below_33_of_seen: float
+    below_48_of_seen: float
+
+    @classmethod
+    def of(cls, cameras: int, cdf: DirectionCdf) -> Settling:
+        """The figures of one distribution."""
+        shares = [cdf.below(k, of_seen=of_seen) for of_seen in (False, True) for k in FACE_LIMITS]
+        return cls(cameras, cdf.seen, *shares)
+
+    def change(self, other: Settling) -> float:
+        """Largest absolute change of the four shares."""
+        mine, theirs = asdict(self), asdict(other)
+        return max(abs(float(mine[name]) - float(theirs[name])) for name in mine if name.startswith("below"))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How alike the two ways to a direction set are, over the traced sample.
+
+    Attributes:
+        mean_jaccard: Mean Jaccard index; 1 where both sets are empty.
+        mean_jaccard_of_seen: The same over the Gaussians that at least one of the ways sees.
+        gathered_confirmed: Share of all faces gathered from cameras that tracing outward found too.
+        traced_confirmed: Share of all faces traced outward that cameras had seen too.
+    """
+
+    mean_jaccard: float
+    mean_jaccard_of_seen: float
+    gathered_confirmed: float
+    traced_confirmed: float
+
+    @classmethod
+    def of(cls, gathered: U8, traced: U8) -> Agreement:
+        """Of two direction sets (M, 10) of the same Gaussians, M > 0."""
+        index = directions.jaccard(gathered, traced)
+        either = (gathered | traced).any(axis=1)
+        both, of_gathered, of_traced = (_faces(sets) for sets in (gathered & traced, gathered, traced))
+        return cls(
+            float(index.mean()),
+            float(index[either].mean()) if either.any() else 1.0,
+            both / of_gathered if of_gathered else 1.0,
+            both / of_traced if of_traced else 1.0,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """What `analyze` found.
+
+    Attributes:
+        config: How it was found.
+        gaussians: N, all Gaussians of the scene.
+        opaque_enough: How many of them have an opacity of at least 1/255, so that they can be seen at all.
+        cameras: The C cameras; their resolution and field of view belong to every visible fraction.
+        visible: (C,) int64, visible Gaussians in each camera.
+        gathered_sets: (N, 10) uint8, direction sets gathered from the cameras.
+        gathered: Their distribution.
+        settling: The same after 1/8, 1/4, 1/2 and all of the cameras.
+        sample: (M,) int64, the Gaussians traced outward, rising; empty without tracing.
+        traced_sets: (M, 10) uint8, their direction sets.
+        traced: Their distribution; None without tracing.
+        agreement: Of the two ways over the sample; None without tracing.
+        untraced_because: Why nothing was traced outward; empty when it was.
+    """
+
+    config: AnalysisConfig
+    gaussians: int
+    opaque_enough: int
+    cameras: Cameras
+    visible: NDArray[np.int64]
+    gathered_sets: U8
+    gathered: DirectionCdf
+    settling: tuple[Settling, ...]
+    sample: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    traced_sets: U8 = field(default_factory=lambda: np.zeros((0, 10), np.uint8))
+    traced: DirectionCdf | None = None
+    agreement: Agreement | None = None
+    untraced_because: str = ""
+
+    @property
+    def visible_fractions(self) -> F64:
+        """(C,) share of all Gaussians that is visible in each camera."""
+        return self.visible / self.gaussians
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """Smallest and largest horizontal field of view of the cameras, degrees."""
+        fx, cx = self.cameras.Ks[:, 0, 0], self.cameras.Ks[:, 0, 2]
+        angles = np.degrees(np.arctan2(cx, fx) + np.arctan2(self.cameras.width - cx, fx))
+        return float(angles.min()), float(angles.max())
+
+    @property
+    def last_change(self) -> float | None:
+        """How much the shares changed from half to all of the cameras; None with a single camera."""
+        return self.settling[-1].change(self.settling[-2]) if len(self.settling) > 1 else None
+
+    @property
+    def has_settled(self) -> bool:
+        """Whether twice the cameras changed no share by 1 percentage point or more.
+
+        Each camera adds at most one face to a set, so fewer than 160 cameras never count as settled: the first half
+        must have been able to fill all 80 faces.
+        """
+        change = self.last_change
+        return change is not None and self.settling[-2].cameras >= directions.NUM_FACES and change < SETTLED
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        fractions = self.visible_fractions
+        low, high = self.field_of_view
+        return {
+            "config": asdict(self.config),
+            "gaussians": self.gaussians,
+            "gaussians_of_opacity_1_255": self.opaque_enough,
+            "rays": {"width": self.cameras.width, "height": self.cameras.height, "horizontal_fov_degrees": [low, high]},
+            "visible_fraction": {
+                "mean": float(fractions.mean()),
+                "min": float(fractions.min()),
+                "max": float(fractions.max()),
+                "cameras": [
+                    {"name": name, "visible": int(count), "fraction": float(fraction)}
+                    for name, count, fraction in zip(self.cameras.names, self.visible, fractions, strict=True)
+                ],
+            },
+            "directions": {
+                "share_below_counts": "Gaussians seen from strictly fewer faces of the 80",
+                "gathered": self.gathered.as_dict(),
+                "settling": [asdict(step) for step in self.settling],
+                "change_from_half_to_all_cameras": self.last_change,
+                "has_settled": self.has_settled,
+                "traced": self.traced.as_dict() if self.traced else None,
+                "untraced_because": self.untraced_because or None,
+                "agreement": asdict(self.agreement) if self.agreement else None,
+            },
+            "paper": dict(PAPER),
+        }
+
+
+def analyze(
+    g: Gaussians,
+    cameras: Cameras,
+    config: AnalysisConfig | None = None,
+    *,
+    navigable: NavigableSpace | None = None,
+    tracer: Tracer | None = None,
+    progress: Progress = silent,
+) -> Analysis:
+    """Visible fraction of each camera, and direction sets gathered from the cameras and traced outward.
+
+    Args:
+        g: The scene, N Gaussians.
+        cameras: C cameras; one ray through each pixel centre.
+        config: Thresholds, sample and seed; None means `AnalysisConfig()`.
+        navigable: Where eyes may be; None traces nothing outward.
+        tracer: A tracer of `g` to use again; None builds one.
+        progress: Called with stages "structure", "cameras" and "directions".
+
+    Returns:
+        The analysis.
+
+    Raises:
+        ValueError: If there is no camera or `tracer` is of another scene.
+        SceneError: If the scene is empty.
+
+    References:
+        SRBF-Gaussian, section 3.1 and figure 3.
+    """
+    config = config or AnalysisConfig()
+    if len(g) == 0:
+        raise SceneError("the scene has no Gaussian: there is nothing to see")
+    if len(cameras) == 0:
+        raise ValueError("cameras: expected at least one camera, got none")
+    if tracer is not None and tracer.proxies.gaussians is not g:
+        raise ValueError("tracer: expected a tracer of this scene, got one of another; leave it out to have one built")
+    progress("structure", 0, 1)
+    tracer = tracer or Tracer(EllipsoidProxies.from_scene(g))
+    _ = tracer.hierarchy
+    progress("structure", 1, 1)
+    rng = np.random.default_rng(config.seed)
+    sample = np.sort(rng.choice(len(g), min(config.traced_sample, len(g)), replace=False))
+    visible, sets, settling = _from_cameras(tracer, cameras, config.tau, rng.permutation(len(cameras)), progress)
+    found = Analysis(config, len(g), len(tracer.proxies), cameras, visible, sets, DirectionCdf.of(sets), settling)
+    if len(sample) == 0 or navigable is None:
+        why = "no sample was asked for" if navigable is not None else "no navigable space was given"
+        return replace(found, untraced_because=why)
+    traced = directions.trace_directions(
+        tracer, navigable, ids=sample, rays_per_face=config.rays_per_face, tau=config.tau, progress=progress
+    )
+    return replace(
+        found,
+        sample=sample,
+        traced_sets=traced,
+        traced=DirectionCdf.of(traced),
+        agreement=Agreement.of(sets[sample], traced),
+    )
+
+
+def _from_cameras(
+    tracer: Tracer, cameras: Cameras, tau: float, order: NDArray[np.int64], progress: Progress
+) -> tuple[NDArray[np.int64], U8, tuple[Settling, ...]]:
+    """Visible counts (C,), direction sets (N, 10) and how they settled, cameras taken in the given order."""
+    g, total = tracer.proxies.gaussians, len(cameras)
+    visible = np.zeros(total, np.int64)
+    sets = np.zeros((len(g), directions.NUM_FACES // 8), np.uint8)
+    stops = {-(-total // part) for part in (8, 4, 2, 1)}
+    settling = []
+    progress("cameras", 0, total)
+    for done, c in enumerate(order, 1):
+        camera = cameras[int(c)]
+        weights = visible_in(tracer, camera)
+        visible[c] = np.count_nonzero(weights[0] >= np.float32(tau))
+        sets |= directions.seen_directions(g, weights, camera.viewpoints, tau)
+        if done in stops:
+            settling.append(Settling.of(done, DirectionCdf.of(sets)))
+        progress("cameras", done, total)
+    return visible, sets, tuple(settling)
+
+
+def _faces(sets: U8) -> int:
+    return int(np.unpackbits(sets).sum())
