@@ -64,5 +64,5 @@ pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py
 
 clean:
-	rm -rf .venv $(OUT) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv demo-out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find gsvis tests benchmarks examples tools -name __pycache__ -type d -prune -exec rm -rf {} +
