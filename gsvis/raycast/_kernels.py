@@ -19,7 +19,10 @@ TINY = 1e-300
 
 @njit(cache=True, inline="always")
 def _peak(table, g, ox, oy, oz, dx, dy, dz):
-    """Squared distance in standard deviations at the ray's largest response, and the depth of that point."""
+    """Squared distance in standard deviations at the largest response, and the t of the line's largest response.
+
+    A negative t lies behind the origin; the half-line's largest response is then at the origin, at depth 0.
+    """
     row = table[g]
     x, y, z = ox - row[0], oy - row[1], oz - row[2]
     px = row[3] * x + row[4] * y + row[5] * z
@@ -29,9 +32,9 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
     qy = row[6] * dx + row[7] * dy + row[8] * dz
     qz = row[9] * dx + row[10] * dy + row[11] * dz
     along = px * qx + py * qy + pz * qz
-    if along >= 0.0:  # the largest response lies behind the origin: the eye is past it
-        return px * px + py * py + pz * pz, 0.0
     length = qx * qx + qy * qy + qz * qz
+    if along >= 0.0:
+        return px * px + py * py + pz * pz, -along / length
     cx, cy, cz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
     return (cx * cx + cy * cy + cz * cz) / length, -along / length
 
@@ -130,7 +133,7 @@ def trace_ray(
             if left < min_transmittance and count >= prune_at:
                 sort_hits(table, content, ids, alphas, depths, count)
                 count = spent_after(alphas, count, min_transmittance)
-                t_stop = np.float64(depths[count - 1]) * (1.0 + 1e-6)
+                t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
                 prune_at = count + _PRUNE_EVERY
     sort_hits(table, content, ids, alphas, depths, count)
     return spent_after(alphas, count, min_transmittance), ids, alphas, depths
@@ -151,7 +154,7 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
         return 0.0
     alpha = min(alpha, max_alpha)
     end = np.float32(depth)
-    t_stop = np.float64(end) * (1.0 + 1e-6)
+    t_stop = max(np.float64(end) * (1.0 + 1e-6), 0.0)
     least = max(floor / alpha, min_transmittance)
     origin = (ox, oy, oz)
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
@@ -253,7 +256,7 @@ def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_dept
     """Sorted hits of one ray with their weights into its output row."""
     transmittance = 1.0
     for i in range(count):
-        out_ids[i], out_alphas[i], out_depths[i] = ids[i], alphas[i], depths[i]
+        out_ids[i], out_alphas[i], out_depths[i] = ids[i], alphas[i], max(depths[i], np.float32(0.0))
         out_weights[i] = alphas[i] * transmittance
         transmittance *= 1.0 - alphas[i]
 

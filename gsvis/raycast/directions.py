@@ -64,7 +64,7 @@ def face_directions(rays_per_face: int = 1) -> F64:
     vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))
     centres = vertices[faces].mean(axis=1)
     centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    return centres.reshape(NUM_FACES, rays_per_face, 3)
+    return np.asarray(centres.reshape(NUM_FACES, rays_per_face, 3))
 
 
 def face_of(directions: ArrayLike) -> NDArray[np.int64]:

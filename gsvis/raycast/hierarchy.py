@@ -63,7 +63,7 @@ class Hierarchy:
             table[part, 13] = some.opacities
         # A hair more than the reach: the exact test is alpha >= min_alpha.
         table[:, 12] = 2.0 * np.log(np.maximum(table[:, 13] / proxies.min_alpha, 1.0)) + 1e-9
-        higher = g.shN.reshape(len(g), -1)[:, :3]
+        higher = g.shN[:, 0] if g.sh_degree else g.shN.reshape(len(g), 0)
         content = np.concatenate([g.scales, g.quats, g.opacities[:, None], g.sh0[:, 0], higher], axis=1)[ids]
         positions = np.full(len(g), -1, np.int64)
         positions[ids] = np.arange(m)

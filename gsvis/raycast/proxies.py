@@ -25,7 +25,7 @@ __all__ = ["MIN_ALPHA", "EllipsoidProxies", "reaches"]
 MIN_ALPHA = 1.0 / 255.0
 """Alpha below this is nothing (docs/conventions.md)."""
 
-_THINNEST = 1e-5  # proxy half-width over its largest; thinner ones collapse in the tracers' float32
+_THINNEST = 1e-4  # proxy half-width over its largest; thinner ones collapse in the tracers' float32
 _CHUNK = 1 << 16
 
 

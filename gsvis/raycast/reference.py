@@ -38,7 +38,7 @@ def brute_force_contributions(
         q = whitening @ d
         length = np.linalg.norm(q, axis=1)
         unit = q / length[:, None]
-        depth = np.maximum(-np.einsum("ni,ni->n", p, unit) / length, 0.0)
+        depth = -np.einsum("ni,ni->n", p, unit) / length
         across = np.linalg.norm(np.cross(p, unit), axis=1)
         distance = np.where(depth > 0.0, across, np.linalg.norm(p, axis=1))
         alpha = opacities * np.exp(-0.5 * distance**2)
@@ -48,6 +48,6 @@ def brute_force_contributions(
         transmittance = np.concatenate([[1.0], np.cumprod(1.0 - alpha)])[:-1]
         lit = transmittance >= MIN_TRANSMITTANCE
         weight = (alpha * transmittance)[lit].astype(np.float32)
-        fields = (hit[lit], alpha[lit].astype(np.float32), weight, depth[hit][lit].astype(np.float32))
+        fields = (hit[lit], alpha[lit].astype(np.float32), weight, np.maximum(depth[hit][lit], 0.0).astype(np.float32))
         parts.append(Contributions(np.array([0, lit.sum()]), *fields))
     return Contributions.concatenate(parts)
