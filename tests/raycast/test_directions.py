@@ -167,11 +167,11 @@ def test_refusals_name_the_argument() -> None:
     tracer, box = lone_gaussian()
     with pytest.raises(ValueError, match=r"^ids: expected values in \[0, 1\)"):
         dirs.trace_directions(tracer, box, ids=[1])
-    with pytest.raises(ValueError, match="^rays_per_face: expected 1, 4, 16 or 64, got 2"):
+    with pytest.raises(ValueError, match=r"^rays_per_face: expected 1, 4, 16 or 64, got 2"):
         dirs.face_directions(2)
-    with pytest.raises(ValueError, match="^directions: expected non-zero"):
+    with pytest.raises(ValueError, match=r"^directions: expected non-zero"):
         dirs.face_of([[0, 0, 0]])
     with pytest.raises(ValueError, match=r"^sets: expected \(N, 10\) uint8"):
         dirs.direction_fractions(np.zeros((3, 9), np.uint8))
-    with pytest.raises(ValueError, match="^fractions: expected at least one"):
+    with pytest.raises(ValueError, match=r"^fractions: expected at least one"):
         dirs.direction_cdf([])

@@ -77,7 +77,7 @@ def test_a_part_of_the_meshes_is_that_part_of_the_whole() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(ValueError, match="^faces: expected 20 or 80, got 21"):
+    with pytest.raises(ValueError, match=r"^faces: expected 20 or 80, got 21"):
         EllipsoidProxies.from_scene(scene("one"), faces=21)
     with pytest.raises(ValueError, match=r"^min_alpha: expected a value in \(0, 1\)"):
         EllipsoidProxies.from_scene(scene("one"), min_alpha=0.0)

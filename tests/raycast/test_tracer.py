@@ -155,17 +155,17 @@ def test_first_hit_is_the_nearest_proxy() -> None:
 def test_refusals_name_the_argument() -> None:
     proxies = EllipsoidProxies.from_scene(scene("one"))
     tracer = Tracer(proxies)
-    with pytest.raises(ValueError, match="^rays_o: expected shape"):
+    with pytest.raises(ValueError, match=r"^rays_o: expected shape"):
         tracer.contributions(np.zeros((2, 2)), np.ones((2, 3)))
     with pytest.raises(ValueError, match=r"^rays_o / rays_d: expected one length"):
         tracer.contributions(np.zeros((2, 3)), np.ones((3, 3)))
-    with pytest.raises(ValueError, match="^rays_d: expected non-zero"):
+    with pytest.raises(ValueError, match=r"^rays_d: expected non-zero"):
         tracer.contributions(np.zeros((1, 3)), np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="^rays_o: expected finite"):
+    with pytest.raises(ValueError, match=r"^rays_o: expected finite"):
         tracer.first_hit([[np.nan, 0, 0]], [[1, 0, 0]])
-    with pytest.raises(ValueError, match="^search: expected one of"):
+    with pytest.raises(ValueError, match=r"^search: expected one of"):
         tracer.contributions(np.zeros((1, 3)), np.ones((1, 3)), search="magic")
-    with pytest.raises(ValueError, match="^engine: expected one of 'open3d', 'embreex'"):
+    with pytest.raises(ValueError, match=r"^engine: expected one of 'open3d', 'embreex'"):
         Tracer(proxies, "optix")
-    with pytest.raises(BackendError, match="engine 'embreex' lists first hits alone"):
+    with pytest.raises(BackendError, match=r"engine 'embreex' lists first hits alone"):
         Tracer(proxies, "embreex").contributions(np.zeros((1, 3)), np.ones((1, 3)), search="faces")

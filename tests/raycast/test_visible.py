@@ -99,7 +99,7 @@ def test_an_image_is_the_weighted_sum_of_colours() -> None:
     camera = Cameras.look_at([[0, 0, 0]], [0, 0, 1.0], up=(0, -1, 0), width=9, height=9, fov=20)
     image = ray_image(Tracer(EllipsoidProxies.from_scene(g)), camera, background=(0, 0, 1.0))
     np.testing.assert_allclose(image[4, 4], [0.6, 0.4 * 0.9, 0.4 * 0.1], atol=1e-6)
-    with pytest.raises(ValueError, match="^camera: expected one camera, got 3"):
+    with pytest.raises(ValueError, match=r"^camera: expected one camera, got 3"):
         ray_image(tracer_of("one"), cameras())
 
 
@@ -117,11 +117,11 @@ def test_progress_runs_from_none_to_all_and_may_interrupt() -> None:
 
 
 def test_refusals_name_the_argument() -> None:
-    with pytest.raises(ValueError, match="^sampling: expected one of 'pixels', 'gaussians', got 'rays'"):
+    with pytest.raises(ValueError, match=r"^sampling: expected one of 'pixels', 'gaussians', got 'rays'"):
         visible_from(tracer_of("one"), [[0, 0, 0]], sampling="rays")
-    with pytest.raises(ValueError, match="^viewpoints: expected finite"):
+    with pytest.raises(ValueError, match=r"^viewpoints: expected finite"):
         visible_from(tracer_of("one"), [[0, 0, np.inf]])
-    with pytest.raises(ValueError, match="^ring: expected an integer of at least 0"):
+    with pytest.raises(ValueError, match=r"^ring: expected an integer of at least 0"):
         GaussianRays(ring=-1)
-    with pytest.raises(ValueError, match="^floor: expected a weight"):
+    with pytest.raises(ValueError, match=r"^floor: expected a weight"):
         GaussianRays(floor=2.0)
