@@ -24,10 +24,11 @@ LEAST_SCALE = float(np.finfo(np.float32).tiny)
 
 def sigmoid(logit_opacities: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
     """1 / (1 + exp(-x)) in float32; infinite logits become 0 and 1, NaN stays NaN for the caller's check."""
+    result: F32 = np.empty(logit_opacities.shape, np.float32) if out is None else out
     with np.errstate(all="ignore"):
-        negated = np.negative(np.asarray(logit_opacities, np.float32), out=out)
-        result: F32 = np.exp(negated, out=out)
-        result += 1.0
+        np.negative(logit_opacities, out=result)
+        np.exp(result, out=result)
+        np.add(result, np.float32(1.0), out=result)
         np.reciprocal(result, out=result)
     return result
 
@@ -36,7 +37,7 @@ def logits(opacities: NDArray[np.floating[Any]]) -> F32:
     """Inverse of `sigmoid`; 0 and 1 become -120 and 40, finite values that `sigmoid` turns back exactly."""
     p = opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
-        return np.clip(np.log(p) - np.log1p(-p), -120.0, 40.0).astype(np.float32)
+        return np.asarray(np.clip(np.log(p) - np.log1p(-p), -120.0, 40.0), np.float32)
 
 
 def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:

@@ -1,0 +1,302 @@
+"""SPZ, Niantic's compressed scenes, versions 1 to 4, read and written.
+
+Six byte streams (positions, alphas, colours, scales, rotations, SH) behind a header: one gzip stream up to version 3,
+one zstd stream each from version 4 on. The file's frame is right-up-back; gsvis reads and writes it as the
+right-down-front frame that the same scene has in a PLY, a half turn about x.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three
+from gsvis.io._limits import Budget, read_whole
+from gsvis.io.atomic import atomic_path
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import rotation_of_sh
+
+__all__ = ["load_spz", "save_spz"]
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+_MAGIC = b"NGSP"
+_GZIP = b"\x1f\x8b"
+_HEADER = struct.Struct("<4sIIBBBB")
+_V4_REST = struct.Struct("<I12x")
+_COEFFICIENTS = (0, 3, 8, 15, 24)
+_HAS_EXTENSIONS = 0x2
+_COORDINATE_SYSTEM, _RUB = 0xADBE0003, 4
+_COLOR_SCALE = 0.15
+_TURN = np.diag([1.0, -1.0, -1.0])  # right-up-back to right-down-front, its own inverse
+_SQRT_HALF = np.sqrt(0.5)
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Header:
+    """Version, number of Gaussians, SH degree, bits behind the point, and streams or table of contents."""
+
+    version: int
+    count: int
+    sh_degree: int
+    fraction_bits: int
+    flags: int
+    streams: int
+
+    def sizes(self) -> dict[str, int]:
+        """Bytes of each stream, in file order."""
+        n = self.count
+        return {
+            "positions": n * (6 if self.version == 1 else 9),
+            "alphas": n,
+            "colors": 3 * n,
+            "scales": 3 * n,
+            "rotations": n * (4 if self.version >= 3 else 3),
+            "sh": 3 * n * _COEFFICIENTS[self.sh_degree],
+        }
+
+
+def load_spz(path: str | os.PathLike[str]) -> Gaussians:
+    """Read an SPZ file.
+
+    Degree 4 of the SH, which version 4 allows, is dropped with a warning in the log.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The scene in the file's order, in the frame of a PLY (right-down-front).
+
+    Raises:
+        FormatError: If the file is no SPZ, is truncated, or promises more than its size can hold.
+        OSError: If it cannot be opened.
+
+    References:
+        The format's README and reference implementation, nianticlabs/spz.
+    """
+    data = read_whole(path, os.stat(path).st_size)
+    budget = Budget(path, len(data))
+    if data[:4] == _MAGIC:
+        header, streams = _read_zstd(path, data, budget)
+    elif data[:2] == _GZIP:
+        header, streams = _read_gzip(path, data, budget)
+    else:
+        raise FormatError(path, "byte 0", "the magic 'NGSP' or a gzip stream", repr(data[:4])[1:])
+    return _decode(path, header, streams)
+
+
+def _parse_header(path: str | os.PathLike[str], data: bytes, versions: range, budget: Budget) -> _Header:
+    if len(data) < _HEADER.size:
+        raise FormatError(path, "header", f"{_HEADER.size} bytes", f"{len(data)}", "is the file truncated?")
+    magic, version, count, degree, fraction_bits, flags, streams = _HEADER.unpack_from(data)
+    if magic != _MAGIC:
+        raise FormatError(path, "header", "the magic 'NGSP'", repr(magic)[1:])
+    if version not in versions:
+        raise FormatError(path, "header", f"version {versions[0]} to {versions[-1]} here", f"{version}")
+    if degree >= len(_COEFFICIENTS):
+        raise FormatError(path, "header", "an SH degree from 0 to 4", f"{degree}")
+    if fraction_bits > 30:
+        raise FormatError(path, "header", "at most 30 bits behind the point", f"{fraction_bits}")
+    if count == 0:
+        raise FormatError(path, "header", "at least one Gaussian", "none", "the file holds an empty scene")
+    header = _Header(version, count, degree, fraction_bits, flags, streams)
+    budget.claim(sum(header.sizes().values()) + bytes_of_scene(count, degree), "header")
+    return header
+
+
+def _read_gzip(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tuple[_Header, dict[str, U8]]:
+    """Versions 1 to 3: header and streams in one gzip stream; what follows is extensions."""
+    inflate = zlib.decompressobj(wbits=31)
+    try:
+        head = inflate.decompress(data, _HEADER.size)
+        header = _parse_header(path, head, range(1, 4), budget)
+        needed = sum(header.sizes().values())
+        body = inflate.decompress(inflate.unconsumed_tail, needed)
+        if len(body) == needed and header.flags & _HAS_EXTENSIONS:
+            _check_extensions(path, inflate.decompress(inflate.unconsumed_tail, 1 << 16))
+    except zlib.error as error:
+        raise FormatError(path, "", "a gzip stream", str(error), "the file is damaged") from error
+    if len(body) < needed:
+        raise FormatError(
+            path, "", f"{needed:,} bytes for {header.count:,} Gaussians", f"{len(body):,}", "the file is truncated"
+        )
+    ends = np.cumsum(list(header.sizes().values()))[:-1]
+    return header, dict(zip(header.sizes(), np.split(np.frombuffer(body, np.uint8), ends), strict=True))
+
+
+def _read_zstd(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tuple[_Header, dict[str, U8]]:
+    """Version 4: plain header and extensions, a table of contents, one zstd stream for each attribute."""
+    header = _parse_header(path, data, range(4, 5), budget)
+    start = _HEADER.size + _V4_REST.size
+    sizes = {name: size for name, size in header.sizes().items() if size}
+    (contents,) = _V4_REST.unpack_from(data, _HEADER.size) if len(data) >= start else (0,)
+    at = contents + 16 * len(sizes)
+    if header.streams != len(sizes) or contents < start or at > len(data):
+        raise FormatError(
+            path,
+            "table of contents",
+            f"{len(sizes)} streams, listed from byte {start} on and before the end of the file",
+            f"{header.streams} streams from byte {contents:,}",
+        )
+    if header.flags & _HAS_EXTENSIONS:
+        _check_extensions(path, data[start:contents])
+    streams = {"sh": np.zeros(0, np.uint8)}
+    for i, (name, size) in enumerate(sizes.items()):
+        packed, unpacked = struct.unpack_from("<QQ", data, contents + 16 * i)
+        if unpacked != size or packed > len(data) - at:
+            raise FormatError(
+                path,
+                f"stream {name}",
+                f"{size:,} bytes from at most {len(data) - at:,}",
+                f"{unpacked:,} from {packed:,}",
+                "is the file truncated?",
+            )
+        streams[name] = _unzstd(path, name, data[at : at + packed], size)
+        at += packed
+    return header, streams
+
+
+def _unzstd(path: str | os.PathLike[str], name: str, packed: bytes, size: int) -> U8:
+    """One stream, never more than `size` bytes of it."""
+    try:
+        frame = zstandard.get_frame_parameters(packed)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=1 << 27)
+        with unpacker.stream_reader(packed) as reader:
+            data = reader.read(size + 1)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise FormatError(path, f"stream {name}", "zstd data", str(error), "the file is damaged") from error
+    if len(data) != size or frame.dict_id:
+        raise FormatError(path, f"stream {name}", f"{size:,} bytes", f"{len(data):,}", "the file is damaged")
+    return np.frombuffer(data, np.uint8)
+
+
+def _check_extensions(path: str | os.PathLike[str], block: bytes) -> None:
+    """Refuse the one extension that changes the meaning of the data: another frame than right-up-back."""
+    at = 0
+    while at + 8 <= len(block):
+        kind, length = struct.unpack_from("<II", block, at)
+        if kind == _COORDINATE_SYSTEM and length == 4 and at + 12 <= len(block):
+            (system,) = struct.unpack_from("<I", block, at + 8)
+            if system not in (0, _RUB):
+                raise FormatError(path, "extension", "the frame right-up-back", f"coordinate system {system}")
+        at += 8 + length
+
+
+def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8]) -> Gaussians:
+    n, degree = header.count, header.sh_degree
+    with np.errstate(all="ignore"):
+        means = _positions(header, streams["positions"]).reshape(n, 3) * np.diag(_TURN).astype(np.float32)
+    rotations = streams["rotations"].reshape(n, -1)
+    xyzw = _smallest_three(rotations) if header.version >= 3 else _first_three(rotations)
+    quats = xyzw[:, [3, 0, 1, 2]] * np.array([1, 1, -1, -1], np.float32)
+    scales = exp_scales(streams["scales"].reshape(n, 3).astype(np.float32) / 16.0 - 10.0)
+    sh0 = (streams["colors"].reshape(n, 1, 3).astype(np.float32) / 255.0 - 0.5) / np.float32(_COLOR_SCALE)
+    opacities = streams["alphas"].astype(np.float32) / np.float32(255.0)
+    shN = None
+    if degree:
+        if degree == 4:
+            _logger.warning("%s: SH degree 4 is dropped; gsvis keeps degrees 0 to 3", path)
+        signs = np.diag(rotation_of_sh(_TURN, min(degree, 3)))[1:, None].round().astype(np.float32)
+        coefficients = streams["sh"].reshape(n, -1, 3)[:, : len(signs)]
+        shN = (coefficients.astype(np.float32) - 128.0) / 128.0 * signs
+    return gaussians_from(path, means, quats, scales, opacities, sh0, shN)
+
+
+def _positions(header: _Header, stream: U8) -> F32:
+    """Coordinates: half floats in version 1, then 24-bit fixed point."""
+    if header.version == 1:
+        return stream.view("<f2").astype(np.float32)
+    low, middle, high = stream.reshape(-1, 3).T
+    fixed = low.astype(np.int32) | middle.astype(np.int32) << 8 | high.view(np.int8).astype(np.int32) << 16
+    return np.asarray(fixed / float(1 << header.fraction_bits), np.float32)
+
+
+def _first_three(packed: U8) -> F32:
+    """(N, 4) xyzw of three bytes x, y, z with w >= 0, versions 1 and 2."""
+    three = packed.astype(np.float32) / np.float32(127.5) - 1.0
+    return largest_from_three(three, np.full(len(three), 3))
+
+
+def _smallest_three(packed: U8) -> F32:
+    """(N, 4) xyzw of 32 bits: the place of the largest component, then sign and 9 bits for each other."""
+    bits = np.ascontiguousarray(packed).view("<u4")[:, 0]
+    fields = np.stack([bits >> np.uint32(shift) & np.uint32(0x3FF) for shift in (20, 10, 0)], axis=1)
+    size = (fields & 0x1FF).astype(np.float32) * np.float32(_SQRT_HALF / 0x1FF)
+    return largest_from_three(np.where(fields & 0x200, -size, size), bits >> np.uint32(30))
+
+
+def save_spz(scene: Gaussians, path: str | os.PathLike[str]) -> None:
+    """Write an SPZ file, version 4, whole or not at all.
+
+    Lossy: a byte a value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant colour within
+    +-3.3. Coordinates have 24 bits, up to 16 of them behind the point, as many as the extent leaves.
+
+    Args:
+        scene: What to write, in the frame of a PLY (right-down-front); its order is kept.
+        path: The file; its folder is made if missing.
+
+    Raises:
+        ValueError: If the scene is empty or reaches beyond 2^23 units, which 24 bits cannot hold.
+        OSError: If it cannot be written.
+    """
+    if len(scene) == 0:
+        raise ValueError("scene: expected at least one Gaussian, got none")
+    reach = float(np.abs(scene.means).max())
+    if reach >= 2.0**23 - 1:
+        raise ValueError(f"scene: expected coordinates within 2^23 for SPZ, got {reach:g}; crop it or write a PLY")
+    fraction_bits = next(bits for bits in range(16, -1, -1) if reach * 2**bits < 2.0**23 - 1)
+    streams = [_byte_stream(stream) for stream in _packed_streams(scene, fraction_bits)]
+    packed = [zstandard.ZstdCompressor(level=12).compress(stream) for stream in streams]
+    contents = _HEADER.size + _V4_REST.size
+    with atomic_path(path) as partial, open(partial, "wb") as out:
+        out.write(_HEADER.pack(_MAGIC, 4, len(scene), scene.sh_degree, fraction_bits, 0, len(streams)))
+        out.write(_V4_REST.pack(contents))
+        for stream, data in zip(streams, packed, strict=True):
+            out.write(struct.pack("<QQ", len(data), len(stream)))
+        out.writelines(packed)
+
+
+def _packed_streams(scene: Gaussians, fraction_bits: int) -> list[NDArray[np.generic]]:
+    turned = scene.means.astype(np.float64) * np.diag(_TURN)
+    fixed = np.rint(turned * 2.0**fraction_bits).astype("<i4")
+    xyzw = scene.quats[:, [1, 2, 3, 0]] * np.array([1, -1, -1, 1], np.float32)
+    streams: list[NDArray[np.generic]] = [
+        fixed.reshape(-1, 1).view(np.uint8)[:, :3],
+        _to_byte(scene.opacities * 255.0),
+        _to_byte(scene.sh0 * (_COLOR_SCALE * 255.0) + 127.5),
+        _to_byte((np.log(scene.scales.astype(np.float64)) + 10.0) * 16.0),
+        _pack_smallest_three(xyzw),
+    ]
+    if scene.sh_degree:
+        signs = np.diag(rotation_of_sh(_TURN, scene.sh_degree))[1:, None].round()
+        streams.append(_to_byte(scene.shN * signs * 128.0 + 128.0))
+    return streams
+
+
+def _to_byte(values: NDArray[np.floating]) -> U8:
+    return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
+
+
+def _byte_stream(values: NDArray[np.generic]) -> bytes:
+    return np.ascontiguousarray(values).tobytes()
+
+
+def _pack_smallest_three(xyzw: F32) -> NDArray[np.uint32]:
+    largest = np.abs(xyzw).argmax(axis=1)
+    negative = np.take_along_axis(xyzw, largest[:, None], axis=1) < 0
+    q = np.where(negative, -xyzw, xyzw)
+    packed = largest.astype(np.uint32)
+    for place in range(4):
+        size = np.clip(np.rint(np.abs(q[:, place]) * (0x1FF / _SQRT_HALF)), 0, 0x1FF).astype(np.uint32)
+        field = size | (q[:, place] < 0).astype(np.uint32) << np.uint32(9)
+        packed = np.where(largest == place, packed, packed << np.uint32(10) | field)
+    return np.asarray(packed, "<u4")
