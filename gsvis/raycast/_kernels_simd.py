@@ -1,7 +1,6 @@
-"""The ray-box test of eight boxes as explicit LLVM vectors, because the loop form is not vectorised reliably.
+"""The ray-box test of eight boxes as explicit vectors; the loop form is not vectorised reliably.
 
-LLVM lowers the eight-wide vectors to whatever the machine has (AVX-512, AVX2, SSE, NEON), so this is portable.
-`tests/raycast/test_kernels.py` compares it with the loop it stands for.
+`tests/raycast/test_kernels.py` compares it with the loop it stands for. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -11,6 +10,8 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+
+from gsvis._simd import Builder
 
 __all__ = ["meets_eight"]
 
@@ -36,42 +37,20 @@ def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
     signature = types.int64(boxes, types.int64, triple, triple, types.float64, t_near)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        box_type, out_type = sig.args[0], sig.args[5]
-        data = context.make_array(box_type)(context, builder, args[0]).data
-        out = context.make_array(out_type)(context, builder, args[5]).data
-        double, lanes = ir.DoubleType(), 8
-        wide = ir.VectorType(double, lanes)
-
-        def splat(scalar: Any) -> Any:
-            single = builder.insert_element(ir.Constant(wide, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-            zeros = ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)
-            return builder.shuffle_vector(single, ir.Constant(wide, ir.Undefined), zeros)
-
-        def least(a: Any, b: Any) -> Any:
-            return builder.select(builder.fcmp_ordered("<", a, b), a, b)
-
-        def most(a: Any, b: Any) -> Any:
-            return builder.select(builder.fcmp_ordered(">", a, b), a, b)
-
-        first = builder.mul(args[1], ir.Constant(ir.IntType(64), 6 * lanes))
-
-        def load(row: int) -> Any:
-            offset = builder.add(first, ir.Constant(ir.IntType(64), row * lanes))
-            pointer = builder.bitcast(builder.gep(data, [offset]), ir.VectorType(ir.FloatType(), lanes).as_pointer())
-            return builder.fpext(builder.load(pointer, align=4), wide)
-
-        near, far = ir.Constant(wide, [0.0] * lanes), splat(args[4])
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        out = context.make_array(sig.args[5])(context, builder, args[5]).data
+        lanes = Builder(builder, 8, "float64")
+        first = builder.mul(args[1], ir.Constant(ir.IntType(64), 48))
+        near, far = lanes.constant(0.0), lanes.splat(args[4])
         for axis in range(3):
-            o = splat(builder.extract_value(args[2], axis))
-            i = splat(builder.extract_value(args[3], axis))
-            a = builder.fmul(builder.fsub(load(axis), o), i)
-            b = builder.fmul(builder.fsub(load(3 + axis), o), i)
-            near, far = most(near, least(a, b)), least(far, most(a, b))
-        infinite = ir.Constant(wide, [float("inf")] * lanes)
-        met = builder.and_(builder.fcmp_ordered("<=", near, far), builder.fcmp_ordered("<", near, infinite))
-        pointer = builder.bitcast(out, wide.as_pointer())
-        builder.store(near, pointer, align=8)
-        mask = builder.bitcast(met, ir.IntType(lanes))
-        return builder.zext(mask, ir.IntType(64))
+            o = lanes.splat(builder.extract_value(args[2], axis))
+            i = lanes.splat(builder.extract_value(args[3], axis))
+            low = builder.add(first, ir.Constant(ir.IntType(64), 8 * axis))
+            high = builder.add(first, ir.Constant(ir.IntType(64), 8 * (3 + axis)))
+            a = (lanes.load(data, low, "float32") - o) * i
+            b = (lanes.load(data, high, "float32") - o) * i
+            near, far = near.most(a.least(b)), far.least(a.most(b))
+        lanes.store(near, out, ir.Constant(ir.IntType(64), 0))
+        return (near.compare("<=", far) & near.compare("<", float("inf"))).bits()
 
     return signature, generate

@@ -1,0 +1,154 @@
+"""Explicit vectors inside numba kernels: a thin layer over LLVM's fixed-width vector types.
+
+numba's loop vectoriser gives up on the short, branchy loops that rays and tiles are made of, so the innermost code is
+written as vectors of a stated width. LLVM lowers them to what the machine has (AVX-512, AVX2, SSE, NEON). A `Vector` is
+a value under construction, not an array: operators append instructions to the function being built.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+
+__all__ = ["Builder", "Vector"]
+
+_I32 = ir.IntType(32)
+_EXP2 = (1.0, 0.6931471806, 0.2402265079, 0.0555041086, 0.0096181292, 0.0013333558, 0.00015403530)
+"""Taylor coefficients of 2^x, of degree 6; on [-1/2, 1/2] their error is below one float32 ulp."""
+
+
+class Vector:
+    """Lanes of one type, with arithmetic and comparison; a comparison gives a mask."""
+
+    def __init__(self, home: Builder, value: Any) -> None:
+        self.home, self.value = home, value
+
+    def _pair(self, other: Vector | float) -> tuple[Any, Any]:
+        return self.value, (other if isinstance(other, Vector) else self.home.constant(other)).value
+
+    def __add__(self, other: Vector | float) -> Vector:
+        return Vector(self.home, self.home.ir.fadd(*self._pair(other)))
+
+    def __sub__(self, other: Vector | float) -> Vector:
+        return Vector(self.home, self.home.ir.fsub(*self._pair(other)))
+
+    def __mul__(self, other: Vector | float) -> Vector:
+        return Vector(self.home, self.home.ir.fmul(*self._pair(other)))
+
+    def __truediv__(self, other: Vector | float) -> Vector:
+        return Vector(self.home, self.home.ir.fdiv(*self._pair(other)))
+
+    def __and__(self, other: Vector) -> Vector:
+        return Vector(self.home, self.home.ir.and_(self.value, other.value))
+
+    def compare(self, how: str, other: Vector | float) -> Vector:
+        """Mask of lanes where `self how other`; false where either is NaN."""
+        return Vector(self.home, self.home.ir.fcmp_ordered(how, *self._pair(other)))
+
+    def where(self, yes: Vector | float, no: Vector | float) -> Vector:
+        """Of a mask: `yes` where it is set, else `no`."""
+        a = yes if isinstance(yes, Vector) else self.home.constant(yes)
+        b = no if isinstance(no, Vector) else self.home.constant(no)
+        return Vector(self.home, self.home.ir.select(self.value, a.value, b.value))
+
+    def least(self, other: Vector | float) -> Vector:
+        """Smaller of the two, lane by lane."""
+        return self.compare("<", other).where(self, other)
+
+    def most(self, other: Vector | float) -> Vector:
+        """Larger of the two, lane by lane."""
+        return self.compare(">", other).where(self, other)
+
+    def times_plus(self, factor: Vector | float, addend: Vector | float) -> Vector:
+        """`self * factor + addend` in one rounding."""
+        a, b = self._pair(factor)
+        c = (addend if isinstance(addend, Vector) else self.home.constant(addend)).value
+        return Vector(self.home, self.home.ir.fma(a, b, c))
+
+    def exp2(self) -> Vector:
+        """2^self of float32 lanes in [-126, 126], to about one ulp."""
+        home = self.home
+        whole = home.call("llvm.nearbyint", self)
+        part = self - whole
+        result = home.constant(_EXP2[-1])
+        for coefficient in _EXP2[-2::-1]:
+            result = result.times_plus(part, coefficient)
+        integers = ir.VectorType(_I32, home.lanes)
+        exponent = home.ir.shl(home.ir.fptosi(whole.value, integers), home.splat_int(23))
+        bits = home.ir.add(home.ir.bitcast(result.value, integers), exponent)
+        return Vector(home, home.ir.bitcast(bits, home.type))
+
+    def any(self) -> Any:
+        """Of a mask: one bit, set if any lane is."""
+        bits = self.home.ir.bitcast(self.value, ir.IntType(self.home.lanes))
+        return self.home.ir.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+    def bits(self) -> Any:
+        """Of a mask: its lanes as an int64, lane 0 lowest."""
+        return self.home.ir.zext(self.home.ir.bitcast(self.value, ir.IntType(self.home.lanes)), ir.IntType(64))
+
+    def sum(self) -> Any:
+        """Sum of the lanes as a scalar, always in the same tree order."""
+        return self._fold(lambda a, b: a + b)
+
+    def largest(self) -> Any:
+        """Largest lane as a scalar."""
+        return self._fold(lambda a, b: a.most(b))
+
+    def _fold(self, join: Any) -> Any:
+        home, value, lanes = self.home, self, self.home.lanes
+        while lanes > 1:
+            lanes //= 2
+            swap = [i ^ lanes for i in range(home.lanes)]
+            mask = ir.Constant(ir.VectorType(_I32, home.lanes), swap)
+            value = join(value, Vector(home, home.ir.shuffle_vector(value.value, value.value, mask)))
+        return home.ir.extract_element(value.value, ir.Constant(_I32, 0))
+
+
+class Builder:
+    """Makes vectors of `lanes` lanes of `element` ("float32" or "float64") in the function that `builder` builds."""
+
+    def __init__(self, builder: Any, lanes: int, element: str) -> None:
+        self.ir, self.lanes = builder, lanes
+        self.element = ir.FloatType() if element == "float32" else ir.DoubleType()
+        self.type = ir.VectorType(self.element, lanes)
+
+    def constant(self, number: float) -> Vector:
+        """The same number in all lanes."""
+        return Vector(self, ir.Constant(self.type, [number] * self.lanes))
+
+    def counting(self) -> Vector:
+        """0, 1, 2, ..."""
+        return Vector(self, ir.Constant(self.type, [float(k) for k in range(self.lanes)]))
+
+    def splat_int(self, number: int) -> Any:
+        """The same int32 in all lanes, as an LLVM constant."""
+        return ir.Constant(ir.VectorType(_I32, self.lanes), [number] * self.lanes)
+
+    def splat(self, scalar: Any) -> Vector:
+        """A scalar of the element type in all lanes."""
+        nothing = ir.Constant(self.type, ir.Undefined)
+        single = self.ir.insert_element(nothing, scalar, ir.Constant(_I32, 0))
+        return Vector(self, self.ir.shuffle_vector(single, nothing, self.splat_int(0)))
+
+    def call(self, name: str, *arguments: Vector) -> Vector:
+        """An LLVM intrinsic on whole vectors, such as llvm.nearbyint."""
+        kind = ir.FunctionType(self.type, [self.type] * len(arguments))
+        suffix = f"v{self.lanes}f{32 if self.element == ir.FloatType() else 64}"
+        function = self.ir.module.globals.get(f"{name}.{suffix}")
+        if function is None:
+            function = ir.Function(self.ir.module, kind, f"{name}.{suffix}")
+        return Vector(self, self.ir.call(function, [a.value for a in arguments]))
+
+    def load(self, pointer: Any, offset: Any, element: str | None = None) -> Vector:
+        """`lanes` neighbours from `offset` elements behind `pointer`, widened from float32 if asked."""
+        kind = ir.FloatType() if element == "float32" else self.element
+        address = self.ir.bitcast(self.ir.gep(pointer, [offset]), ir.VectorType(kind, self.lanes).as_pointer())
+        value = self.ir.load(address, align=4)
+        return Vector(self, value if kind == self.element else self.ir.fpext(value, self.type))
+
+    def store(self, vector: Vector, pointer: Any, offset: Any) -> None:
+        """Write the lanes to `offset` elements behind `pointer`."""
+        address = self.ir.bitcast(self.ir.gep(pointer, [offset]), self.type.as_pointer())
+        self.ir.store(vector.value, address, align=4)
