@@ -13,6 +13,7 @@ ROOMS = (
     "errors",
     "progress",
     "_check",
+    "_simd",
     "scene",
     "io",
     "color",
