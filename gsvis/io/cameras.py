@@ -6,6 +6,7 @@ OpenCV axes, camera from world.
 
 from __future__ import annotations
 
+import errno
 from os import PathLike
 from pathlib import Path
 
@@ -34,6 +35,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
         The cameras, sorted by image name.
 
     Raises:
+        FileNotFoundError: If there is nothing at `path`.
         FormatError: If the file is none of these, is cut short or malformed, holds distorted cameras or mixed sizes.
         ValueError: If `size` is not two positive integers.
     """
@@ -53,8 +55,8 @@ def _views(path: Path, size: tuple[int, int] | None) -> Views:
             if (path / name).is_file():
                 return _views(path / name, size)
         raise FormatError(path, "", _KNOWN, "a folder without any of them")
-    if not path.is_file():
-        raise FormatError(path, "", _KNOWN, "no such file")
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, "no camera file or folder here", str(path))
     if path.suffix in (".bin", ".txt"):
         return read_colmap(path.parent)
     content = read_json(path)

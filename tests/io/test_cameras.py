@@ -77,7 +77,7 @@ def test_what_is_no_camera_file_says_so(tmp_path: Path, text: str) -> None:
 
 
 def test_a_missing_file_says_so(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no such file"):
+    with pytest.raises(FileNotFoundError, match=r"no camera file or folder here.*nothing\.json"):
         load_cameras(tmp_path / "nothing.json")
 
 
