@@ -1,0 +1,9 @@
+"""Bytes to scene and back: one file format, one file; camera and pose files too."""
+
+from __future__ import annotations
+
+from gsvis.io.cameras import load_cameras
+from gsvis.io.convert import convert_scene
+from gsvis.io.scenes import load_scene, save_scene
+
+__all__ = ["convert_scene", "load_cameras", "load_scene", "save_scene"]

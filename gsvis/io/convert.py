@@ -1,0 +1,113 @@
+"""What `gsvis convert` does to a scene between reading and writing: cut, thin, simplify, turn.
+
+Pure functions of scenes in their own frame; knows no file and no format.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["AXES", "convert_scene", "rotation_between_axes"]
+
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+"""Names of the six directions along the axes."""
+
+
+def convert_scene(
+    scene: Gaussians,
+    *,
+    crop: ArrayLike | None = None,
+    min_opacity: float = 0.0,
+    max_sh_degree: int = 3,
+    up: tuple[str, str] | None = None,
+) -> Gaussians:
+    """A new scene with fewer Gaussians, less view dependence, or another up axis.
+
+    Args:
+        scene: What to convert; stays as it is.
+        crop: (2, 3) lowest and highest corner of a box in the frame of `scene`; Gaussians whose centre lies in it,
+            borders included, are kept. Infinite corners leave a side open.
+        min_opacity: Gaussians of at least this opacity are kept, in [0, 1].
+        max_sh_degree: Higher degrees of the spherical harmonics are dropped, 0 to 3.
+        up: The axis that points up now and the one that shall, such as `("-y", "+z")`. The scene turns about the axis
+            that is normal to both (by half a turn about x, or y for x itself, where they are opposite). None: no turn.
+
+    Returns:
+        The converted scene; order is kept.
+
+    Raises:
+        ValueError: If an argument is out of its range.
+        SceneError: If no Gaussian is left.
+    """
+    if not 0.0 <= min_opacity <= 1.0:
+        raise ValueError(f"min_opacity: expected a value in [0, 1], got {min_opacity!r}")
+    if isinstance(max_sh_degree, bool) or max_sh_degree not in (0, 1, 2, 3):
+        raise ValueError(f"max_sh_degree: expected 0, 1, 2 or 3, got {max_sh_degree!r}")
+    rotation = None if up is None else rotation_between_axes(*_pair(up))
+    kept = scene.opacities >= min_opacity
+    if crop is not None:
+        box = _check.floats("crop", crop, (2, 3), np.float64, finite=False)
+        if not (box[0] <= box[1]).all():  # also catches NaN
+            raise ValueError(f"crop: expected a lowest corner below the highest, got {box.tolist()}")
+        kept &= ((scene.means >= box[0]) & (scene.means <= box[1])).all(axis=1)
+    if not kept.any():
+        raise SceneError(
+            f"convert: none of {len(scene):,} Gaussians is left by crop and min_opacity {min_opacity:g}; "
+            f"{_extent(scene)}"
+        )
+    result = scene if kept.all() else scene[kept]
+    if result.sh_degree > max_sh_degree:
+        higher = result.shN[:, : (max_sh_degree + 1) ** 2 - 1]
+        result = Gaussians(result.means, result.quats, result.scales, result.opacities, result.sh0, higher)
+    if rotation is not None and not np.array_equal(rotation, np.eye(3)):
+        result = result.transformed(rotation)
+    return result
+
+
+def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
+    """(3, 3) rotation, new frame from old frame, that takes one axis to another.
+
+    Args:
+        old: One of `AXES`.
+        new: One of `AXES`.
+
+    Raises:
+        ValueError: If a name is none of `AXES`.
+
+    Example:
+        >>> (rotation_between_axes("-y", "+z") @ [0, -1, 0]).tolist()
+        [0.0, 0.0, 1.0]
+    """
+    a, b = _axis("up", old), _axis("up", new)
+    if np.array_equal(a, b):
+        return np.eye(3)
+    if np.array_equal(a, -b):
+        pivot = np.eye(3)[1 if a[0] else 0]
+        return 2.0 * np.outer(pivot, pivot) - np.eye(3)
+    normal = np.cross(a, b)
+    turn = np.outer(b, a) - np.outer(a, b) + np.outer(normal, normal)
+    return np.asarray(turn + 0.0, np.float64)  # + 0.0 turns -0.0 into 0.0
+
+
+def _pair(up: object) -> tuple[str, str]:
+    if not isinstance(up, tuple | list) or len(up) != 2:
+        raise ValueError(f'up: expected two axes, now and then, such as ("-y", "+z"), got {up!r}')
+    return up[0], up[1]
+
+
+def _axis(name: str, axis: str) -> NDArray[np.float64]:
+    _check.one_of(name, axis, AXES)
+    return np.asarray(np.eye(3)["xyz".index(axis[1])] * (1.0 if axis[0] == "+" else -1.0), np.float64)
+
+
+def _extent(scene: Gaussians) -> str:
+    """Where the centres and opacities of a scene lie, for an error message."""
+    if len(scene) == 0:
+        return "the scene was empty before"
+    low, high = (np.round(corner, 3).tolist() for corner in scene.bounds())
+    return f"98% of the centres lie in {low} to {high}, opacities reach {scene.opacities.max():.3g}"

@@ -1,0 +1,124 @@
+"""Reading a scene whatever its format, and writing one by its suffix.
+
+The content decides the format first, the suffix only where there is no magic number (`.splat`). One format, one file
+beside this one.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from gsvis.errors import FormatError
+from gsvis.io._json import parse_object
+from gsvis.io.ply import load_ply, save_ply
+from gsvis.io.sog import load_sog
+from gsvis.io.sog_writer import save_sog
+from gsvis.io.splat import load_splat
+from gsvis.io.spz import load_spz, save_spz
+from gsvis.io.streamed_sog import load_streamed_sog
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["load_scene", "save_scene"]
+
+_KNOWN = (
+    "a scene: PLY (.ply, .compressed.ply), .splat, SPZ (.spz), SOG (.sog or a folder with meta.json) "
+    "or streamed SOG (lod-meta.json or its folder)"
+)
+_READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
+    ".ply": load_ply,
+    ".splat": load_splat,
+    ".spz": load_spz,
+    ".sog": load_sog,
+}
+_WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
+    ".ply": save_ply,
+    ".spz": save_spz,
+    ".sog": save_sog,
+}
+_MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK": ".sog"}
+
+
+def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussians:
+    """Read a scene of 3D Gaussians in any of the formats that gsvis knows.
+
+    Args:
+        path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its folder)
+            or a streamed SOG (`lod-meta.json` or its folder).
+        lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest that is present. Other formats
+            have one level and want None.
+
+    Returns:
+        The scene, in the file's order and frame, activated. SPZ is turned to the frame of the same scene's PLY.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        FormatError: If the format is unknown, or the file is damaged, truncated, empty or made to exhaust memory.
+        ValueError: If `lod` is given for a format with one level.
+    """
+    where = Path(path)
+    if not where.exists():
+        raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(where))
+    if _is_streamed(where):
+        return load_streamed_sog(where, lod)
+    reader = _reader(where)
+    if lod is not None:
+        raise ValueError(f"lod: expected None for a file with one level of detail, got {lod!r}; leave it out")
+    return reader(where)
+
+
+def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
+    """Write a scene in the format of the path's suffix, whole or not at all.
+
+    INRIA PLY (`.ply`) keeps everything; SPZ (`.spz`) and SOG (`.sog`) are about ten times smaller and lossy.
+
+    Args:
+        scene: What to write.
+        path: A file name that ends in `.ply`, `.spz` or `.sog`; its folder is made if missing.
+
+    Raises:
+        ValueError: If the suffix is another one, the scene is empty, or the format cannot hold it.
+        OSError: If the file cannot be written.
+    """
+    where = Path(path)
+    writer = _WRITERS.get(where.suffix.lower())
+    if writer is None or where.name.lower().endswith(".compressed.ply"):
+        raise ValueError(
+            f"path: expected a name that ends in {', '.join(_WRITERS)}, got {where.name!r}; "
+            "other formats, compressed PLY among them, are only read"
+        )
+    if len(scene) == 0:
+        raise ValueError("scene: expected at least one Gaussian, got an empty scene; there is nothing to write")
+    writer(scene, where)
+
+
+def _is_streamed(path: Path) -> bool:
+    """Whether this is a streamed SOG scene: by file name in a folder, by content otherwise."""
+    if path.is_dir():
+        return (path / "lod-meta.json").is_file()
+    if path.suffix.lower() != ".json":
+        return False
+    fields = parse_object(path, path.read_bytes())
+    return "tree" in fields or "filenames" in fields or path.name == "lod-meta.json"
+
+
+def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
+    """The reader for a file or folder that is no streamed SOG."""
+    if path.is_dir():
+        if not (path / "meta.json").is_file():
+            raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json")
+        return load_sog
+    if path.suffix.lower() == ".json":
+        return load_sog
+    with open(path, "rb") as stream:
+        head = stream.read(8)
+    for magic, suffix in _MAGICS.items():
+        if head.startswith(magic):
+            return _READERS[suffix]
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        found = "an empty file" if not head else f"a file beginning {head!r} named {path.name!r}"
+        raise FormatError(path, "", _KNOWN, found)
+    return reader

@@ -1,0 +1,112 @@
+"""Writing SOG version 2: WebP planes in a stored zip, the higher SH as a palette found by clustering.
+
+Lossy: 16 bits a coordinate on a logarithmic scale, 8 bits a quaternion component and opacity, 256 values for all
+scales and for all colours, up to 65,536 sets of higher coefficients. The order of the Gaussians is kept.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import zipfile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.io._quantise import codebook_of, nearest_entry, palette_of
+from gsvis.io._webp import MAX_PIXELS, encode_plane
+from gsvis.io.atomic import atomic_path
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["save_sog"]
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+_PALETTE_ROW = 64
+_MAX_PALETTE = 65536
+
+
+def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
+    """Write a `.sog` file, whole or not at all. The same scene gives the same bytes.
+
+    Args:
+        scene: What to write; its order and frame are kept.
+        path: The file; its folder is made if missing.
+
+    Raises:
+        ValueError: If the scene is empty or has more Gaussians than a plane has pixels.
+        OSError: If it cannot be written.
+    """
+    if not 1 <= len(scene) <= MAX_PIXELS:
+        raise ValueError(f"scene: expected 1 to {MAX_PIXELS:,} Gaussians for SOG, got {len(scene):,}")
+    planes: dict[str, U8] = {}
+    meta: dict[str, Any] = {"version": 2, "asset": {"generator": "gsvis"}, "count": len(scene)}
+    meta["means"] = _means(scene, planes)
+    planes["quats"] = _as_plane(_quats(scene.quats))
+    meta["quats"] = {"files": ["quats.webp"]}
+    scales = np.log(scene.scales.astype(np.float64)).astype(np.float32)
+    codebook = codebook_of(scales)
+    planes["scales"] = _as_plane(nearest_entry(scales, codebook))
+    meta["scales"] = {"codebook": codebook.tolist(), "files": ["scales.webp"]}
+    sh0 = scene.sh0[:, 0]
+    codebook = codebook_of(sh0)
+    opacities = np.rint(scene.opacities * 255.0).astype(np.uint8)
+    planes["sh0"] = _as_plane(np.column_stack([nearest_entry(sh0, codebook), opacities]))
+    meta["sh0"] = {"codebook": codebook.tolist(), "files": ["sh0.webp"]}
+    if scene.sh_degree:
+        meta["shN"] = _higher(scene, planes)
+    with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+        for name, plane in planes.items():
+            archive.writestr(zipfile.ZipInfo(f"{name}.webp"), encode_plane(plane))
+        archive.writestr(zipfile.ZipInfo("meta.json"), json.dumps(meta))
+
+
+def _as_plane(values: U8) -> U8:
+    """(H, W, 4) image with one pixel for each row; missing channels are 0 and alpha is 255."""
+    width = 4 * math.ceil(math.sqrt(len(values)) / 4)
+    height = 4 * math.ceil(len(values) / width / 4)
+    pixels = np.zeros((height * width, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(values), : values.shape[1]] = values
+    return pixels.reshape(height, width, 4)
+
+
+def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
+    means = scene.means.astype(np.float64)
+    position = np.sign(means) * np.log1p(np.abs(means))
+    low, high = position.min(axis=0), position.max(axis=0)
+    unit = (position - low) / np.where(high > low, high - low, 1.0)
+    steps = np.rint(unit * 65535.0).astype(np.uint16)
+    planes["means_l"] = _as_plane((steps & np.uint16(0xFF)).astype(np.uint8))
+    planes["means_u"] = _as_plane((steps >> np.uint16(8)).astype(np.uint8))
+    return {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
+
+
+def _quats(quats: F32) -> U8:
+    """(N, 4) bytes: the three smaller components, and 252 plus the place of the largest."""
+    largest = np.abs(quats).argmax(axis=1)
+    positive = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -quats, quats)
+    others = np.array([[c for c in range(4) if c != place] for place in range(4)])
+    three = np.take_along_axis(positive, others[largest], axis=1)
+    packed = np.clip(np.rint((three * np.sqrt(0.5) + 0.5) * 255.0), 0, 255)
+    return np.column_stack([packed, 252 + largest]).astype(np.uint8)
+
+
+def _higher(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
+    n, k = scene.shN.shape[:2]
+    palette, labels = palette_of(scene.shN.reshape(n, 3 * k), _MAX_PALETTE)
+    codebook = codebook_of(palette)
+    rows = math.ceil(len(palette) / _PALETTE_ROW)
+    pixels = np.zeros((rows * _PALETTE_ROW * k, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(palette) * k, :3] = nearest_entry(palette, codebook).reshape(-1, 3)
+    planes["shN_centroids"] = pixels.reshape(rows, _PALETTE_ROW * k, 4)
+    planes["shN_labels"] = _as_plane(np.column_stack([labels & 0xFF, labels >> 8]).astype(np.uint8))
+    return {
+        "count": len(palette),
+        "bands": scene.sh_degree,
+        "codebook": codebook.tolist(),
+        "files": ["shN_centroids.webp", "shN_labels.webp"],
+    }
