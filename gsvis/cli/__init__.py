@@ -77,10 +77,22 @@ def parse(arguments: Sequence[str]) -> Command:
         Command,
         prog="gsvis",
         description=_ABOUT,
-        args=arguments,
+        args=_axes_as_values(arguments),
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
     )
     return command
+
+
+def _axes_as_values(arguments: Sequence[str]) -> list[str]:
+    """The arguments with the value of --up, which may begin with a minus, made to look like a value."""
+    words: list[str] = []
+    for word in arguments:
+        option, equals, value = word.partition("=")
+        if option == "--up" and equals:
+            words += [option, f" {value}"]
+        else:
+            words.append(f" {word}" if words[-1:] == ["--up"] else word)
+    return words
 
 
 def version() -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
+import textwrap
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
@@ -123,16 +125,19 @@ def print_json(document: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def facts(title: str, rows: Iterable[tuple[str, str]]) -> Table:
-    """A table of names and values."""
+def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ("", "")) -> Table:
+    """A table whose first column names the row."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=False)
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in rows:
-        table.add_row(name, value)
+    named = any(header)
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=named)
+    for column, name in enumerate(header):
+        table.add_column(
+            name, style="" if column else "dim", no_wrap=not column, justify="right" if named and column else "left"
+        )
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -140,8 +145,11 @@ def show(*parts: Table | str) -> None:
     """Tables and lines on stdout, in at most 80 columns, in colour only on a terminal."""
     from rich.console import Console
 
-    console = Console(width=None if sys.stdout.isatty() else 80, highlight=False)
-    if console.width > 80:
-        console = Console(width=80, highlight=False)
-    for part in parts:
-        console.print(part, markup=False, soft_wrap=isinstance(part, str))
+    console = Console(width=min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80, highlight=False)
+    with console.capture() as held:
+        for part in parts:
+            if isinstance(part, str):
+                indent = " " * (3 if part.startswith(" - ") else 1)
+                part = textwrap.fill(part, console.width - 1, subsequent_indent=indent, break_long_words=False)
+            console.print(part, markup=False, soft_wrap=isinstance(part, str))
+    sys.stdout.write("\n".join(line.rstrip() for line in held.get().splitlines()) + "\n")

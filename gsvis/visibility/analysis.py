@@ -22,7 +22,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["PAPER", "Agreement", "Analysis", "AnalysisConfig", "DirectionCdf", "Settling", "analyze"]
+__all__ = ["FACE_LIMITS", "PAPER", "Agreement", "Analysis", "AnalysisConfig", "DirectionCdf", "Settling", "analyze"]
 
 PAPER = MappingProxyType(
     {"mean_visible": 0.2021, "one_view_visible": 0.3358, "below_33_faces": 0.394, "below_48_faces": 0.804}
@@ -32,8 +32,8 @@ PAPER = MappingProxyType(
 FACE_LIMITS = (33, 48)
 """41.25% and 60% of the 80 faces; the paper's shares are of Gaussians seen from *less* than these."""
 
-SETTLED = 0.01
-"""Shares that change by less than this when the number of cameras doubles have settled."""
+SETTLED = 0.02
+"""A CDF of which no point moves by this much when the number of cameras doubles has settled."""
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
@@ -92,6 +92,11 @@ class DirectionCdf:
         none = float(self.values[0])
         return np.asarray((self.values - none) / (1.0 - none)) if self.seen else np.ones_like(self.values)
 
+    @property
+    def mean_faces(self) -> float:
+        """Faces from which a Gaussian is seen, mean over all."""
+        return float(np.sum(1.0 - self.values[:-1]))
+
     def below(self, faces: int, *, of_seen: bool = False) -> float:
         """Share of the Gaussians seen from strictly fewer than `faces` faces.
 
@@ -106,6 +111,7 @@ class DirectionCdf:
         return {
             "gaussians": self.count,
             "seen_at_least_once": self.seen,
+            "mean_faces": self.mean_faces,
             "share_below": [
                 {"faces": k, "of_all": self.below(k), "of_seen": self.below(k, of_seen=True)} for k in FACE_LIMITS
             ],
@@ -121,29 +127,29 @@ class Settling:
     Attributes:
         cameras: Number of cameras taken so far, in a random order.
         seen: Gaussians seen at least once by them.
+        mean_faces: Faces from which a Gaussian is seen, mean over all.
         below_33_of_all: Share of all Gaussians seen from fewer than 33 faces.
         below_48_of_all: The same for 48 faces.
         below_33_of_seen: Share of the Gaussians seen at least once.
         below_48_of_seen: The same for 48 faces.
+        change: Largest difference to the CDF of all Gaussians one step before; None for the first step.
     """
 
     cameras: int
     seen: int
+    mean_faces: float
     below_33_of_all: float
     below_48_of_all: float
     below_33_of_seen: float
     below_48_of_seen: float
+    change: float | None
 
     @classmethod
-    def of(cls, cameras: int, cdf: DirectionCdf) -> Settling:
-        """The figures of one distribution."""
+    def of(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
+        """The figures of one distribution and of the one a step before."""
         shares = [cdf.below(k, of_seen=of_seen) for of_seen in (False, True) for k in FACE_LIMITS]
-        return cls(cameras, cdf.seen, *shares)
-
-    def change(self, other: Settling) -> float:
-        """Largest absolute change of the four shares."""
-        mine, theirs = asdict(self), asdict(other)
-        return max(abs(float(mine[name]) - float(theirs[name])) for name in mine if name.startswith("below"))
+        change = None if before is None else float(np.abs(cdf.values - before.values).max())
+        return cls(cameras, cdf.seen, cdf.mean_faces, *shares, change)
 
 
 @dataclass(frozen=True)
@@ -223,18 +229,13 @@ class Analysis:
         return float(angles.min()), float(angles.max())
 
     @property
-    def last_change(self) -> float | None:
-        """How much the shares changed from half to all of the cameras; None with a single camera."""
-        return self.settling[-1].change(self.settling[-2]) if len(self.settling) > 1 else None
-
-    @property
     def has_settled(self) -> bool:
-        """Whether twice the cameras changed no share by 1 percentage point or more.
+        """Whether twice the cameras moved no point of the gathered CDF by 2 percentage points or more.
 
         Each camera adds at most one face to a set, so fewer than 160 cameras never count as settled: the first half
         must have been able to fill all 80 faces.
         """
-        change = self.last_change
+        change = self.settling[-1].change
         return change is not None and self.settling[-2].cameras >= directions.NUM_FACES and change < SETTLED
 
     def as_dict(self) -> dict[str, Any]:
@@ -259,7 +260,6 @@ class Analysis:
                 "share_below_counts": "Gaussians seen from strictly fewer faces of the 80",
                 "gathered": self.gathered.as_dict(),
                 "settling": [asdict(step) for step in self.settling],
-                "change_from_half_to_all_cameras": self.last_change,
                 "has_settled": self.has_settled,
                 "traced": self.traced.as_dict() if self.traced else None,
                 "untraced_because": self.untraced_because or None,
@@ -336,7 +336,8 @@ def _from_cameras(
     visible = np.zeros(total, np.int64)
     sets = np.zeros((len(g), directions.NUM_FACES // 8), np.uint8)
     stops = {-(-total // part) for part in (8, 4, 2, 1)}
-    settling = []
+    settling: list[Settling] = []
+    before: DirectionCdf | None = None
     progress("cameras", 0, total)
     for done, c in enumerate(order, 1):
         camera = cameras[int(c)]
@@ -344,7 +345,9 @@ def _from_cameras(
         visible[c] = np.count_nonzero(weights[0] >= np.float32(tau))
         sets |= directions.seen_directions(g, weights, camera.viewpoints, tau)
         if done in stops:
-            settling.append(Settling.of(done, DirectionCdf.of(sets)))
+            cdf = DirectionCdf.of(sets)
+            settling.append(Settling.of(done, cdf, before))
+            before = cdf
         progress("cameras", done, total)
     return visible, sets, tuple(settling)
 

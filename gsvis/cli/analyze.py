@@ -1,0 +1,186 @@
+"""`gsvis analyze`: which Gaussians views need, from which directions each can be seen, as a report."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Analyze
+from gsvis.cli.source import Source, check_folder, check_source, evenly, load_source
+from gsvis.cli.terminal import Status, facts, print_json, show
+from gsvis.errors import SceneError
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.inspection import axis_vector, inspect_scene
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["run_analyze"]
+
+_VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
+
+
+def run_analyze(command: Analyze) -> None:
+    """Read, trace, render, write the report, print a table or JSON.
+
+    Raises:
+        GsvisError: If a file cannot be read, or the scene cannot serve.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If a file is missing.
+        OSError: If the report cannot be written.
+    """
+    check_source(command.scene, command.lod)
+    check_folder(command.out)
+    given = _given_cameras(command)
+    with Status() as status:
+        document = _reported(command, given, status)
+    if command.json:
+        print_json(document)
+    else:
+        show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
+
+
+def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[str, Any]:
+    """Everything between reading the scene and a written report."""
+    from gsvis.raycast import EllipsoidProxies, Tracer
+    from gsvis.report import Subject, picture_views, write_report
+    from gsvis.visibility import AnalysisConfig, analyze
+
+    config = AnalysisConfig(command.tau, command.traced_sample, seed=command.seed)
+    status("reading", 0, 1)
+    source = load_source(command.scene, command.lod)
+    g = source.gaussians
+    if len(g) == 0:
+        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+    inspected = inspect_scene(g).as_dict()
+    status("reading", 1, 1)
+    status("space", 0, 1)
+    navigable, no_space = _space(source, given)
+    cameras = given if given is not None else _sampled(command, navigable, no_space)
+    status("space", 1, 1)
+    tracer = Tracer(EllipsoidProxies.from_scene(g))
+    analysis = analyze(g, cameras, config, navigable=navigable, tracer=tracer, progress=status)
+    pictures = picture_views(tracer, analysis, progress=status)
+    subject = Subject(
+        title=source.name,
+        gaussians=g,
+        up=navigable.up if navigable is not None else axis_vector(inspected["up"]),
+        cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
+        command=_spelled(command),
+        version=version(),
+        facts={"path": command.scene, "lod": source.lod, **inspected},
+        parameters=_parameters(command, cameras),
+        seconds=dict(status.seconds),
+    )
+    return write_report(command.out, analysis, subject, pictures, progress=status)
+
+
+def _given_cameras(command: Analyze) -> Cameras | None:
+    """The cameras of a file, resized as asked; None without a file."""
+    if command.cameras is None:
+        return None
+    if command.fov is not None:
+        raise ValueError(
+            f"--fov: expected none with --cameras, whose file states it, got {command.fov:g}; leave it out"
+        )
+    from gsvis.io.cameras import load_cameras
+
+    both = (command.width, command.height) if command.width and command.height else None
+    cameras = load_cameras(command.cameras, size=both)
+    if len(cameras) == 0:
+        raise ValueError(f"--cameras: expected at least one camera in {command.cameras}, got none")
+    if both is None:
+        aspect = cameras.width / cameras.height
+        width = command.width or (round(command.height * aspect) if command.height else min(_WIDTH, cameras.width))
+        cameras = cameras.resized(max(1, width), max(1, command.height or round(width / aspect)))
+    return cameras if command.views is None else evenly(cameras, command.views)
+
+
+def _space(source: Source, given: Cameras | None) -> tuple[NavigableSpace | None, str]:
+    """Where eyes may be, or None and why not."""
+    if source.navigable is not None:
+        return source.navigable, ""
+    seeds = None if given is None else given.viewpoints
+    try:
+        return NavigableSpace.from_scene(source.gaussians, seeds=seeds), ""
+    except SceneError as error:
+        return None, str(error)
+
+
+def _sampled(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:
+    if navigable is None:
+        raise SceneError(f"{command.scene}: {no_space}; give cameras with --cameras FILE")
+    return navigable.sample_cameras(
+        command.views or _VIEWS,
+        np.random.default_rng(command.seed),
+        width=command.width or _WIDTH,
+        height=command.height or _HEIGHT,
+        fov=command.fov or _FOV,
+    )
+
+
+def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
+    """All that decides the result, with defaults filled in."""
+    return {
+        "scene": command.scene,
+        "lod": command.lod,
+        "cameras": command.cameras,
+        "views": len(cameras),
+        "width": cameras.width,
+        "height": cameras.height,
+        "fov": None if command.cameras else (command.fov or _FOV),
+        "seed": command.seed,
+        "tau": command.tau,
+        "traced_sample": command.traced_sample,
+    }
+
+
+def _spelled(command: Analyze) -> str:
+    """The command line that makes the report again."""
+    words = ["gsvis", "analyze", command.scene, "-o", command.out]
+    for name in ("lod", "cameras", "views", "width", "height", "fov", "seed", "tau", "traced_sample"):
+        value = getattr(command, name)
+        if value is not None and value != getattr(Analyze, name):
+            words += ["--" + name.replace("_", "-"), f"{value:g}" if isinstance(value, float) else str(value)]
+    return shlex.join(words)
+
+
+def _tables(document: dict[str, Any]) -> list[Any]:
+    """What was looked at, and what was found beside the paper's figures."""
+    visible, rays, found = document["visible_fraction"], document["rays"], document["directions"]
+    low, high = rays["horizontal_fov_degrees"]
+    angle = f"{low:.0f}" if high - low < 0.5 else f"{low:.0f} to {high:.0f}"
+    about = [
+        ("Gaussians", f"{document['gaussians']:,}"),
+        ("cameras", f"{len(visible['cameras']):,}, {document['cameras_from']}"),
+        ("rays a view", f"{rays['width']} x {rays['height']}, field of view {angle} degrees"),
+    ]
+    shares = [
+        ("visible in a view: mean of the cameras", f"{visible['mean']:.2%}", "20.21%"),
+        ("                   smallest", f"{visible['min']:.2%}", ""),
+        ("                   largest", f"{visible['max']:.2%}", "33.58%*"),
+        ("seen by at least one camera", f"{found['gathered']['seen_at_least_once'] / document['gaussians']:.2%}", ""),
+    ]
+    for way, named in (("gathered", f"seen by {len(visible['cameras']):,} cameras"), ("traced", "traced outward")):
+        if found[way]:
+            for each, limit, paper in zip(
+                found[way]["share_below"], ("41.25%", "60%"), ("39.4%", "80.4%"), strict=True
+            ):
+                told = f"{named} from < {limit} of directions"
+                shares.append((told, f"{each['of_all']:.2%}", paper))
+    if found["agreement"]:
+        shares.append(("agreement of the two: mean Jaccard index", f"{found['agreement']['mean_jaccard']:.3f}", ""))
+    return [facts(document["scene"]["name"], about), facts("", shares, ("share of all Gaussians", "here", "paper"))]
+
+
+def _remarks(document: dict[str, Any]) -> list[str]:
+    found = document["directions"]
+    remarks = [" * in the one view of the paper's figure 1"]
+    if not found["has_settled"]:
+        count = len(document["visible_fraction"]["cameras"])
+        remarks.append(f" What {count:,} cameras saw of directions has not settled: too few; see the report.")
+    if found["untraced_because"]:
+        remarks.append(f" Directions were not traced outward: {found['untraced_because']}.")
+    return remarks

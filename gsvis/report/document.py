@@ -1,0 +1,132 @@
+"""A report on disk: `report.json`, the plots and pictures as PNG files, and `report.html` with all of it inside."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from gsvis.io.atomic import atomic_folder
+from gsvis.progress import Progress, silent
+from gsvis.report.maps import Ground, draw_directions, draw_seen_map
+from gsvis.report.page import Figure, page
+from gsvis.report.pictures import ViewPicture, png_of
+from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
+from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.scene.gaussians import Gaussians
+from gsvis.visibility import FACE_LIMITS, Analysis
+
+__all__ = ["Subject", "report_document", "write_report"]
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What a report is about, besides the figures.
+
+    Attributes:
+        title: The scene's name.
+        gaussians: The scene.
+        up: (3,) its up axis, for maps.
+        cameras_from: Where the cameras come from, as a phrase.
+        command: The exact command that makes this report again.
+        version: Of gsvis.
+        facts: What inspection found, as `SceneReport.as_dict()` gives it.
+        parameters: All parameters by name.
+        seconds: How long each stage took, by its name.
+    """
+
+    title: str
+    gaussians: Gaussians
+    up: NDArray[Any]
+    cameras_from: str
+    command: str
+    version: str
+    facts: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
+    """The content of `report.json`.
+
+    Args:
+        analysis: The figures.
+        subject: What they are about.
+    """
+    return {
+        "format": "gsvis-report",
+        "version": 1,
+        "gsvis": subject.version,
+        "command": subject.command,
+        "parameters": subject.parameters,
+        "scene": {"name": subject.title, **subject.facts},
+        "cameras_from": subject.cameras_from,
+        **analysis.as_dict(),
+        "seconds": subject.seconds,
+    }
+
+
+def write_report(
+    folder: str | os.PathLike[str],
+    analysis: Analysis,
+    subject: Subject,
+    pictures: list[ViewPicture],
+    *,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Draw everything and write the folder, whole or not at all.
+
+    Args:
+        folder: Made if missing; other files in it stay.
+        analysis: The figures.
+        subject: What they are about.
+        pictures: Rendered views, as `picture_views` gives them.
+        progress: Called with stage "writing".
+
+    Returns:
+        What was written as `report.json`.
+
+    Raises:
+        OSError: If the folder cannot be written.
+    """
+    figures = _figures(analysis, subject, pictures, progress)
+    document = report_document(analysis, subject)
+    with atomic_folder(folder) as partial_folder:
+        for figure in figures.values():
+            (partial_folder / figure.file).write_bytes(figure.light)
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (partial_folder / "report.json").write_text(text, encoding="utf-8")
+        html = page(analysis, document, figures)
+        Path(partial_folder / "report.html").write_text(html, encoding="utf-8")
+    return document
+
+
+def _figures(
+    analysis: Analysis, subject: Subject, pictures: list[ViewPicture], progress: Progress
+) -> dict[str, Figure]:
+    """All plots, maps and pictures by name, each plot drawn for light and for dark pages."""
+    cameras = analysis.cameras
+    ground = Ground.of(subject.gaussians, subject.up, cameras.viewpoints)
+    plots: dict[str, tuple[Any, tuple[float, float]]] = {
+        "visible": (partial(draw_visible, analysis=analysis), (5.2, 2.9)),
+        "cdf": (partial(draw_cdf, analysis=analysis), (5.2, 4.0)),
+    }
+    if len(cameras) >= FACE_LIMITS[0]:  # with fewer, no Gaussian can be seen from that many faces: nothing to draw
+        plots["settling"] = (partial(draw_settling, analysis=analysis), (5.2, 3.4))
+    for picture in pictures:
+        camera = cameras[picture.camera]
+        draw = partial(draw_seen_map, ground=ground, visible=picture.visible, camera=camera)
+        plots[f"map_{picture.role}"] = (draw, ground.size)
+    if analysis.traced is not None:
+        plots["map_directions"] = (partial(draw_directions, ground=ground, analysis=analysis), ground.size)
+    figures = {f"view_{p.role}": Figure(f"view_{p.role}.png", png_of(p.image)) for p in pictures}
+    progress("writing", 0, len(plots))
+    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
+        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        progress("writing", done, len(plots))
+    return figures

@@ -1,0 +1,168 @@
+"""Maps of a scene from above: which Gaussians a view needs, and from how many directions each can be seen.
+
+From above means along the up axis, whatever axis of the scene that is; map coordinates are scene units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.raycast import directions
+from gsvis.report.theme import Theme
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.visibility import Analysis
+
+__all__ = ["Ground", "draw_directions", "draw_seen_map"]
+
+F64 = NDArray[np.float64]
+
+_CELLS = 420  # along the longer side, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The plane a map is drawn on.
+
+    Attributes:
+        right: (3,) unit vector to the right of the map.
+        onward: (3,) unit vector to the top of the map; right x onward is up.
+        places: (N, 2) centres of the Gaussians on the map, scene units.
+        box: (2, 2) lowest and highest corner of the map.
+    """
+
+    right: F64
+    onward: F64
+    places: F64
+    box: F64
+
+    @classmethod
+    def of(cls, g: Gaussians, up: ArrayLike, eyes: ArrayLike | None = None) -> Ground:
+        """The map of a scene, N > 0.
+
+        Args:
+            g: The scene.
+            up: (3,) up axis.
+            eyes: (C, 3) viewpoints to have on the map even where they stand outside the scene's robust bounds.
+        """
+        axis = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))[0]
+        level = np.eye(3)[np.abs(axis).argsort(kind="stable")[0]]  # an axis of the scene, so that maps lie straight
+        right = level - (level @ axis) * axis
+        right /= np.linalg.norm(right)
+        onward = np.cross(axis, right)
+        frame = np.stack([right, onward])
+        places = g.means.astype(np.float64) @ frame.T
+        low, high = np.quantile(places, [0.01, 0.99], axis=0)
+        if eyes is not None:
+            standing = _check.floats("eyes", eyes, ("C", 3), np.float64) @ frame.T
+            low, high = np.minimum(low, standing.min(axis=0)), np.maximum(high, standing.max(axis=0))
+        margin = 0.04 * max(float((high - low).max()), 1e-9)
+        return cls(right, onward, places, np.stack([low - margin, high + margin]))
+
+    def project(self, points: F64) -> F64:
+        """(M, 2) map coordinates of (M, 3) points."""
+        return np.asarray(points @ np.stack([self.right, self.onward]).T)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height in inches for a plot of 5.2 inches at the most."""
+        width, height = self.box[1] - self.box[0]
+        return 5.2, float(np.clip(5.2 * height / width, 2.2, 6.5))
+
+
+def draw_seen_map(axes: Axes, theme: Theme, ground: Ground, visible: NDArray[np.bool_], camera: Cameras) -> None:
+    """The scene from above, what one camera sees in colour and what it does not in grey, with the camera.
+
+    Args:
+        axes: Where to draw.
+        theme: Colours.
+        ground: The map.
+        visible: (N,) what the camera sees.
+        camera: One camera.
+    """
+    extent, count, seen = _raster(ground, visible)
+    share = seen / np.maximum(count, 1.0)
+    strength = np.log1p(count) / np.log1p(max(np.quantile(count[count > 0], 0.95), 1.0)) if count.any() else count
+    strength = np.where(count > 0, np.clip(0.4 + 0.6 * strength, 0.0, 1.0), 0.0)[..., None]
+    hue = np.sqrt(share)[..., None]  # a few visible Gaussians among many still show
+    colour = hue * to_rgb(theme.gathered) + (1.0 - hue) * np.asarray(to_rgb(theme.hidden))
+    image = strength * colour + (1.0 - strength) * np.asarray(to_rgb(theme.paper))
+    axes.imshow(image, extent=extent, origin="lower", interpolation="nearest", aspect="equal")
+    _draw_camera(axes, theme, ground, camera)
+    _frame(axes, ground)
+
+
+def draw_directions(axes: Axes, theme: Theme, ground: Ground, analysis: Analysis) -> None:
+    """The traced sample from above, coloured by the share of directions from which each Gaussian can be seen."""
+    fractions = directions.direction_fractions(analysis.traced_sets)
+    places = ground.places[analysis.sample]
+    order = np.argsort(fractions, kind="stable")
+    x, y = places[order].T
+    dots = axes.scatter(x, y, c=fractions[order], s=5, cmap="viridis", vmin=0.0, vmax=1.0, linewidths=0)
+    bar = axes.figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.02, format=PercentFormatter(1.0))
+    bar.set_label("directions it can be seen from", color=theme.ink)
+    bar.outline.set_visible(False)
+    axes.set_aspect("equal")
+    _frame(axes, ground)
+
+
+def _raster(ground: Ground, visible: NDArray[np.bool_]) -> tuple[tuple[float, float, float, float], F64, F64]:
+    """Extent of the map, and Gaussians and visible Gaussians in each of its cells."""
+    low, high = ground.box
+    cell = float((high - low).max()) / np.clip(1.2 * len(visible) ** 0.5, 60, _CELLS)
+    cells = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
+    inside = np.all((ground.places >= low) & (ground.places < high), axis=1)
+    at = np.minimum(((ground.places[inside] - low) / cell).astype(int), cells - 1)
+    flat = at[:, 1] * cells[0] + at[:, 0]
+    size = int(cells.prod())
+    shape = (int(cells[1]), int(cells[0]))
+    count, seen = (
+        np.bincount(flat, weights=weights, minlength=size).reshape(shape).astype(np.float64)
+        for weights in (np.ones(len(flat)), visible[inside].astype(np.float64))
+    )
+    end = low + cells * cell
+    return (float(low[0]), float(end[0]), float(low[1]), float(end[1])), count, seen
+
+
+def _draw_camera(axes: Axes, theme: Theme, ground: Ground, camera: Cameras) -> None:
+    """A dot where the camera stands and a wedge over its horizontal field of view."""
+    eye = ground.project(camera.viewpoints)[0]
+    focal, centre = camera.Ks[0, 0, 0], camera.Ks[0, 0, 2]
+    reach = 0.16 * float((ground.box[1] - ground.box[0]).max())
+    rotation = camera.viewmats[0, :3, :3]
+    corners = [eye]
+    for x in np.linspace(-centre / focal, (camera.width - centre) / focal, 9):
+        sight = ground.project((np.array([x, 0.0, 1.0]) @ rotation)[None])[0]
+        length = float(np.linalg.norm(sight))
+        corners.append(eye + reach * sight / max(length, 1e-9))
+    axes.add_patch(Polygon(corners, closed=True, facecolor=theme.traced, alpha=0.28, edgecolor="none", zorder=3))
+    edges = np.array([corners[1], eye, corners[-1]])
+    axes.plot(*edges.T, color=theme.traced, linewidth=1.4, zorder=4)
+    axes.plot(*eye, marker="o", markersize=6, color=theme.traced, markeredgecolor=theme.paper, zorder=5)
+
+
+def _frame(axes: Axes, ground: Ground) -> None:
+    (left, bottom), (right, top) = ground.box
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.grid(visible=False)
+    for locator in (axes.xaxis, axes.yaxis):
+        locator.set_major_locator(MaxNLocator(5))
+    axes.set_xlabel(f"{_named(ground.right)}, scene units")
+    axes.set_ylabel(f"{_named(ground.onward)}, scene units")
+
+
+def _named(direction: F64) -> str:
+    """'x' or '-z' for an axis of the scene, 'across' for anything oblique."""
+    which = int(np.abs(direction).argmax())
+    if abs(direction[which]) < 0.999:
+        return "across"
+    return ("-" if direction[which] < 0 else "") + "xyz"[which]

@@ -1,0 +1,268 @@
+"""The report as one HTML page that needs nothing else: images inside, no script, no network, light and dark."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+from gsvis.visibility import FACE_LIMITS, PAPER, Analysis, DirectionCdf
+
+__all__ = ["Figure", "page"]
+
+_ROLES = {"most": "most", "median": "the median share", "least": "least"}
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A picture of a report.
+
+    Attributes:
+        file: Its name on disk.
+        light: PNG bytes, for light pages and on disk.
+        dark: PNG bytes for dark pages; None where one serves both.
+    """
+
+    file: str
+    light: bytes
+    dark: bytes | None = None
+
+
+def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """The whole page.
+
+    Args:
+        analysis: The figures.
+        document: The content of `report.json`.
+        figures: Plots, maps and pictures by name.
+    """
+    template = Template((files("gsvis.report") / "page.html").read_text(encoding="utf-8"))
+    return template.substitute(
+        title=escape(document["scene"]["name"]),
+        version=escape(document["gsvis"]),
+        lead=_lead(analysis, document),
+        tiles=_tiles(analysis),
+        visible=_visible(analysis, figures),
+        views=_views(analysis, figures),
+        directions=_directions(analysis, figures),
+        scene=_scene(analysis, document["scene"]),
+        how=_how(analysis, document),
+    )
+
+
+def _lead(analysis: Analysis, document: dict[str, Any]) -> str:
+    mean = float(analysis.visible_fractions.mean())
+    return (
+        f"<p class='lead'>One view of this scene needs {mean:.1%} of its {analysis.gaussians:,} Gaussians on average."
+        f" Found by ray casting from {len(analysis.cameras):,} cameras {escape(document['cameras_from'])},"
+        f" {_rays(analysis)}.</p>"
+    )
+
+
+def _rays(analysis: Analysis) -> str:
+    low, high = analysis.field_of_view
+    angle = f"{low:.0f}°" if high - low < 0.5 else f"{low:.0f}° to {high:.0f}°"
+    return f"{analysis.cameras.width} x {analysis.cameras.height} pixel rays a view, horizontal field of view {angle}"
+
+
+def _tiles(analysis: Analysis) -> str:
+    fractions = analysis.visible_fractions
+    tiles = [
+        (f"{fractions.mean():.1%}", "visible in a view, on average", f"paper: {PAPER['mean_visible']:.2%}"),
+        (f"{analysis.gathered.seen / analysis.gaussians:.1%}", "seen by at least one of the cameras", ""),
+    ]
+    way = analysis.traced or analysis.gathered
+    named = "traced outward" if analysis.traced else "gathered from the cameras"
+    for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
+        told = f"seen from less than {limit} of all directions, {named}"
+        tiles.append((f"{way.below(faces):.1%}", told, f"paper: {PAPER[published]:.1%}"))
+    return "".join(
+        f"<li><strong>{value}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
+        for value, told, beside in tiles
+    )
+
+
+def _visible(analysis: Analysis, figures: dict[str, Figure]) -> str:
+    fractions = analysis.visible_fractions
+    rows = [
+        ("mean of the cameras", f"{fractions.mean():.2%}", f"{PAPER['mean_visible']:.2%}"),
+        ("smallest", f"{fractions.min():.2%}", ""),
+        ("largest", f"{fractions.max():.2%}", ""),
+        ("one view, the paper's figure 1", "", f"{PAPER['one_view_visible']:.2%}"),
+    ]
+    caption = (
+        f"Each camera's share of all {analysis.gaussians:,} Gaussians that is visible in it, highest first."
+        " The dashed lines are the mean here and the paper's mean over the training views of Tanks &amp; Temples."
+    )
+    return (
+        _figure(figures["visible"], "Visible share of each camera, sorted", caption)
+        + _table(("visible share", "here", "paper"), rows)
+        + f"<p>A Gaussian is visible in a view when its largest weight on a pixel ray (alpha times the light left in"
+        f" front of it) is at least {analysis.config.tau:.4g}. Gaussians that fall between the rays do not count, so"
+        f" these shares belong to {_rays(analysis)}; more pixels or a wider view find more.</p>"
+    )
+
+
+def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
+    parts = []
+    order = sorted(range(len(analysis.cameras)), key=lambda i: -int(analysis.visible[i]))
+    places = {"most": order[0], "median": order[len(order) // 2], "least": order[-1]}
+    for role, index in places.items():
+        if f"view_{role}" not in figures:
+            continue
+        name, share = escape(analysis.cameras.names[index]), f"{analysis.visible_fractions[index]:.2%}"
+        seen = (
+            f"Camera {name} needs {_ROLES[role]} of the scene: {analysis.visible[index]:,} Gaussians, {share}."
+            " Every pixel is the sum of what its ray meets."
+        )
+        above = (
+            "The same from above: the wedge is the camera's field of view, coloured is what it sees, grey what is"
+            " hidden from it or outside its view."
+        )
+        parts.append(
+            "<div class='pair'>"
+            + _figure(figures[f"view_{role}"], f"What camera {name} sees", seen)
+            + _figure(figures[f"map_{role}"], f"Map of what camera {name} sees", above)
+            + "</div>"
+        )
+    return "".join(parts)
+
+
+def _directions(analysis: Analysis, figures: dict[str, Figure]) -> str:
+    gathered, traced = analysis.gathered, analysis.traced
+    header = ["Gaussians seen from less than", "cameras", "cameras, of seen"]
+    header += ["traced", "traced, of seen"] if traced else []
+    rows = []
+    for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
+        row = [f"{limit} of directions (fewer than {faces} faces)", *_both(gathered, faces)]
+        rows.append([*row, *(_both(traced, faces) if traced else []), f"{PAPER[published]:.1%}"])
+    caption = (
+        "For every share of the 80 directions, how many Gaussians are seen from less than that. Solid lines count all"
+        " Gaussians, dashed ones those that are seen at all. Diamonds are the two points that the paper states."
+    )
+    text = _figure(figures["cdf"], "Cumulative distribution of the directions from which Gaussians are seen", caption)
+    text += _table((*header, "paper"), rows) + _settled(analysis, figures)
+    if traced is None:
+        return text + f"<p>Directions were not traced outward: {escape(analysis.untraced_because)}.</p>"
+    caption = (
+        f"The {len(analysis.sample):,} traced Gaussians from above. Dark ones can be seen from few directions: they lie"
+        " on walls, floors and behind things. Bright ones stand free."
+    )
+    return text + _figure(figures["map_directions"], "Map of directions", caption) + _agreed(analysis)
+
+
+def _both(cdf: DirectionCdf, faces: int) -> list[str]:
+    return [f"{cdf.below(faces):.1%}", f"{cdf.below(faces, of_seen=True):.1%}"]
+
+
+def _settled(analysis: Analysis, figures: dict[str, Figure]) -> str:
+    count, change = len(analysis.cameras), analysis.settling[-1].change
+    if analysis.has_settled:
+        verdict = "What the cameras saw has settled"
+        detail = f"twice the cameras moved no point of the curve by more than {change:.1%}."
+    else:
+        verdict = "What the cameras saw has not settled"
+        detail = "" if change is None else f"The second half of the cameras moved the curve by up to {change:.1%}. "
+        detail += (
+            "Each camera adds at most one of the 80 faces to what a Gaussian is seen from. The curve counts as settled"
+            " when, with at least 160 cameras, the second half of them moves no point by 2%. Until then it lies too"
+            f" high, and {count:,} cameras are too few. Many small views settle it sooner than a few large ones"
+        )
+        detail += "; tracing outward needs none." if analysis.traced else "."
+    rows = [
+        (
+            f"{step.cameras:,}",
+            f"{step.seen / analysis.gaussians:.1%}",
+            f"{step.below_33_of_all:.1%}",
+            f"{step.below_48_of_all:.1%}",
+            f"{step.below_33_of_seen:.1%}",
+            f"{step.below_48_of_seen:.1%}",
+            "" if step.change is None else f"{step.change:.1%}",
+        )
+        for step in analysis.settling
+    ]
+    header = ("cameras", "seen at all", "&lt; 41.25%", "&lt; 60%", "&lt; 41.25%, of seen", "&lt; 60%, of seen", "moved")
+    caption = (
+        "The gathered shares after the first 1/8, 1/4, 1/2 and all of the cameras, taken in random order."
+        " In the table, moved tells by how much the curve did, at most, since the step before."
+    )
+    drawn = "settling" in figures
+    return (
+        f"<h3>Has it settled?</h3><p><strong>{verdict}.</strong> {detail[:1].upper()}{detail[1:]}</p>"
+        + (_figure(figures["settling"], "Gathered shares by number of cameras", caption) if drawn else "")
+        + _table(header, rows)
+    )
+
+
+def _agreed(analysis: Analysis) -> str:
+    found = analysis.agreement
+    if found is None:
+        return ""
+    rows = [
+        ("mean Jaccard index over the sample", f"{found.mean_jaccard:.3f}"),
+        ("the same over Gaussians seen either way", f"{found.mean_jaccard_of_seen:.3f}"),
+        ("faces gathered from cameras that tracing found too", f"{found.gathered_confirmed:.1%}"),
+        ("faces traced outward that the cameras had seen too", f"{found.traced_confirmed:.1%}"),
+    ]
+    return (
+        "<h3>Two ways, one answer?</h3><p>Cameras see a Gaussian from where they happen to stand. Tracing outward asks,"
+        f" for {len(analysis.sample):,} Gaussians drawn at random, whether an eye anywhere in navigable space would see"
+        f" it, on {analysis.config.rays_per_face} rays over each face. The two agree where cameras are dense.</p>"
+        + _table(("agreement", "here"), rows)
+    )
+
+
+def _scene(analysis: Analysis, scene: dict[str, Any]) -> str:
+    rows = [("Gaussians", f"{analysis.gaussians:,}"), ("opacity of at least 1/255", f"{analysis.opaque_enough:,}")]
+    if "sh_degree" in scene:
+        low, high = scene["robust_bounds"]
+        size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
+        rows += [
+            ("SH degree", str(scene["sh_degree"])),
+            ("size of the middle 98%", f"{size} scene units"),
+            ("likely up axis", f"{scene['up']}, confidence {scene['up_confidence']:.0%}"),
+        ]
+    problems = scene.get("problems", [])
+    listed = "".join(f"<li>{escape(problem)}</li>" for problem in problems)
+    return _table(("scene", ""), rows) + (f"<p>What looks wrong with it:</p><ul>{listed}</ul>" if listed else "")
+
+
+def _how(analysis: Analysis, document: dict[str, Any]) -> str:
+    shown = [(name, _spelled(value)) for name, value in document["parameters"].items()]
+    shown += [(f"seconds for {stage}", f"{seconds:.1f}") for stage, seconds in document["seconds"].items()]
+    return (
+        f"<pre><code>{escape(document['command'])}</code></pre>"
+        + _table(("parameter", "value"), [(escape(name), escape(value)) for name, value in shown])
+        + f"<p>gsvis {escape(document['gsvis'])}. All figures are in <code>report.json</code> beside this page.</p>"
+    )
+
+
+def _spelled(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _figure(figure: Figure, alternative: str, caption: str) -> str:
+    """A picture with its caption; `caption` is HTML."""
+    image = f"<img src='{_data(figure.light)}' alt='{escape(alternative, quote=True)}'>"
+    if figure.dark is not None:
+        source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"
+        image = f"<picture>{source}{image}</picture>"
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+
+
+def _data(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table; its cells are HTML. The first column names the row."""
+    head = "".join(f"<th scope='col'>{cell}</th>" for cell in header)
+    body = "".join(
+        f"<tr><th scope='row'>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows
+    )
+    return f"<div class='wide'><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"

@@ -1,0 +1,71 @@
+"""Pictures of the views that need the most, the middle and the least of a scene, by ray casting."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.raycast import Tracer, ray_image, visible_in
+from gsvis.visibility import Analysis
+
+__all__ = ["ViewPicture", "picture_views", "png_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPicture:
+    """One view of a report.
+
+    Attributes:
+        role: "most", "median" or "least", by visible share.
+        camera: Its index in the analysis.
+        image: (H, W, 3) float32, 0 black to 1 white, brighter values kept.
+        visible: (N,) what the camera sees, with the analysis's rays.
+    """
+
+    role: str
+    camera: int
+    image: NDArray[np.float32]
+    visible: NDArray[np.bool_]
+
+
+def picture_views(
+    tracer: Tracer, analysis: Analysis, *, longest_side: int = 512, progress: Progress = silent
+) -> list[ViewPicture]:
+    """Render the views with the largest, the median and the smallest visible share.
+
+    Args:
+        tracer: The scene that was analysed.
+        analysis: What was found.
+        longest_side: Pixels of the longer side of the pictures.
+        progress: Called with stage "pictures".
+
+    Returns:
+        Up to three pictures, fewer where there are fewer cameras.
+    """
+    _check.positive_int("longest_side", longest_side)
+    order = np.argsort(-analysis.visible, kind="stable")
+    roles = {int(order[len(order) // 2]): "median", int(order[-1]): "least", int(order[0]): "most"}
+    cameras = analysis.cameras
+    factor = longest_side / max(cameras.width, cameras.height)
+    size = [max(1, round(factor * side)) for side in (cameras.width, cameras.height)]
+    pictures = []
+    progress("pictures", 0, len(roles))
+    for index, role in sorted(roles.items(), key=lambda item: ("most", "median", "least").index(item[1])):
+        camera = cameras[index]
+        visible = visible_in(tracer, camera)[0] >= np.float32(analysis.config.tau)
+        pictures.append(ViewPicture(role, index, ray_image(tracer, camera.resized(*size)), visible))
+        progress("pictures", len(pictures), len(roles))
+    return pictures
+
+
+def png_of(image: NDArray[np.float32]) -> bytes:
+    """PNG bytes of an image (H, W, 3); values outside [0, 1] are clipped."""
+    out = io.BytesIO()
+    Image.fromarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)).save(out, "PNG", optimize=True)
+    return out.getvalue()

@@ -1,0 +1,125 @@
+"""The plots of a report: visible fraction of each camera, the direction CDF, and whether it has settled."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
+
+from gsvis.report.theme import Theme
+from gsvis.visibility import PAPER, Analysis, DirectionCdf
+
+__all__ = ["draw_cdf", "draw_settling", "draw_visible"]
+
+_BARS = 48  # more cameras are drawn as one sorted curve
+
+_PAPER_POINTS = ((33, PAPER["below_33_faces"]), (48, PAPER["below_48_faces"]))
+
+
+def draw_visible(axes: Axes, theme: Theme, analysis: Analysis) -> None:
+    """Bars of the visible fraction of each camera, highest first, with this mean and the paper's."""
+    fractions = np.sort(analysis.visible_fractions)[::-1]
+    count = len(fractions)
+    if count <= _BARS:
+        axes.bar(np.arange(1, count + 1), fractions, width=0.72, color=theme.gathered)
+        axes.set_xlim(0.3, count + 0.7)
+        axes.xaxis.set_major_locator(FixedLocator([1, *range(4, count + 1, 4)] if count > 8 else range(1, count + 1)))
+    else:
+        axes.fill_between(np.arange(1, count + 1), fractions, step="mid", color=theme.gathered, linewidth=0)
+        axes.set_xlim(1, count)
+    mean, published = float(fractions.mean()), PAPER["mean_visible"]
+    top = max(float(fractions.max()), published, mean)
+    axes.set_ylim(0.0, 1.22 * top)
+    apart = abs(mean - published) > 0.08 * top
+    for value, text, colour, above in (
+        (mean, f"mean here {mean:.1%}", theme.traced, mean > published or apart),
+        (published, f"paper's mean {published:.2%}", theme.published, published >= mean or apart),
+    ):
+        axes.axhline(value, color=colour, linewidth=1.6, dashes=(5, 2))
+        axes.annotate(
+            text,
+            (1.0, value),
+            xycoords=("axes fraction", "data"),
+            xytext=(-2, 3 if above else -4),
+            textcoords="offset points",
+            ha="right",
+            va="bottom" if above else "top",
+            color=colour,
+            fontweight="bold",
+            fontsize=9,
+            bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )
+    axes.grid(visible=False, axis="x")
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100.0 * value:g}%"))
+    axes.set_xlabel("cameras, sorted")
+    axes.set_ylabel("visible share of all Gaussians")
+
+
+def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis) -> None:
+    """Share of Gaussians seen from less than so many directions, both ways, with the paper's two points."""
+    gathered, traced = analysis.gathered, analysis.traced
+    if traced is not None:
+        _curve(axes, traced, theme.traced, "traced outward")
+    _curve(axes, gathered, theme.gathered, f"from {len(analysis.cameras):,} cameras")
+    axes.plot([], [], color=theme.muted, linestyle=(0, (3, 2)), linewidth=1.4, label="of those seen at all")
+    axes.plot(
+        *np.array([(k / 80.0, share) for k, share in _PAPER_POINTS]).T,
+        linestyle="none",
+        marker="D",
+        markersize=7,
+        color=theme.published,
+        markeredgecolor=theme.paper,
+        label="paper",
+        zorder=5,
+    )
+    for faces, share in _PAPER_POINTS:
+        axes.annotate(
+            f"{share:.1%} below {100.0 * faces / 80.0:g}%",
+            (faces / 80.0, share),
+            xytext=(9, -5),
+            textcoords="offset points",
+            va="top",
+            color=theme.published,
+            fontsize=9,
+            fontweight="bold",
+            bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 0.5},
+        )
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.02)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_xlabel("share of the 80 directions")
+    axes.set_ylabel("Gaussians seen from less")
+    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+
+
+def _curve(axes: Axes, cdf: DirectionCdf, colour: str, label: str) -> None:
+    x = np.arange(82) / 80.0
+    for values, style, width in ((cdf.values, "-", 2.2), (cdf.values_of_seen, (0, (3, 2)), 1.4)):
+        below = np.concatenate([[0.0], values])
+        axes.plot(
+            x[:81], below[:81], color=colour, linestyle=style, linewidth=width, label=label if width > 2 else None
+        )
+
+
+def draw_settling(axes: Axes, theme: Theme, analysis: Analysis) -> None:
+    """The two shares of the gathered CDF after part of the cameras."""
+    steps = analysis.settling
+    cameras = [step.cameras for step in steps]
+    lines = (
+        ("below 60%, of all", [s.below_48_of_all for s in steps], theme.traced, "-"),
+        ("below 60%, of seen", [s.below_48_of_seen for s in steps], theme.traced, (0, (3, 2))),
+        ("below 41.25%, of all", [s.below_33_of_all for s in steps], theme.gathered, "-"),
+        ("below 41.25%, of seen", [s.below_33_of_seen for s in steps], theme.gathered, (0, (3, 2))),
+    )
+    for label, values, colour, style in lines:
+        axes.plot(cameras, values, color=colour, linestyle=style, linewidth=1.8, marker="o", markersize=4, label=label)
+    axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_locator(FixedLocator(cameras))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{round(value):,}"))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_ylim(0.0, 1.04)
+    axes.set_xlabel("number of cameras, taken in random order")
+    axes.set_ylabel("Gaussians seen from less")
+    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)

@@ -1,0 +1,94 @@
+"""Colours and type of plots, once for light and once for dark pages, and how a figure becomes PNG bytes.
+
+Figures are drawn on Agg canvases of their own: no screen is needed and the settings of matplotlib are put back.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+__all__ = ["DARK", "LIGHT", "Theme", "drawn"]
+
+_DPI = 220
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours as #rrggbb.
+
+    Attributes:
+        paper: Background, the one of the page's cards.
+        ink: Text.
+        muted: Axes and secondary text.
+        grid: Grid lines.
+        gathered: What cameras saw; also what is visible.
+        traced: What tracing outward found.
+        published: The paper's figures.
+        hidden: What is not visible.
+    """
+
+    paper: str
+    ink: str
+    muted: str
+    grid: str
+    gathered: str
+    traced: str
+    published: str
+    hidden: str
+
+
+LIGHT = Theme("#ffffff", "#1c2430", "#667080", "#e4e8ee", "#2463d6", "#d2600a", "#b0126f", "#b9c1cc")
+DARK = Theme("#1a2029", "#e8ecf2", "#9aa5b4", "#2f3845", "#75a6ff", "#ff9d4d", "#ff7ac6", "#525d6c")
+
+
+def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple[float, float] = (5.2, 3.5)) -> bytes:
+    """A plot as PNG bytes.
+
+    Args:
+        draw: Draws on the axes it is given.
+        theme: Colours.
+        size: Width and height in inches; type is 10 points, so that 5.2 inches stay legible on a phone.
+    """
+    with rc_context(_style(theme)):
+        figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure.add_subplot(), theme)
+        out = io.BytesIO()
+        figure.savefig(out, format="png", metadata={"Software": None})
+    return out.getvalue()
+
+
+def _style(theme: Theme) -> dict[Any, Any]:
+    return {
+        "figure.facecolor": theme.paper,
+        "savefig.facecolor": theme.paper,
+        "axes.facecolor": theme.paper,
+        "axes.edgecolor": theme.muted,
+        "axes.labelcolor": theme.ink,
+        "axes.labelsize": 10,
+        "axes.linewidth": 0.8,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "grid.color": theme.grid,
+        "grid.linewidth": 0.8,
+        "text.color": theme.ink,
+        "xtick.color": theme.muted,
+        "ytick.color": theme.muted,
+        "xtick.labelsize": 9,
+        "ytick.labelsize": 9,
+        "legend.frameon": False,
+        "legend.fontsize": 9,
+        "font.family": "DejaVu Sans",
+        "font.size": 10,
+        "lines.solid_capstyle": "round",
+    }
