@@ -62,15 +62,15 @@ class Vector:
 
     def times_plus(self, factor: Vector | float, addend: Vector | float) -> Vector:
         """`self * factor + addend` in one rounding."""
-        a, b = self._pair(factor)
-        c = (addend if isinstance(addend, Vector) else self.home.constant(addend)).value
-        return Vector(self.home, self.home.ir.fma(a, b, c))
+        b, c = (v if isinstance(v, Vector) else self.home.constant(v) for v in (factor, addend))
+        return self.home.call("llvm.fma", self, b, c)
 
     def exp2(self) -> Vector:
-        """2^self of float32 lanes in [-126, 126], to about one ulp."""
+        """2^self of float32 lanes up to 126, to about one ulp; below -126 it is 2^-126."""
         home = self.home
-        whole = home.call("llvm.nearbyint", self)
-        part = self - whole
+        bounded = self.most(-126.0)
+        whole = home.call("llvm.nearbyint", bounded)
+        part = bounded - whole
         result = home.constant(_EXP2[-1])
         for coefficient in _EXP2[-2::-1]:
             result = result.times_plus(part, coefficient)

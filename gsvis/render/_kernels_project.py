@@ -1,0 +1,226 @@
+"""Kernels that project Gaussians to the image, and carry gradients back. One Gaussian at a time, float64.
+
+Per visible Gaussian, `splats` (M, 8) float64 holds its centre (x, y) in pixels; A, B, C of log2 alpha = lo + A dx^2 +
+B dx dy + C dy^2; lo = log2 opacity; and the half width and half height of the box where alpha >= 1/255.
+Camera axes are OpenCV's. `intrinsics` is (fx, fy, cx, cy).
+
+References:
+    Zwicker et al., "EWA volume splatting", 2001; the Jacobian's clamp and the 0.3 px dilation follow 3DGS and gsplat.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+NEAR = 0.01
+DILATION = 0.3
+LOG2E = 1.4426950408889634
+_BLOCK = 2048
+
+
+@njit(cache=True)
+def _rotation(quat):
+    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
+    n = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / n, x / n, y / n, z / n
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@njit(cache=True)
+def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m):
+    """Camera point, and m (2, 3) = J W R S, whose m m^T is the covariance in the image before dilation.
+
+    Returns x, y, z and the clamped x / z, y / z.
+    """
+    fx, fy, cx, cy = intrinsics
+    x = viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3]
+    y = viewmat[1, 0] * mean[0] + viewmat[1, 1] * mean[1] + viewmat[1, 2] * mean[2] + viewmat[1, 3]
+    z = viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
+    if z <= NEAR:
+        return x, y, z, 0.0, 0.0
+    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
+    u = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
+    v = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
+    r = _rotation(quat)
+    for k in range(3):  # the axes of the Gaussian, in the camera's frame
+        s = np.float64(scale[k])
+        a = s * (viewmat[0, 0] * r[0][k] + viewmat[0, 1] * r[1][k] + viewmat[0, 2] * r[2][k])
+        b = s * (viewmat[1, 0] * r[0][k] + viewmat[1, 1] * r[1][k] + viewmat[1, 2] * r[2][k])
+        c = s * (viewmat[2, 0] * r[0][k] + viewmat[2, 1] * r[1][k] + viewmat[2, 2] * r[2][k])
+        m[0, k] = fx * (a - u * c) / z
+        m[1, k] = fy * (b - v * c) / z
+    return x, y, z, u, v
+
+
+@njit(cache=True)
+def _covariance(m):
+    """xx, xy, yy of m m^T, and its determinant without cancellation."""
+    xx = m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1] + m[0, 2] * m[0, 2]
+    xy = m[0, 0] * m[1, 0] + m[0, 1] * m[1, 1] + m[0, 2] * m[1, 2]
+    yy = m[1, 0] * m[1, 0] + m[1, 1] * m[1, 1] + m[1, 2] * m[1, 2]
+    p = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    q = m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]
+    r = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    return xx, xy, yy, p * p + q * q + r * r
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def project(means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts):
+    """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
+    fx, fy, cx, cy = intrinsics
+    for block in prange(len(counts)):
+        m = np.zeros((2, 3))
+        at = block * _BLOCK
+        for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
+            if opacities[i] < np.float32(1.0 / 255.0):
+                continue
+            x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
+            if z <= NEAR:
+                continue
+            xx, xy, yy, det = _covariance(m)
+            full = det + DILATION * (xx + yy) + DILATION * DILATION
+            opacity = np.float64(opacities[i])
+            if antialiased:
+                opacity *= np.sqrt(det / full)
+            if opacity * 255.0 < 1.0 or not full < np.inf:
+                continue
+            reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
+            xx, yy = xx + DILATION, yy + DILATION
+            half_x, half_y = reach * np.sqrt(xx), reach * np.sqrt(yy)
+            u, v = fx * x / z + cx, fy * y / z + cy
+            if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
+                continue
+            ids[at] = i
+            splats[at, 0], splats[at, 1] = u, v
+            splats[at, 2], splats[at, 3], splats[at, 4] = (
+                -0.5 * LOG2E * yy / full,
+                LOG2E * xy / full,
+                -0.5 * LOG2E * xx / full,
+            )
+            splats[at, 5], splats[at, 6], splats[at, 7] = np.log2(opacity), half_x, half_y
+            depths[at] = z
+            at += 1
+        counts[block] = at - block * _BLOCK
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
+    """Close the gaps that `project` leaves between blocks."""
+    for block in prange(len(counts)):
+        for k in range(counts[block]):
+            source, target = block * _BLOCK + k, starts[block] + k
+            out_ids[target], out_depths[target] = ids[source], depths[source]
+            for c in range(8):
+                out_splats[target, c] = splats[source, c]
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def project_backward(
+    means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d, v_opacities, outs
+):
+    """Gradients of one view by means, quats, scales and opacities, added into outs, from the sums of the tiles.
+
+    `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
+    image, in loss per pixel.
+    """
+    fx, fy, cx, cy = intrinsics
+    width, height = size
+    v_means, v_quats, v_scales = outs
+    for j in prange(len(ids)):
+        i = ids[j]
+        m = np.zeros((2, 3))
+        x, y, z, u, v = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
+        xx, xy, yy, det = _covariance(m)
+        full = det + DILATION * (xx + yy) + DILATION * DILATION
+        xx, yy = xx + DILATION, yy + DILATION
+        a, b, c = yy / full, -xy / full, xx / full
+        q, qx, qy = np.float64(sums[j, 4]), np.float64(sums[j, 5]), np.float64(sums[j, 6])
+        g_a, g_b, g_c = -0.5 * sums[j, 7], -0.5 * sums[j, 8], -0.5 * sums[j, 9]  # as a symmetric matrix
+        v_u, v_v = -(a * qx + b * qy), -(b * qx + c * qy)
+        v_means2d[j, 0], v_means2d[j, 1] = v_u, v_v
+        # cov -> conic: dL/dcov = -conic G conic
+        t00, t01 = a * g_a + b * g_b, a * g_b + b * g_c
+        t10, t11 = b * g_a + c * g_b, b * g_b + c * g_c
+        s_xx, s_xy, s_yy = -(t00 * a + t01 * b), -(t00 * b + t01 * c), -(t10 * b + t11 * c)
+        opacity = np.float64(opacities[i])
+        if antialiased:  # opacity * sqrt(det / full)
+            shrink = np.sqrt(det / full)
+            v_opacities[i] += q / opacity
+            s_xx, s_xy, s_yy = (
+                s_xx - 0.5 * q * (yy / full),
+                s_xy + 0.5 * q * (xy / full),
+                s_yy - 0.5 * q * (xx / full),
+            )
+            if shrink > 0.0:
+                s_xx += 0.5 * q * (yy - DILATION) / det
+                s_xy -= 0.5 * q * xy / det
+                s_yy += 0.5 * q * (xx - DILATION) / det
+        else:
+            v_opacities[i] += q / opacity
+        # m = J (W R S), J rows (fx / z)(1, 0, -u) and (fy / z)(0, 1, -v)
+        v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[j, 3])
+        v_z -= fx * x / (z * z) * v_u + fy * y / (z * z) * v_v
+        r = _rotation(quats[i])
+        v_u_j, v_v_j = 0.0, 0.0  # by the clamped u and v inside J
+        v_r = np.empty((3, 3))
+        for k in range(3):
+            s = np.float64(scales[i, k])
+            n0 = 2.0 * (s_xx * m[0, k] + s_xy * m[1, k])
+            n1 = 2.0 * (s_xy * m[0, k] + s_yy * m[1, k])
+            v_z -= (n0 * m[0, k] + n1 * m[1, k]) / z
+            axis_z = s * (viewmat[2, 0] * r[0][k] + viewmat[2, 1] * r[1][k] + viewmat[2, 2] * r[2][k])
+            v_u_j -= n0 * fx / z * axis_z
+            v_v_j -= n1 * fy / z * axis_z
+            d0, d1, d2 = fx / z * n0, fy / z * n1, -(fx / z * u * n0 + fy / z * v * n1)
+            v_scale = 0.0
+            for e in range(3):
+                by_axis = viewmat[0, e] * d0 + viewmat[1, e] * d1 + viewmat[2, e] * d2
+                v_scale += by_axis * r[e][k]
+                v_r[e, k] = by_axis * s
+            v_scales[i, k] += v_scale
+        if u == x / z:  # not clamped
+            v_x += v_u_j / z
+            v_z -= v_u_j * x / (z * z)
+        if v == y / z:
+            v_y += v_v_j / z
+            v_z -= v_v_j * y / (z * z)
+        for e in range(3):
+            v_means[i, e] += viewmat[0, e] * v_x + viewmat[1, e] * v_y + viewmat[2, e] * v_z
+        _add_quat_gradient(quats[i], v_r, v_quats[i])
+
+
+@njit(cache=True)
+def _add_quat_gradient(quat, v_r, out):
+    """Chain rule through the rotation matrix of a quaternion of any length."""
+    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
+    n = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / n, x / n, y / n, z / n
+    v_w = 2 * (x * (v_r[2, 1] - v_r[1, 2]) + y * (v_r[0, 2] - v_r[2, 0]) + z * (v_r[1, 0] - v_r[0, 1]))
+    v_x = 2 * (
+        -2 * x * (v_r[1, 1] + v_r[2, 2])
+        + y * (v_r[0, 1] + v_r[1, 0])
+        + z * (v_r[0, 2] + v_r[2, 0])
+        + w * (v_r[2, 1] - v_r[1, 2])
+    )
+    v_y = 2 * (
+        x * (v_r[0, 1] + v_r[1, 0])
+        - 2 * y * (v_r[0, 0] + v_r[2, 2])
+        + z * (v_r[1, 2] + v_r[2, 1])
+        + w * (v_r[0, 2] - v_r[2, 0])
+    )
+    v_z = 2 * (
+        x * (v_r[0, 2] + v_r[2, 0])
+        + y * (v_r[1, 2] + v_r[2, 1])
+        - 2 * z * (v_r[0, 0] + v_r[1, 1])
+        + w * (v_r[1, 0] - v_r[0, 1])
+    )
+    along = v_w * w + v_x * x + v_y * y + v_z * z  # length has no effect
+    out[0] += (v_w - along * w) / n
+    out[1] += (v_x - along * x) / n
+    out[2] += (v_y - along * y) / n
+    out[3] += (v_z - along * z) / n

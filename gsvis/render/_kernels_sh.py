@@ -1,0 +1,122 @@
+"""Kernels that turn SH coefficients into colours from one eye, and carry gradients back.
+
+Directions run from the eye to the Gaussian; colour = max(0.5 + SH, 0). The basis is that of `gsvis.scene.sh`, here
+with its derivatives; `tests/render/test_sh_kernels.py` compares the two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+_C0 = 0.28209479177387814
+_C1 = 0.4886025119029199
+_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+_C3 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+
+
+@njit(cache=True)
+def basis(x, y, z, degree, out):
+    """SH basis at a unit vector into out (16,)."""
+    out[0] = _C0
+    if degree < 1:
+        return
+    out[1], out[2], out[3] = -_C1 * y, _C1 * z, -_C1 * x
+    if degree < 2:
+        return
+    xx, yy, zz = x * x, y * y, z * z
+    out[4], out[5] = _C2[0] * x * y, _C2[1] * y * z
+    out[6], out[7], out[8] = _C2[2] * (2 * zz - xx - yy), _C2[3] * x * z, _C2[4] * (xx - yy)
+    if degree < 3:
+        return
+    out[9], out[10] = _C3[0] * y * (3 * xx - yy), _C3[1] * x * y * z
+    out[11], out[12] = _C3[2] * y * (4 * zz - xx - yy), _C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
+    out[13], out[14] = _C3[4] * x * (4 * zz - xx - yy), _C3[5] * z * (xx - yy)
+    out[15] = _C3[6] * x * (xx - 3 * yy)
+
+
+@njit(cache=True)
+def basis_slopes(x, y, z, degree, out):
+    """Derivatives of the polynomials of `basis` by x, y, z into out (16, 3)."""
+    out[:] = 0.0
+    if degree < 1:
+        return
+    out[1, 1], out[2, 2], out[3, 0] = -_C1, _C1, -_C1
+    if degree < 2:
+        return
+    out[4, 0], out[4, 1] = _C2[0] * y, _C2[0] * x
+    out[5, 1], out[5, 2] = _C2[1] * z, _C2[1] * y
+    out[6, 0], out[6, 1], out[6, 2] = -2 * _C2[2] * x, -2 * _C2[2] * y, 4 * _C2[2] * z
+    out[7, 0], out[7, 2] = _C2[3] * z, _C2[3] * x
+    out[8, 0], out[8, 1] = 2 * _C2[4] * x, -2 * _C2[4] * y
+    if degree < 3:
+        return
+    xx, yy, zz = x * x, y * y, z * z
+    out[9, 0], out[9, 1] = 6 * _C3[0] * x * y, 3 * _C3[0] * (xx - yy)
+    out[10, 0], out[10, 1], out[10, 2] = _C3[1] * y * z, _C3[1] * x * z, _C3[1] * x * y
+    out[11, 0], out[11, 1], out[11, 2] = -2 * _C3[2] * x * y, _C3[2] * (4 * zz - xx - 3 * yy), 8 * _C3[2] * y * z
+    out[12, 0], out[12, 1] = -6 * _C3[3] * x * z, -6 * _C3[3] * y * z
+    out[12, 2] = _C3[3] * (6 * zz - 3 * xx - 3 * yy)
+    out[13, 0], out[13, 1], out[13, 2] = _C3[4] * (4 * zz - 3 * xx - yy), -2 * _C3[4] * x * y, 8 * _C3[4] * x * z
+    out[14, 0], out[14, 1], out[14, 2] = 2 * _C3[5] * x * z, -2 * _C3[5] * y * z, _C3[5] * (xx - yy)
+    out[15, 0], out[15, 1] = 3 * _C3[6] * (xx - yy), -6 * _C3[6] * x * y
+
+
+@njit(cache=True)
+def _direction(mean, eye):
+    x, y, z = np.float64(mean[0]) - eye[0], np.float64(mean[1]) - eye[1], np.float64(mean[2]) - eye[2]
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 1.0, 1.0
+    return x / length, y / length, z / length, length
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def colours_from_sh(ids, means, sh0, shN, degree, eye, features):
+    """Colours of the Gaussians ids (M,) into features[:, :3]."""
+    for j in prange(len(ids)):
+        i = ids[j]
+        values = np.empty(16)
+        x, y, z, _ = _direction(means[i], eye)
+        basis(x, y, z, degree, values)
+        for c in range(3):
+            colour = 0.5 + values[0] * sh0[i, 0, c]
+            for k in range(1, (degree + 1) ** 2):
+                colour += values[k] * shN[i, k - 1, c]
+            features[j, c] = max(colour, 0.0)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def colours_from_sh_backward(ids, means, sh0, shN, degree, eye, features, v_features, v_sh0, v_shN, v_means):
+    """Gradients by sh0, shN and means (through the direction), added into the last three."""
+    for j in prange(len(ids)):
+        i = ids[j]
+        values, slopes = np.empty(16), np.empty((16, 3))
+        x, y, z, length = _direction(means[i], eye)
+        basis(x, y, z, degree, values)
+        if degree > 0:
+            basis_slopes(x, y, z, degree, slopes)
+        dx, dy, dz = 0.0, 0.0, 0.0
+        for c in range(3):
+            if features[j, c] <= 0.0:  # clipped
+                continue
+            v = v_features[j, c]
+            v_sh0[i, 0, c] += v * values[0]
+            for k in range(1, (degree + 1) ** 2):
+                v_shN[i, k - 1, c] += v * values[k]
+                s = v * shN[i, k - 1, c]
+                dx += s * slopes[k, 0]
+                dy += s * slopes[k, 1]
+                dz += s * slopes[k, 2]
+        along = dx * x + dy * y + dz * z  # the direction keeps its length
+        v_means[i, 0] += (dx - along * x) / length
+        v_means[i, 1] += (dy - along * y) / length
+        v_means[i, 2] += (dz - along * z) / length
