@@ -28,6 +28,7 @@ _SAID = {
     "writing": "writing",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage
+_QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing
 
 
 class Status(AbstractContextManager["Status"]):
@@ -40,7 +41,7 @@ class Status(AbstractContextManager["Status"]):
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._starts: dict[str, float] = {}
-        self._spoke = 0.0
+        self._began = self._spoke = time.perf_counter()
         self._tasks: dict[str, TaskID] = {}
         self._bars: Progress | None = _bars() if sys.stderr.isatty() else None
 
@@ -68,7 +69,8 @@ class Status(AbstractContextManager["Status"]):
                 self._tasks[stage] = self._bars.add_task(said, total=total if total > 1 else None)
             self._bars.update(self._tasks[stage], completed=done, total=total if total > 1 or done else None)
         elif first:
-            self._say(said)
+            if now - self._began >= _QUIET:
+                self._say(said)
         elif done >= total:
             if elapsed >= _EVERY:
                 self._say(f"{said}: done in {_clock(elapsed)}")

@@ -11,7 +11,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-from gsvis.visibility import FACE_LIMITS, PAPER, Analysis, DirectionCdf
+from gsvis.visibility import PAPER, Analysis, DirectionCdf
 
 __all__ = ["Figure", "page"]
 

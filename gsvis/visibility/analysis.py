@@ -147,9 +147,16 @@ class Settling:
     @classmethod
     def of(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
         """The figures of one distribution and of the one a step before."""
-        shares = [cdf.below(k, of_seen=of_seen) for of_seen in (False, True) for k in FACE_LIMITS]
-        change = None if before is None else float(np.abs(cdf.values - before.values).max())
-        return cls(cameras, cdf.seen, cdf.mean_faces, *shares, change)
+        return cls(
+            cameras=cameras,
+            seen=cdf.seen,
+            mean_faces=cdf.mean_faces,
+            below_33_of_all=cdf.below(33),
+            below_48_of_all=cdf.below(48),
+            below_33_of_seen=cdf.below(33, of_seen=True),
+            below_48_of_seen=cdf.below(48, of_seen=True),
+            change=None if before is None else float(np.abs(cdf.values - before.values).max()),
+        )
 
 
 @dataclass(frozen=True)
