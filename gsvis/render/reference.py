@@ -237,7 +237,7 @@ def rasterize_reference(
 
     largest, summed = (torch.zeros_like(means2d[:, 0].detach()) for _ in range(2))
     parts = []
-    for some in pixels.split(max(1, _PAIRS_AT_ONCE // max(1, len(order)))):
+    for some in torch.split(pixels, max(1, _PAIRS_AT_ONCE // max(1, len(order)))):
         near_by = _hit_somewhere(projection, order, some)
         # Recomputed in the backward pass, so that one chunk at a time is in memory there too.
         *drawn, weights = checkpoint(_blend, projection, near_by, some, behind, use_reentrant=False)
@@ -302,10 +302,15 @@ def contributors_reference(
 
 def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
     """Indices of the valid Gaussians by depth as float32; equal ones by content, so that the index never counts."""
-    columns = [projection.depths.detach().float()[:, None]]
-    columns += [getattr(tensors, name).detach().reshape(len(tensors), -1) for name in ("means", "scales", "quats")]
-    columns += [tensors.opacities.detach()[:, None], projection.colors.detach()]
-    keys = [key for column in columns for key in column.cpu().numpy().T]
+    columns = [
+        projection.depths.float()[:, None],
+        tensors.means,
+        tensors.scales,
+        tensors.quats,
+        tensors.opacities[:, None],
+        projection.colors,
+    ]
+    keys = [key for column in columns for key in column.detach().cpu().numpy().T]
     order = torch.as_tensor(np.lexsort(keys[::-1]), device=projection.valid.device)
     return order[projection.valid[order]]
 
