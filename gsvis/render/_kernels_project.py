@@ -70,7 +70,9 @@ def _covariance(m):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def project(means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts):
+def project(
+    means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts
+):
     """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
     fx, fy, cx, cy = intrinsics
     for block in prange(len(counts)):

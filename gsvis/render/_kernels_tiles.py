@@ -235,9 +235,7 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def blend_tiles_backward(
-    splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out
-):
+def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out):
     """Gradient sums of every (tile, splat) pair into out (P, 10) float32; see `blend_backward`.
 
     `forward` is (transmittance, depth, last); `gradients` is by (image, alpha, depth).
@@ -278,9 +276,7 @@ def blend_tiles_backward(
             m = members[k]
             polynomial, start, stop, centre = _in_tile(splats[m], left, top)
             feature = (features[m, 0], features[m, 1], features[m, 2], features[m, 3])
-            sums = blend_backward(
-                state, polynomial, feature, centre, np.float32(place), start, min(stop, rows)
-            )
+            sums = blend_backward(state, polynomial, feature, centre, np.float32(place), start, min(stop, rows))
             for e in range(10):
                 out[pair_of[k], e] = sums[e]
 

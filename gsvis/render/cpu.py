@@ -191,7 +191,17 @@ class _Rasterize(torch.autograd.Function):
         v_colours = None
         if colours is None:
             _kernels_sh.colours_from_sh_backward(
-                projected.ids, scene.means, scene.sh0, scene.shN, degree, view.eye, features, sums, v_sh0, v_shN, v_means
+                projected.ids,
+                scene.means,
+                scene.sh0,
+                scene.shN,
+                degree,
+                view.eye,
+                features,
+                sums,
+                v_sh0,
+                v_shN,
+                v_means,
             )
         else:
             v_colours = np.zeros_like(colours)
