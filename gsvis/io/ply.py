@@ -60,6 +60,10 @@ def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     header.rows_of(vertex)
     higher = _higher_columns(header.path, vertex)
     n = vertex.count
+    if n == 0:
+        raise FormatError(
+            header.path, "element vertex", "at least one Gaussian", "none", "the file holds an empty scene"
+        )
     means, quats, scales = (np.empty((n, k), np.float32) for k in (3, 4, 3))
     opacities = np.empty((n, 1), np.float32)
     sh0, sh_rest = np.empty((n, 3), np.float32), np.empty((n, len(higher)), np.float32)
