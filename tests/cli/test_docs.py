@@ -1,0 +1,69 @@
+"""docs/cli.md holds what `--help` prints. After a change that is meant: `python tests/cli/test_docs.py --write`."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+from typing import get_args
+from unittest import mock
+
+PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
+MARKED = re.compile(r"<!-- help: (gsvis[a-z ]*) -->\n(.*?)<!-- /help -->", re.DOTALL)
+
+
+def help_of(command: str) -> str:
+    """What `command --help` prints in 80 columns without colour."""
+    import contextlib
+    import io
+
+    from gsvis.cli import main
+
+    out = io.StringIO()
+    with mock.patch.dict(os.environ, {"COLUMNS": "80", "NO_COLOR": "1"}), contextlib.redirect_stdout(out):
+        assert main([*command.split()[1:], "--help"]) == 0
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()).strip() + "\n"
+
+
+def commands() -> list[str]:
+    from gsvis.cli.arguments import Command
+
+    return ["gsvis", *(f"gsvis {command.__name__.lower()}" for command in get_args(Command))]
+
+
+def boxed(command: str) -> str:
+    return f"<!-- help: {command} -->\n```text\n{help_of(command)}```\n<!-- /help -->"
+
+
+def test_the_help_in_the_docs_is_what_the_commands_print() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    told = "docs/cli.md is stale; if the change is meant: python tests/cli/test_docs.py --write"
+    for found in MARKED.finditer(text):
+        assert found.group(0) == boxed(found.group(1)), told
+
+
+def test_every_command_is_documented_once() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert [found.group(1) for found in MARKED.finditer(text)] == commands()
+    for command in commands()[1:]:
+        assert f"## {command}\n" in text
+
+
+def test_every_builtin_scene_is_documented() -> None:
+    from gsvis.scene.procedural import BUILTIN_SCENES
+
+    assert set(re.findall(r"builtin:(\w+)", PAGE.read_text(encoding="utf-8").replace("builtin:NAME", ""))) == set(
+        BUILTIN_SCENES
+    )
+
+
+def test_help_fits_into_80_columns() -> None:
+    for command in commands():
+        assert max(len(line) for line in help_of(command).splitlines()) <= 80 or command == "gsvis", command
+
+
+if __name__ == "__main__" and "--write" in sys.argv[1:]:
+    sys.path.insert(0, str(PAGE.parents[1]))
+    old = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(MARKED.sub(lambda found: boxed(found.group(1)), old), encoding="utf-8")
