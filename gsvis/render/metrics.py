@@ -22,6 +22,7 @@ from torch.nn.functional import conv2d
 
 from gsvis import _check
 from gsvis.errors import BackendError
+from gsvis.render._kernels_blur import blur
 
 __all__ = ["flip", "flip_map", "lpips", "psnr", "ssim"]
 
@@ -94,12 +95,12 @@ def ssim(image: Any, target: Any, data_range: float = 1.0, *, padding: str = "va
     white = _white(data_range)
     c1, c2 = (0.01 * white) ** 2, (0.03 * white) ** 2
     count, height, width, _ = a.shape
-    x, y = (v.permute(0, 3, 1, 2).reshape(3 * count, 1, height, width) for v in (a, b))
-    means = _blurred(torch.cat([x, y, x * x, y * y, x * y]), padding)
+    x, y = (v.permute(0, 3, 1, 2).reshape(3 * count, height, width) for v in (a, b))
+    means = _blurred(torch.cat([x, y, x * x, y * y, x * y]), _WINDOW // 2 if padding == "same" else 0)
     mx, my, mxx, myy, mxy = means.chunk(5)
     luminance = (2.0 * mx * my + c1) / (mx * mx + my * my + c1)
     structure = (2.0 * (mxy - mx * my) + c2) / ((mxx - mx * mx) + (myy - my * my) + c2)
-    return like_input((luminance * structure).mean(dim=(1, 2, 3)).reshape(count, 3).mean(dim=1))
+    return like_input((luminance * structure).mean(dim=(1, 2)).reshape(count, 3).mean(dim=1))
 
 
 @overload
@@ -205,7 +206,7 @@ def _stack(name: str, value: Any) -> Tensor:
             raise ValueError(f"{name}: expected a float tensor, got {value.dtype}; divide bytes by 255")
         if not bool(torch.isfinite(value.detach()).all()):
             raise ValueError(f"{name}: expected finite values, got NaN or infinity")
-        tensor = value
+        tensor = value.float() if value.dtype in (torch.float16, torch.bfloat16) else value
     else:
         if np.asarray(value).dtype == np.uint8:
             raise ValueError(f"{name}: expected floats, got bytes; divide them by 255")
@@ -221,14 +222,34 @@ def _white(data_range: float) -> float:
     return float(data_range)
 
 
-def _blurred(stack: Tensor, padding: str) -> Tensor:
-    """(B, 1, H, W) under the Gaussian window, one axis after the other."""
+def _blurred(planes: Tensor, margin: int) -> Tensor:
+    """(B, H, W) with `margin` zeros around, under the Gaussian window; only whole windows."""
     offsets = torch.arange(_WINDOW, dtype=torch.float64) - _WINDOW // 2
     window = torch.exp(-0.5 * (offsets / _SIGMA) ** 2)
-    window = (window / window.sum()).to(stack)
-    margin = _WINDOW // 2 if padding == "same" else 0
-    rows = conv2d(stack, window.reshape(1, 1, -1, 1), padding=(margin, 0))
-    return conv2d(rows, window.reshape(1, 1, 1, -1), padding=(0, margin))
+    window = (window / window.sum()).to(planes)
+    if planes.device.type == "cpu":
+        blurred: Tensor = _Blur.apply(planes, window, margin)  # type: ignore[no-untyped-call]
+        return blurred
+    rows = conv2d(planes[:, None], window.reshape(1, 1, -1, 1), padding=(margin, 0))
+    return conv2d(rows, window.reshape(1, 1, 1, -1), padding=(0, margin))[:, 0]
+
+
+class _Blur(torch.autograd.Function):
+    """The kernel, and its adjoint: the same with the rest of the margin, as the window is symmetric."""
+
+    @staticmethod
+    def forward(ctx: Any, planes: Tensor, window: Tensor, margin: int) -> Tensor:
+        ctx.window, ctx.margin = window, margin
+        less = 2 * margin - len(window) + 1
+        count, height, width = planes.shape
+        out = planes.new_empty(count, height + less, width + less)
+        blur(planes.detach().contiguous().numpy(), window.numpy(), margin, out.numpy())
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        rest = len(ctx.window) - 1 - ctx.margin
+        return _Blur.apply(grads[0], ctx.window, rest), None, None  # type: ignore[no-untyped-call]
 
 
 def _flip_maps(image: Tensor, target: Tensor, pixels_per_degree: float) -> Tensor:

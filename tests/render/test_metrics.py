@@ -140,10 +140,30 @@ def test_ssim_is_a_loss(padding: str) -> None:
     def value(x: torch.Tensor) -> torch.Tensor:
         return ssim(x, target, padding=padding)
 
-    assert torch.autograd.gradcheck(value, image.requires_grad_())
+    assert torch.autograd.gradcheck(value, image.requires_grad_(), fast_mode=True)
     assert torch.autograd.gradcheck(lambda x: psnr(x, target), image)
     better = (image + 1e-3 * torch.autograd.grad(value(image), image)[0]).detach()
     assert value(better) > value(image)
+
+
+def test_ssim_has_second_derivatives() -> None:
+    image, target = (torch.tensor(side[:11, :12]) for side in pair())
+    assert torch.autograd.gradgradcheck(lambda x: ssim(x, target), image.requires_grad_(), fast_mode=True)
+
+
+def test_half_precision_is_taken_in_full() -> None:
+    image, target = (torch.tensor(side).half() for side in pair())
+    assert ssim(image, target).item() == pytest.approx(ssim(image.float(), target.float()).item())
+    assert ssim(image, target).dtype == torch.float32
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+@pytest.mark.parametrize("padding", ["valid", "same"])
+def test_a_gpu_gives_the_same_ssim(padding: str) -> None:
+    image, target = (torch.tensor(side) for side in pair())
+    found = ssim(image.cuda(), target.cuda(), padding=padding)
+    assert found.device.type == "cuda"
+    assert found.item() == pytest.approx(ssim(image, target, padding=padding).item(), abs=1e-12)
 
 
 # ---------------------------------------------------------------------------------------------------- bad input
