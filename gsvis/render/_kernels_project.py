@@ -130,7 +130,7 @@ def project_backward(
     `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
     image, in loss per pixel.
     """
-    fx, fy, cx, cy = intrinsics
+    fx, fy = intrinsics[0], intrinsics[1]
     width, height = size
     v_means, v_quats, v_scales = outs
     for j in prange(len(ids)):

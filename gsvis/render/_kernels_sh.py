@@ -80,8 +80,8 @@ def _direction(mean, eye):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_from_sh(ids, means, sh0, shN, degree, eye, features):
-    """Colours of the Gaussians ids (M,) into features[:, :3]."""
+def colours_from_sh(ids, means, sh0, higher, degree, eye, features):
+    """Colours of the Gaussians ids (M,) into features[:, :3]; `higher` is shN."""
     for j in prange(len(ids)):
         i = ids[j]
         values = np.empty(16)
@@ -90,12 +90,12 @@ def colours_from_sh(ids, means, sh0, shN, degree, eye, features):
         for c in range(3):
             colour = 0.5 + values[0] * sh0[i, 0, c]
             for k in range(1, (degree + 1) ** 2):
-                colour += values[k] * shN[i, k - 1, c]
+                colour += values[k] * higher[i, k - 1, c]
             features[j, c] = max(colour, 0.0)
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_from_sh_backward(ids, means, sh0, shN, degree, eye, features, v_features, v_sh0, v_shN, v_means):
+def colours_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means):
     """Gradients by sh0, shN and means (through the direction), added into the last three."""
     for j in prange(len(ids)):
         i = ids[j]
@@ -111,8 +111,8 @@ def colours_from_sh_backward(ids, means, sh0, shN, degree, eye, features, v_feat
             v = v_features[j, c]
             v_sh0[i, 0, c] += v * values[0]
             for k in range(1, (degree + 1) ** 2):
-                v_shN[i, k - 1, c] += v * values[k]
-                s = v * shN[i, k - 1, c]
+                v_higher[i, k - 1, c] += v * values[k]
+                s = v * higher[i, k - 1, c]
                 dx += s * slopes[k, 0]
                 dy += s * slopes[k, 1]
                 dz += s * slopes[k, 2]

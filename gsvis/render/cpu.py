@@ -143,7 +143,7 @@ class _Rasterize(torch.autograd.Function):
     """means, quats, scales, opacities, sh0, shN, colours | None -> image, alpha, depth, median, means2d of one view."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any, view: View, options: tuple[F32, int, bool, bool], probe: Tensor, *tensors: Tensor | None
     ) -> tuple[Tensor, ...]:
         background, degree, antialiased, with_gradient = options
@@ -170,7 +170,7 @@ class _Rasterize(torch.autograd.Function):
         return outputs
 
     @staticmethod
-    def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:
         view, (background, degree, antialiased, _), scene, colours, projected, features, *forward = ctx.saved
         by_image, by_alpha, by_depth = (np.ascontiguousarray(v.numpy(), np.float32) for v in by_outputs[:3])
         pairs = np.empty((len(projected.members), 10), np.float32)

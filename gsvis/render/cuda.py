@@ -47,14 +47,17 @@ def rasterize_cuda(
     import gsplat
 
     device = tensors.means.device
-    shape = {"dtype": torch.float32, "device": device}
+
+    def there(array: NDArray[Any]) -> Tensor:
+        return torch.as_tensor(array, dtype=torch.float32, device=device)
+
     coefficients = torch.cat([tensors.sh0, tensors.shN], dim=1)[:, : (sh_degree + 1) ** 2]
     images, alphas, info = gsplat.rasterization(
         tensors.means, tensors.quats, tensors.scales, tensors.opacities,
         coefficients if colors is None else colors,
-        torch.as_tensor(camera.viewmats, **shape), torch.as_tensor(camera.Ks, **shape), camera.width, camera.height,
+        there(camera.viewmats), there(camera.Ks), camera.width, camera.height,
         near_plane=0.01, eps2d=0.3, sh_degree=sh_degree if colors is None else None, packed=False,
-        backgrounds=torch.as_tensor(background, **shape)[None], render_mode="RGB+ED",
+        backgrounds=there(background[None]), render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
     )  # fmt: skip
     if probe.requires_grad:
@@ -65,10 +68,9 @@ def rasterize_cuda(
 
 def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:
     """Let the gradient that reaches gsplat's projected centres also reach the probe."""
-    means2d.retain_grad()
 
     def add(gradient: Tensor) -> Any:
-        probe.backward(gradient.reshape(probe.shape).detach())
+        torch.autograd.backward(probe, gradient.reshape(probe.shape).detach())
         return gradient
 
-    means2d.register_hook(add)
+    means2d.register_hook(add)  # type: ignore[no-untyped-call]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from gsvis import _check
@@ -36,7 +36,8 @@ class Rendering:
         images: (C, H, W, 3) RGB, 0 black, 1 white, brighter values kept.
         alphas: (C, H, W) in [0, 1], one minus the transmittance left.
         depths: (C, H, W) expected camera z, weighted by blending weights; 0 where nothing is seen.
-        median_depths: (C, H, W) camera z of the Gaussian behind which at most half of the light is left; 0 where more is.
+        median_depths: (C, H, W) camera z of the Gaussian behind which at most half of the light is left; 0 where more
+            is, NaN from gsplat, which has none.
         means2d: (C, N, 2) zeros; if gradients are taken, `means2d.grad` holds the gradient of the loss by the projected
             centres, per pixel, which densification needs.
     """
@@ -101,14 +102,15 @@ def rasterize(
         size = (0, cameras.height, cameras.width)
         empty = torch.zeros(size, dtype=tensors.means.dtype, device=tensors.means.device)
         return Rendering(torch.zeros((*size, 3)).to(empty), empty, empty, empty, means2d)
-    return Rendering(*(torch.stack(part) for part in zip(*outputs, strict=True)), means2d)
+    images, alphas, depths, medians = (torch.stack(part) for part in zip(*outputs, strict=True))
+    return Rendering(images, alphas, depths, medians, means2d)
 
 
 _Draw = Callable[..., tuple[Tensor, Tensor, Tensor, Tensor]]
 
 
 def _draw_cpu(
-    tensors: GaussianTensors, camera: Cameras, background: np.ndarray, degree: int, antialiased: bool,
+    tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
     colors: Tensor | None, probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     if tensors.means.device.type != "cpu":
@@ -122,7 +124,7 @@ def _draw_cpu(
 
 
 def _draw_reference(
-    tensors: GaussianTensors, camera: Cameras, background: np.ndarray, degree: int, antialiased: bool,
+    tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
     colors: Tensor | None, probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     drawn = rasterize_reference(
@@ -133,7 +135,7 @@ def _draw_reference(
 
 
 def _draw_cuda(
-    tensors: GaussianTensors, camera: Cameras, background: np.ndarray, degree: int, antialiased: bool,
+    tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
     colors: Tensor | None, probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     reason = is_available()

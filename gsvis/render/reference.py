@@ -7,7 +7,7 @@ z axis in scene units; thresholds are those of docs/conventions.md. This module 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -204,6 +204,7 @@ def rasterize_reference(
     sh_degree: int | None = None,
     antialiased: bool = False,
     colors: Tensor | None = None,
+    shift2d: Tensor | None = None,
 ) -> ReferenceImage:
     """Draw Gaussians, every pixel against every Gaussian.
 
@@ -217,6 +218,7 @@ def rasterize_reference(
         sh_degree: Highest degree of SH to evaluate; None for all there are.
         antialiased: See `project_reference`.
         colors: (N, 3) to take in place of those from SH.
+        shift2d: (N, 2) pixels added to the projected centres; zeros that require a gradient receive theirs.
 
     Returns:
         The image with its depths and weights, of the dtype and device of `tensors`. Differentiable, but for the
@@ -228,6 +230,8 @@ def rasterize_reference(
     projection = project_reference(
         tensors, viewmat, K, width, height, sh_degree=sh_degree, antialiased=antialiased, colors=colors
     )
+    if shift2d is not None:
+        projection = replace(projection, means2d=projection.means2d + shift2d)
     means2d = projection.means2d
     if means2d.requires_grad:
         means2d.retain_grad()

@@ -1,0 +1,220 @@
+"""The CPU rasterizer against the reference: images, gradients, and what must not change them."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsvis.errors import BackendError
+from gsvis.render import GaussianTensors, Rendering, rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from tests.raycast.scenes import KINDS, scene
+
+NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
+EYES = {"outside": (0.2, -3.0, 0.3), "inside": (0.1, 0.0, 0.1), "far": (1000.2, 997.0, 1000.3)}
+
+
+def camera(kind: str = "outside", width: int = 50, height: int = 37) -> Cameras:
+    target = np.array([0, 0.01, 0]) + (1000.0 if kind == "far" else 0.0)
+    return Cameras.look_at([EYES[kind]], target, width=width, height=height, fov=50)
+
+
+def both(g: Gaussians, views: Cameras, **options: object) -> tuple[Rendering, Rendering]:
+    fast = rasterize(g, views, backend="cpu", **options)  # type: ignore[arg-type]
+    slow = rasterize(GaussianTensors.from_gaussians(g, torch.float64), views, backend="reference", **options)  # type: ignore[arg-type]
+    return fast, slow
+
+
+def assert_same_images(fast: Rendering, slow: Rendering) -> None:
+    assert torch.isfinite(fast.images).all()
+    torch.testing.assert_close(fast.images.double(), slow.images, atol=1e-3, rtol=0)
+    torch.testing.assert_close(fast.alphas.double(), slow.alphas, atol=1e-3, rtol=0)
+    torch.testing.assert_close(fast.depths.double(), slow.depths, atol=1e-3, rtol=1e-3)
+    apart = (fast.median_depths.double() - slow.median_depths).abs() > 1e-3 * (1 + slow.median_depths)
+    assert apart.double().mean() < 2e-3  # where the light crosses one half within rounding
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("where", ["outside", "inside"])
+def test_images_equal_the_reference(kind: str, antialiased: bool, where: str) -> None:
+    view = camera("far" if kind == "far" else where)
+    assert_same_images(*both(scene(kind), view, antialiased=antialiased, background=(0.1, 0.2, 0.9)))
+
+
+@given(seed=st.integers(0, 10_000), kind=st.sampled_from(KINDS), width=st.integers(1, 40), height=st.integers(1, 40))
+@settings(max_examples=25)
+def test_images_equal_the_reference_at_any_size(seed: int, kind: str, width: int, height: int) -> None:
+    view = camera("far" if kind == "far" else ("outside", "inside")[seed % 2], width, height)
+    assert_same_images(*both(scene(kind, seed, 60), view))
+
+
+@pytest.mark.parametrize("kind", ["blobs", "discs", "needles", "mixed", "coincident", "nested", "faint", "one"])
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("where", ["outside", "inside"])
+def test_gradients_equal_the_reference(kind: str, antialiased: bool, where: str) -> None:
+    g, view = scene(kind), camera(where)
+    rng = np.random.default_rng(0)
+    by_image, by_alpha, by_depth = (torch.from_numpy(rng.normal(size=(1, 37, 50, *s))) for s in ((3,), (), ()))
+    gradients = []
+    for backend, dtype in (("cpu", torch.float32), ("reference", torch.float64)):
+        tensors = GaussianTensors.from_gaussians(g, dtype, requires_grad=True)
+        drawn = rasterize(tensors, view, backend=backend, antialiased=antialiased, background=(0.3, 0.6, 0.9))
+        loss = (drawn.images * by_image).sum() + (drawn.alphas * by_alpha).sum() + 0.1 * (drawn.depths * by_depth).sum()
+        loss.backward()  # type: ignore[no-untyped-call]
+        gradients.append([getattr(tensors, name).grad.double() for name in NAMES] + [drawn.means2d.grad.double()])
+    for name, fast, slow in zip((*NAMES, "means2d"), *gradients, strict=True):
+        if name == "quats" and kind in ("nested", "coincident"):
+            assert fast.abs().max() < 1e-3  # balls have no orientation
+            continue
+        assert (fast - slow).norm() <= 1e-3 * slow.norm() + 1e-6, name
+        assert torch.isfinite(fast).all()
+
+
+def test_gradients_equal_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    n = 5
+    g = Gaussians(
+        rng.uniform(-0.5, 0.5, (n, 3)),
+        rng.normal(size=(n, 4)),
+        rng.uniform(0.2, 0.5, (n, 3)),
+        rng.uniform(0.3, 0.8, n),
+        rng.normal(size=(n, 1, 3)),
+        0.3 * rng.normal(size=(n, 15, 3)),
+    )
+    view = Cameras.look_at([[0.2, -3.0, 0.3]], [0, 0, 0], width=24, height=20, fov=22)
+    weights = torch.from_numpy(rng.normal(size=(1, 20, 24, 3)))
+    fast = GaussianTensors.from_gaussians(g, requires_grad=True)
+    (rasterize(fast, view, backend="cpu").images * weights).sum().backward()  # type: ignore[no-untyped-call]
+    exact = GaussianTensors.from_gaussians(g, torch.float64)
+
+    def loss(name: str, value: torch.Tensor) -> float:
+        fields = {other: getattr(exact, other) for other in NAMES} | {name: value}
+        return float((rasterize(GaussianTensors(**fields), view, backend="reference").images * weights).sum())
+
+    for name in NAMES:
+        base, gradient = getattr(exact, name), getattr(fast, name).grad
+        for index in rng.permutation(base.numel())[:6]:
+            step = torch.zeros(base.numel(), dtype=torch.float64)
+            step[index] = 1e-6
+            step = step.reshape(base.shape)
+            difference = (loss(name, base + step) - loss(name, base - step)) / 2e-6
+            np.testing.assert_allclose(gradient.reshape(-1)[index], difference, rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["blobs", "coincident", "mixed", "nested"])
+def test_permutation_and_threads_change_nothing(kind: str) -> None:
+    g = scene(kind)
+    order = np.random.default_rng(1).permutation(len(g))
+    plain = rasterize(g, camera())
+    torch.testing.assert_close(rasterize(g[order], camera()).images, plain.images, atol=0, rtol=0)
+    threads = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        torch.testing.assert_close(rasterize(g, camera()).images, plain.images, atol=0, rtol=0)
+    finally:
+        numba.set_num_threads(threads)
+
+
+def test_a_wall_of_equal_depths_does_not_depend_on_order() -> None:
+    rng = np.random.default_rng(0)
+    n = 500
+    means = np.stack([rng.uniform(-1, 1, n), rng.uniform(-1, 1, n), np.full(n, 2.0)], axis=1)
+    g = Gaussians(means, [[1, 0, 0, 0]] * n, np.full((n, 3), 0.2), np.full(n, 0.5), rng.normal(size=(n, 1, 3)))
+    view = Cameras(np.eye(4)[None], [[[40, 0, 20], [0, 40, 20], [0, 0, 1]]], 40, 40)
+    plain = rasterize(g, view).images
+    torch.testing.assert_close(rasterize(g[::-1], view).images, plain, atol=0, rtol=0)
+
+
+def test_colours_given_instead_of_sh() -> None:
+    g, views = scene("blobs"), Cameras.orbit([0, 0, 0], 3.0, 2, width=30, height=20)
+    rng = np.random.default_rng(2)
+    shared, own = rng.uniform(0, 1, (len(g), 3)), rng.uniform(0, 1, (2, len(g), 3))
+    assert_same_images(*both(g, views, colors=shared))
+    fast, slow = both(g, views, colors=own)
+    assert_same_images(fast, slow)
+    for c in range(2):
+        alone = rasterize(g, views[c], colors=own[c]).images[0]
+        torch.testing.assert_close(fast.images[c], alone, atol=0, rtol=0)
+    colors = torch.tensor(shared, dtype=torch.float32, requires_grad=True)
+    rasterize(g, views, colors=colors).images.sum().backward()  # type: ignore[no-untyped-call]
+    assert colors.grad is not None
+    weights = rasterize(g, views, colors=np.ones((len(g), 3))).images[..., 0]
+    np.testing.assert_allclose(colors.grad.sum(), 3 * weights.sum(), rtol=1e-4)
+
+
+def test_lower_sh_degree_forgets_the_rest() -> None:
+    g = scene("blobs")
+    flat = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
+    torch.testing.assert_close(rasterize(g, camera(), sh_degree=0).images, rasterize(flat, camera()).images)
+    assert (rasterize(g, camera()).images - rasterize(flat, camera()).images).abs().max() > 0.01
+
+
+def test_nothing_to_draw() -> None:
+    empty = rasterize(Gaussians.empty(), camera(), background=(1.0, 0.5, 0.0))
+    assert (empty.images == torch.tensor([1.0, 0.5, 0.0])).all()
+    assert (empty.alphas == 0).all()
+    assert (empty.depths == 0).all()
+    none = rasterize(scene("blobs"), camera()[[]])
+    assert none.images.shape == (0, 37, 50, 3)
+    assert none.depths.shape == (0, 37, 50)
+    tensors = GaussianTensors.from_gaussians(Gaussians.empty(), requires_grad=True)
+    rasterize(tensors, camera()).images.sum().backward()  # type: ignore[no-untyped-call]
+
+
+def test_behind_and_at_the_near_plane() -> None:
+    z = np.array([-1.0, 0.0, 0.01, 0.011, 1.0])
+    for k, depth in enumerate(z):
+        g = Gaussians([[0, 0, depth]], [[1, 0, 0, 0]], [[0.3] * 3], [0.9], np.ones((1, 1, 3)))
+        view = Cameras(np.eye(4)[None], [[[20, 0, 10], [0, 20, 10], [0, 0, 1]]], 20, 20)
+        drawn = rasterize(g, view).alphas.max()
+        assert (drawn > 0.5) == (k >= 3)
+
+
+def test_images_of_several_cameras_are_those_of_each() -> None:
+    g, views = scene("mixed"), Cameras.orbit([0, 0, 0], 3.0, 3, width=33, height=17)
+    together = rasterize(g, views)
+    for c in range(3):
+        torch.testing.assert_close(together.images[c], rasterize(g, views[c]).images[0], atol=0, rtol=0)
+    assert together.images.shape == (3, 17, 33, 3)
+
+
+def test_refusals_name_the_argument() -> None:
+    g = scene("one")
+    with pytest.raises(ValueError, match=r"^backend: expected one of"):
+        rasterize(g, camera(), backend="vulkan")
+    with pytest.raises(ValueError, match=r"^background: expected shape \(3,\)"):
+        rasterize(g, camera(), background=(0.0, 0.0))
+    with pytest.raises(ValueError, match=r"^background: expected finite"):
+        rasterize(g, camera(), background=(0.0, 0.0, np.nan))
+    with pytest.raises(ValueError, match=r"^sh_degree: expected 0 to 3"):
+        rasterize(g, camera(), sh_degree=4)
+    with pytest.raises(ValueError, match=r"^colors: expected shape \(1, 3\) or \(1, 1, 3\)"):
+        rasterize(g, camera(), colors=np.zeros((2, 3)))
+    with pytest.raises(ValueError, match=r"^colors: expected finite"):
+        rasterize(g, camera(), colors=np.full((1, 3), np.inf))
+    with pytest.raises(ValueError, match=r"^gaussians: expected Gaussians or GaussianTensors, got dict"):
+        rasterize({}, camera())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^cameras: expected Ks without skew"):
+        rasterize(g, Cameras(np.eye(4)[None], [[[20, 1, 10], [0, 20, 10], [0, 0, 1]]], 20, 20))
+    if not torch.cuda.is_available():
+        with pytest.raises(BackendError, match=r"backend 'cuda': expected a CUDA GPU"):
+            rasterize(g, camera(), backend="cuda")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA GPU here")
+@pytest.mark.parametrize("kind", ["blobs", "mixed"])
+def test_cuda_equals_cpu(kind: str) -> None:
+    pytest.importorskip("gsplat", reason="gsplat is not installed")
+    g = scene(kind)
+    tensors = GaussianTensors.from_gaussians(g, device="cuda", requires_grad=True)
+    there, here = rasterize(tensors, camera()), rasterize(g, camera())
+    torch.testing.assert_close(there.images.cpu(), here.images, atol=5e-3, rtol=0)
+    there.images.sum().backward()  # type: ignore[no-untyped-call]
+    assert there.means2d.grad is not None
+    assert there.means2d.grad.abs().sum() > 0
