@@ -17,7 +17,10 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.inspection import axis_vector, inspect_scene
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["run_analyze"]
+__all__ = ["PICTURE", "run_analyze"]
+
+PICTURE = 512
+"""Pixels of the longer side of the pictures."""
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
 
@@ -62,7 +65,7 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
     status("space", 1, 1)
     tracer = Tracer(EllipsoidProxies.from_scene(g))
     analysis = analyze(g, cameras, config, navigable=navigable, tracer=tracer, progress=status)
-    pictures = picture_views(tracer, analysis, progress=status)
+    pictures = picture_views(tracer, analysis, longest_side=PICTURE, progress=status)
     subject = Subject(
         title=source.name,
         gaussians=g,

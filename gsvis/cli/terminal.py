@@ -152,6 +152,12 @@ def show(*parts: Table | str) -> None:
         for part in parts:
             if isinstance(part, str):
                 indent = " " * (3 if part.startswith(" - ") else 1)
-                part = textwrap.fill(part, console.width - 1, subsequent_indent=indent, break_long_words=False)
+                part = textwrap.fill(
+                    part,
+                    console.width - 1,
+                    subsequent_indent=indent,
+                    break_long_words=False,
+                    break_on_hyphens=False,
+                )
             console.print(part, markup=False, soft_wrap=isinstance(part, str))
     sys.stdout.write("\n".join(line.rstrip() for line in held.get().splitlines()) + "\n")

@@ -1,0 +1,174 @@
+"""What share of a scene does a view need, and from how many of the 80 directions can its Gaussians be seen?
+
+SRBF-Gaussian, section 3.1, on scenes of ours, beside the paper's figures. Three parts for each scene:
+
+- views: the visible share of cameras sampled in navigable space, and how it grows with the resolution of the views;
+- gathered (the paper's way): for a random sample of Gaussians, the directions in which any of V viewpoints, uniform in
+  navigable space, sees them, after each doubling of V. It has settled when a doubling moves no point of the CDF by 2%;
+- traced outward from the same sample, with 1, 4, 16 and 64 rays over each face; agreement with the gathered sets.
+
+Gathering casts one ray from each viewpoint to the centre of each Gaussian of the sample: it has no resolution, and a
+fixed sample is what lets enough viewpoints be tried for rare directions to be met.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, realdata, write_result
+
+from gsvis.io import load_scene
+from gsvis.raycast import TAU, EllipsoidProxies, Tracer, _kernels, directions, visible_in
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility import FACE_LIMITS, PAPER, Agreement, AnalysisConfig, DirectionCdf, analyze
+from gsvis.visibility.analysis import SETTLED
+
+SCENES = ("showroom:3", "nika_sh3:0", "flowers_sh2:1")
+LOT = 64  # viewpoints at a time
+
+
+def main() -> None:
+    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
+    parser.add_argument("scenes", nargs="*", default=SCENES, metavar="NAME:LOD", help="folders of scenes/, or paths")
+    parser.add_argument("--views", type=int, default=64)
+    parser.add_argument("--sample", type=int, default=2000, help="Gaussians whose directions are gathered and traced")
+    parser.add_argument("--viewpoints", type=int, default=32768, help="rounded up to a power of two")
+    options = parser.parse_args()
+    results = []
+    for name in options.scenes:
+        results.append(measured(name, options))
+        print(row(results[-1]), file=sys.stderr)
+    print(table(results))
+    changes = [
+        {
+            "name": f"change of the gathered CDF at the last doubling, {result['scene']}",
+            "target": SETTLED,
+            "reached": result["gathered"][-1]["change"],
+            "unit": "largest difference of two CDFs",
+            "better": "lower",
+        }
+        for result in results
+    ]
+    question = "What does a view need, and from how many directions can Gaussians be seen?"
+    write_result(options.out, question, changes, {"paper": dict(PAPER), "scenes": results})
+
+
+def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
+    label, _, lod = name.partition(":")
+    path = Path(label) if Path(label).exists() else realdata() / "scenes" / label / "lod-meta.json"
+    g = load_scene(path, lod=int(lod) if lod else None)
+    navigable = NavigableSpace.from_scene(g)
+    tracer = Tracer(EllipsoidProxies.from_scene(g))
+    rng = np.random.default_rng(0)
+    sample = np.sort(rng.choice(len(g), min(options.sample, len(g)), replace=False))
+    steps, gathered = gather(tracer, navigable.sample_viewpoints(power_of_two(options.viewpoints), rng), sample)
+    traced = []
+    for rays in (1, 4, 16, 64):
+        sets = directions.trace_directions(tracer, navigable, ids=sample, rays_per_face=rays)
+        traced.append({"rays_per_face": rays, **shares(sets), "agreement": asdict(Agreement.of(gathered, sets))})
+        print(f"{label}: traced with {rays} rays a face {traced[-1]}", file=sys.stderr)
+    return {
+        "scene": label + (f" LOD {lod}" if lod else ""),
+        "gaussians": len(g),
+        "navigable": navigable.rule,
+        "views": views(tracer, navigable, options.views),
+        "sample": len(sample),
+        "gathered": steps,
+        "gathered_has_settled": steps[-1]["change"] is not None and steps[-1]["change"] < SETTLED,
+        "traced": traced,
+    }
+
+
+def views(tracer: Tracer, navigable: NavigableSpace, count: int) -> dict[str, Any]:
+    """Visible shares at 256 x 192 and 60 degrees, and of every eighth of these views at other resolutions."""
+    g = tracer.proxies.gaussians
+    cameras = navigable.sample_cameras(count, np.random.default_rng(0), width=256, height=192, fov=60.0)
+    start = time.perf_counter()
+    found = analyze(g, cameras, AnalysisConfig(traced_sample=0), tracer=tracer)
+    seconds = time.perf_counter() - start
+    some, by_width = cameras[::8], []
+    for width, height in ((64, 48), (128, 96), (256, 192), (512, 384), (1024, 768)):
+        seen = [visible_in(tracer, some[i].resized(width, height)) >= TAU for i in range(len(some))]
+        by_width.append({"width": width, "height": height, "mean": float(np.mean(seen))})
+    fractions = found.visible_fractions
+    return {
+        "count": count,
+        "rays": "256 x 192, 60 degrees",
+        "mean": float(fractions.mean()),
+        "min": float(fractions.min()),
+        "max": float(fractions.max()),
+        "seconds": seconds,
+        "resolution": {"views": len(some), "means": by_width},
+    }
+
+
+def gather(tracer: Tracer, points: np.ndarray, sample: np.ndarray) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """Direction sets (M, 10) of the sample from all points, and the figures after each doubling of their number."""
+    g, hierarchy = tracer.proxies.gaussians, tracer.hierarchy
+    sets = np.zeros((len(sample), 10), np.uint8)
+    there = np.flatnonzero(hierarchy.positions[sample] >= 0)  # the others are fainter than 1/255 and never seen
+    targets, part = hierarchy.positions[sample[there]], g[sample[there]]
+    steps: list[dict[str, Any]] = []
+    before, start = None, time.perf_counter()
+    for first in range(0, len(points), LOT):
+        eyes = points[first : first + LOT]
+        rays_d = part.means.astype(np.float64)[None] - eyes[:, None]
+        rays_d /= np.linalg.norm(rays_d, axis=2, keepdims=True)
+        rays_o = np.broadcast_to(eyes[:, None], rays_d.shape).reshape(-1, 3).copy()
+        weights = np.empty(len(rays_o))
+        lot = np.tile(targets, len(eyes))
+        _kernels.weights_of(*hierarchy.arrays, rays_o, rays_d.reshape(-1, 3), lot, tracer.limits, TAU / 4, weights)
+        seen = weights.reshape(len(eyes), -1).astype(np.float32)
+        sets[there] |= directions.seen_directions(part, seen, eyes)
+        done = first + len(eyes)
+        if done & (done - 1) == 0:  # a power of two
+            cdf = DirectionCdf.of(sets)
+            change = None if before is None else float(np.abs(cdf.values - before.values).max())
+            seconds = time.perf_counter() - start
+            steps.append({"viewpoints": done, "seconds": seconds, **shares(sets), "change": change})
+            print(f"gathered {steps[-1]}", file=sys.stderr)
+            before = cdf
+    return steps, sets
+
+
+def shares(sets: np.ndarray) -> dict[str, float]:
+    cdf = DirectionCdf.of(sets)
+    below = {f"below_{k}": cdf.below(k) for k in FACE_LIMITS}
+    return {**below, **{f"below_{k}_of_seen": cdf.below(k, of_seen=True) for k in FACE_LIMITS}, "faces": cdf.mean_faces}
+
+
+def power_of_two(count: int) -> int:
+    return max(2 * LOT, 1 << (count - 1).bit_length())
+
+
+def table(results: list[dict[str, Any]]) -> str:
+    head = (
+        "| scene | visible in a view: mean (min to max) | gathered < 41.25% | < 60% | settled"
+        " | traced < 41.25% | < 60% | mean Jaccard |\n|---|---|---|---|---|---|---|---|"
+    )
+    paper = (
+        f"| paper (Tanks & Temples) | {PAPER['mean_visible']:.2%} (one view {PAPER['one_view_visible']:.2%})"
+        f" | {PAPER['below_33_faces']:.1%} | {PAPER['below_48_faces']:.1%} | | | | |"
+    )
+    return "\n".join([head, paper, *map(row, results)])
+
+
+def row(result: dict[str, Any]) -> str:
+    seen, gathered, traced = result["views"], result["gathered"][-1], result["traced"][-1]
+    change = "" if gathered["change"] is None else f" ({gathered['change']:.1%})"
+    settled = ("yes" if result["gathered_has_settled"] else "no") + change
+    return (
+        f"| {result['scene']} | {seen['mean']:.2%} ({seen['min']:.2%} to {seen['max']:.2%})"
+        f" | {gathered['below_33']:.1%} | {gathered['below_48']:.1%} | {settled}"
+        f" | {traced['below_33']:.1%} | {traced['below_48']:.1%} | {traced['agreement']['mean_jaccard']:.3f} |"
+    )
+
+
+if __name__ == "__main__":
+    main()

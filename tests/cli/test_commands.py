@@ -1,0 +1,289 @@
+"""The commands in this process: what they print, write and refuse."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.cli import main, parse
+from gsvis.cli.arguments import Analyze, Convert, Inspect
+from gsvis.cli.source import check_folder, evenly
+from gsvis.io import load_scene, save_scene
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+
+Capture = pytest.CaptureFixture[str]
+FAR = ["90", "90", "90", "91", "91", "91"]
+QUICK = ["--views", "3", "--width", "12", "--height", "9", "--traced-sample", "50"]
+
+
+@pytest.fixture(autouse=True)
+def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.cli.analyze.PICTURE", 24)
+
+
+@pytest.fixture
+def ply(tmp_path: Path) -> Path:
+    save_scene(two_rooms(1000, sh_degree=1).gaussians, tmp_path / "rooms.ply")
+    return tmp_path / "rooms.ply"
+
+
+def refused(capsys: Capture, *arguments: object) -> str:
+    """The one line on stderr of a refusal; nothing on stdout."""
+    assert main([str(word) for word in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("gsvis: error: ")
+    return lines[0]
+
+
+def test_inspect_prints_a_table_of_80_columns(ply: Path, capsys: Capture) -> None:
+    assert main(["inspect", str(ply)]) == 0
+    out, err = capsys.readouterr()
+    assert f"{len(load_scene(ply)):,}" in out
+    assert "SH degree" in out
+    assert max(map(len, out.splitlines())) <= 80
+    assert err == ""
+
+
+def test_inspect_json_is_one_document(ply: Path, capsys: Capture) -> None:
+    assert main(["inspect", str(ply), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["format"], document["version"], document["scene"]) == ("gsvis-inspection", 1, "rooms")
+    assert document["count"] == len(load_scene(ply))
+
+
+@pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
+def test_builtin_scenes_are_scenes(name: str, capsys: Capture) -> None:
+    assert main(["inspect", f"builtin:{name}", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["count"] > 1000
+
+
+def test_analyze_writes_a_report_and_prints_a_table(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "new" / "report"
+    assert main(["analyze", str(ply), "-o", str(out), *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert str(out / "report.html") in text.split()
+    assert "20.21%" in text
+    assert "not settled" in " ".join(text.split())
+    assert json.loads((out / "report.json").read_text())["gaussians"] == len(load_scene(ply))
+    assert (out / "report.html").read_text().startswith("<!doctype html>")
+
+
+def test_analyze_json_is_the_report_and_a_seed_repeats_it(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    command = ["analyze", str(ply), "-o", str(tmp_path / "a b"), *QUICK, "--seed", "7", "--json"]
+    documents = []
+    for _ in range(2):
+        assert main(command) == 0
+        documents.append(json.loads(capsys.readouterr().out))
+    assert documents[0] == json.loads((tmp_path / "a b" / "report.json").read_text()) | {
+        "seconds": documents[0]["seconds"]
+    }
+    for document in documents:
+        document.pop("seconds")
+    assert documents[0] == documents[1]
+    assert documents[0]["command"].startswith(f"gsvis analyze {ply} -o '{tmp_path}/a b' --views 3")
+    assert "--json" not in documents[0]["command"]
+    assert documents[0]["parameters"]["fov"] == 60.0
+
+
+def test_analyze_takes_cameras_of_a_file_at_its_aspect(tmp_path: Path, capsys: Capture) -> None:
+    size = {"w": 320, "h": 160, "fl_x": 160.0, "fl_y": 160.0, "cx": 160.0, "cy": 80.0}
+    pose = [[0.0, 0.0, -1.0, 2.0], [-1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 1.5], [0.0, 0.0, 0.0, 1.0]]  # looks along +x
+    frames = [{"file_path": f"{i}.png", "transform_matrix": pose} for i in range(4)]
+    (tmp_path / "transforms.json").write_text(json.dumps({**size, "frames": frames}))
+    command = ["analyze", "builtin:two_rooms", "-o", str(tmp_path / "out"), "--json", "--traced-sample", "0"]
+    command += ["--cameras", str(tmp_path / "transforms.json"), "--width", "20", "--views", "2"]
+    assert main(command) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["rays"]["width"], document["rays"]["height"]) == (20, 10)
+    assert document["rays"]["horizontal_fov_degrees"] == pytest.approx([90.0, 90.0])
+    assert [each["name"] for each in document["visible_fraction"]["cameras"]] == ["0.png", "2.png"]
+    assert document["directions"]["traced"] is None
+    assert "transforms.json" in document["cameras_from"]
+
+
+def test_convert_cuts_thins_turns_and_writes(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "deep" / "small.ply"
+    command = ["convert", str(ply), str(out), "--crop", "-1", "-1", "-1", "3.5", "9", "9", "--max-sh-degree", "0"]
+    assert main([*command, "--up", "-y:+z", "--min-opacity", "0.1", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    before, after = load_scene(ply), load_scene(out)
+    kept = before.means[before.means[:, 0] <= 3.5]
+    assert document["gaussians_out"] == len(after) == len(kept)
+    assert document["bytes"] == out.stat().st_size
+    assert (document["sh_degree_in"], document["sh_degree_out"]) == (1, 0)
+    assert np.allclose(after.means[:, 2], -kept[:, 1], atol=1e-5)
+
+
+def test_convert_says_what_it_did(ply: Path, capsys: Capture) -> None:
+    assert main(["convert", str(ply), str(ply.with_suffix(".spz"))]) == 0
+    assert capsys.readouterr().out.startswith(f"{ply.with_suffix('.spz')}: ")
+
+
+def test_the_up_axis_may_begin_with_a_minus() -> None:
+    for words in (["--up", "-y:+z"], ["--up=-y:+z"]):
+        command = parse(["convert", "a", "b", *words])
+        assert isinstance(command, Convert)
+        assert command.up is not None
+        assert command.up.strip() == "-y:+z"
+
+
+def test_defaults_are_those_the_help_states() -> None:
+    assert parse(["inspect", "x"]) == Inspect("x")
+    assert parse(["analyze", "x", "-o", "d"]) == Analyze("x", "d")
+    assert parse(["analyze", "x", "--out", "d", "--lod", "3"]) == Analyze("x", "d", lod=3)
+
+
+def test_missing_and_wrong_scenes_are_refused_in_one_line(tmp_path: Path, capsys: Capture) -> None:
+    assert "nowhere.ply: no such file" in refused(capsys, "inspect", tmp_path / "nowhere.ply")
+    assert "builtin:two_rooms" in refused(capsys, "inspect", "builtin:three_rooms")
+    assert "--lod" in refused(capsys, "inspect", "builtin:two_rooms", "--lod", "1")
+    bad = tmp_path / "bad.ply"
+    bad.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\n")
+    assert "bad.ply" in refused(capsys, "inspect", bad)
+    (tmp_path / "note.txt").write_text("no scene")
+    assert "expected a scene" in refused(capsys, "analyze", tmp_path / "note.txt", "-o", tmp_path / "out")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.ply", "note.txt"]
+
+
+def test_arguments_that_contradict_each_other_are_refused(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "cameras.json").write_text("[]")
+    told = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json", "--fov", "50")
+    assert "--fov" in told
+    told = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "none.json")
+    assert "none.json" in told
+    refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json")
+    assert not (tmp_path / "o").exists()
+
+
+def test_output_that_cannot_be_written_is_refused_before_the_work(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert "rooms.ply" in refused(capsys, "analyze", ply, "-o", ply)
+    assert "rooms.ply" in refused(capsys, "analyze", ply, "-o", ply / "below" / "it")
+    assert "OUT" in refused(capsys, "convert", ply, tmp_path / "x.splat")
+    assert "OUT" in refused(capsys, "convert", ply, tmp_path / "x.compressed.ply")
+    (tmp_path / "folder.ply").mkdir()
+    assert "folder.ply" in refused(capsys, "convert", ply, tmp_path / "folder.ply")
+    assert "--up" in refused(capsys, "convert", ply, tmp_path / "x.ply", "--up", "y")
+    if os.geteuid() != 0:
+        (tmp_path / "locked").mkdir(mode=0o500)
+        assert "locked" in refused(capsys, "analyze", ply, "-o", tmp_path / "locked" / "out")
+
+
+def test_nothing_left_is_refused_and_nothing_written(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert "none of" in refused(capsys, "convert", ply, tmp_path / "x.ply", "--crop", *FAR)
+    assert not (tmp_path / "x.ply").exists()
+
+
+def test_an_empty_scene_cannot_be_analysed(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "empty.ply").touch()
+    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    assert "no Gaussian" in refused(capsys, "analyze", tmp_path / "empty.ply", "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["inspect"], "SCENE"),
+        (["inspct", "x"], "inspct"),
+        (["inspect", "x", "--lod", "-1"], "lod"),
+        (["inspect", "x", "--lod", "two"], "whole number"),
+        (["analyze", "x"], "DIR"),
+        (["analyze", "x", "-o", "d", "--views", "0"], "at least 1"),
+        (["analyze", "x", "-o", "d", "--width", "20000"], "16384"),
+        (["analyze", "x", "-o", "d", "--fov", "180"], "degrees"),
+        (["analyze", "x", "-o", "d", "--tau", "nan"], "weight"),
+        (["convert", "x", "y.ply", "--crop", "1", "1", "1", "0", "2", "2"], "X0 < X1"),
+        (["convert", "x", "y.ply", "--crop", "1", "1", "1", "2", "2"], "6 values"),
+        (["convert", "x", "y.ply", "--max-sh-degree", "4"], "0 to 3"),
+    ],
+)
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert told in err
+    assert "Traceback" not in err
+
+
+def test_debug_shows_where(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(FileNotFoundError):
+        main(["inspect", "nowhere.ply", "--debug"])
+    monkeypatch.setenv("GSVIS_DEBUG", "1")
+    with pytest.raises(FileNotFoundError):
+        main(["inspect", "nowhere.ply"])
+
+
+def test_a_bug_is_told_in_one_line(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(path: object, lod: object = None) -> Gaussians:
+        raise TypeError("something\nodd")
+
+    monkeypatch.setattr("gsvis.io.load_scene", broken)
+    assert main(["inspect", str(ply)]) == 1
+    assert capsys.readouterr().err.startswith("gsvis: internal error: TypeError: something odd; please report")
+
+
+def test_a_polite_end_is_an_interrupt(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ended(path: object, lod: object = None) -> Gaussians:
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise AssertionError("not reached")
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr("gsvis.io.load_scene", ended)
+    assert main(["inspect", str(ply)]) == 130
+    assert capsys.readouterr().err == "gsvis: interrupted; nothing was left half-written\n"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_cameras_are_taken_at_even_steps() -> None:
+    cameras = Cameras.orbit((0, 0, 0), 1.0, 10)
+    assert evenly(cameras, 3).names == ("00000", "00003", "00006")
+    assert evenly(cameras, 99) is cameras
+
+
+def test_checking_a_folder_leaves_no_trace(tmp_path: Path) -> None:
+    check_folder(tmp_path / "a" / "b")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_plain_progress_speaks_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    from gsvis.cli import terminal
+
+    clock = iter(np.arange(0.0, 1000.0, 6.0))
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(clock)))
+    with terminal.Status() as status:
+        for done in range(5):
+            status("cameras", done, 4)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "gsvis: tracing cameras"
+    assert lines[-1].startswith("gsvis: tracing cameras: done in")
+    assert any("about" in line and "left" in line for line in lines[1:-1])
+    assert "cameras" in status.seconds
+
+
+def test_help_needs_nothing_heavy(capsys: Capture) -> None:
+    code = "import sys; from gsvis.cli import main; main(['--help']); print(*sys.modules, sep='\\n', file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"numpy", "numba", "torch", "open3d", "matplotlib", "scipy"} & set(done.stderr.split())
+
+
+@pytest.mark.realdata
+def test_a_real_scene_of_a_streamed_format(realdata: Path, tmp_path: Path, capsys: Capture) -> None:
+    scene = str(realdata / "scenes" / "nika_sh3" / "lod-meta.json")
+    assert main(["analyze", scene, "--lod", "3", "-o", str(tmp_path / "out"), "--json", *QUICK]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["gaussians"] == 9925
+    assert (document["scene"]["name"], document["scene"]["lod"]) == ("nika_sh3, LOD 3", 3)
+    assert 0.0 < document["visible_fraction"]["mean"] < 1.0
+    assert document["directions"]["traced"]["gaussians"] == 50
+    assert "LODs present: 2, 3" in refused(capsys, "inspect", realdata / "scenes" / "showroom", "--lod", "0")
