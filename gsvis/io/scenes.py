@@ -56,7 +56,7 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
     Raises:
         FileNotFoundError: If there is nothing at `path`.
         FormatError: If the format is unknown, or the file is damaged, truncated, empty or made to exhaust memory.
-        ValueError: If `lod` is given for a format with one level.
+        ValueError: If `lod` is negative or no integer, or given for a format with one level.
     """
     where = Path(path)
     if not where.exists():

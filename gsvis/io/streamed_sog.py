@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
 from gsvis.io._limits import Budget, safe_name
@@ -52,8 +53,11 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
     Raises:
         FormatError: If the level or the environment is absent (the message names the levels that are present), or
             a file is damaged.
+        ValueError: If `lod` is no integer of at least 0.
         OSError: If the file cannot be opened.
     """
+    if lod is not None:
+        _check.positive_int("lod", lod, at_least=0)
     tree = _Tree(path)
     present = [level for level in sorted(tree.runs) if not tree.absent(level)]
     remedy = f"LODs present: {', '.join(map(str, present)) or 'none'}"

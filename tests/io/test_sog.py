@@ -279,8 +279,9 @@ def test_absent_levels_are_named_with_those_present(tmp_path: Path, levels: dict
         load_streamed_sog(tmp_path, 0)
     with pytest.raises(FormatError, match=r"LOD 7, got LODs named in the file: 0, 1, 2; LODs present: 1, 2"):
         load_streamed_sog(tmp_path, 7)
-    with pytest.raises(FormatError):
-        load_streamed_sog(tmp_path, -1)
+    for lod in (-1, "1", 1.0, True):
+        with pytest.raises(ValueError, match="lod: expected an integer"):
+            load_streamed_sog(tmp_path, lod)  # type: ignore[arg-type]
     write_files(tmp_path / "none", {"lod-meta.json": (tmp_path / "lod-meta.json").read_bytes()})
     with pytest.raises(FormatError, match="at least one LOD"):
         load_streamed_sog(tmp_path / "none")
