@@ -53,6 +53,11 @@ def small(name: str) -> OccluderScene:
     return BUILTIN_SCENES[name](5000)
 
 
+@lru_cache
+def full(name: str) -> OccluderScene:
+    return builtin_scene(name)
+
+
 def drawn(rng: np.random.Generator, mask: NDArray[np.bool_], count: int) -> list[int]:
     return [int(i) for i in rng.permutation(np.flatnonzero(mask))[:count]]
 
@@ -77,7 +82,7 @@ class TestClosedForm:
                     assert brute.weight(eye, toward, i) < TAU
 
     def test_verdicts_exclude_each_other_and_decide_most(self, name: str) -> None:
-        scene = builtin_scene(name)
+        scene = full(name)
         assert not (scene.visible & scene.hidden).any()
         assert scene.undecided.mean() < 0.1
         assert scene.undecided.mean(axis=1).max() < 0.15
@@ -85,7 +90,7 @@ class TestClosedForm:
         assert scene.hidden.any(axis=1).all()
 
     def test_finer_scenes_decide_more(self, name: str) -> None:
-        assert builtin_scene(name).undecided.mean() < small(name).undecided.mean()
+        assert full(name).undecided.mean() < small(name).undecided.mean()
 
     def test_shapes_and_navigable_space(self, name: str) -> None:
         scene = small(name)
