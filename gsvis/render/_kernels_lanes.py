@@ -22,8 +22,11 @@ __all__ = ["CHANNELS", "LANES", "blend", "blend_backward", "weigh"]
 
 LANES = 16
 CHANNELS = 8
-T, RED, GREEN, BLUE, DEPTH, MEDIAN, LAST = range(7)
-"""Forward state. Backward reads T and LAST, and holds in RED..DEPTH the gradients, in MEDIAN what lies behind."""
+T, RED, GREEN, BLUE, DEPTH, MEDIAN, LAST, GATE = range(8)
+"""Forward state. Backward reads T and LAST, and holds in RED..DEPTH the gradients, in MEDIAN what lies behind.
+
+The first lane of GATE closes a row: a Gaussian whose place in the list is above it changes no pixel of the row.
+"""
 
 _LOG2_255 = 7.994353436858858
 _LN2 = 0.6931471805599453
@@ -32,14 +35,14 @@ _I64 = ir.IntType(64)
 
 _polynomial = types.UniTuple(types.float32, 6)
 _feature = types.UniTuple(types.float32, 4)
-_RowBody = Callable[[Any, Any, Vector, Vector, Vector, Vector], None]
+_RowBody = Callable[[Any, Any, Vector, Vector, Vector], None]
 
 
-def _emit_rows(context: Any, builder: Any, state: Any, polynomial: Any, rows: Any, body: _RowBody) -> None:
-    """Loop over rows [start, stop) and call `body(offset, row, x, p, seen, t)` where a lit pixel sees the Gaussian.
+def _emit_rows(builder: Any, state: Any, polynomial: Any, place: Any, rows: Any, body: _RowBody) -> None:
+    """Loop over rows [start, stop) and call `body(offset, row, p, seen, t)` where a lit pixel sees the Gaussian.
 
-    `offset(channel)` is the place of a channel of this row, `row` its number as float32, `x` the column numbers,
-    `p` log2 alpha, `seen` the mask of lit pixels with alpha >= 1/255, `t` the transmittance.
+    `offset(channel)` is the place of a channel of this row, `row` its number as float32, `p` log2 alpha, `seen` the
+    mask of lit pixels with alpha >= 1/255, `t` the transmittance.
     """
     lanes = Builder(builder, LANES, "float32")
     c, lx, ly, a, b, q = (builder.extract_value(polynomial, k) for k in range(6))
@@ -56,17 +59,19 @@ def _emit_rows(context: Any, builder: Any, state: Any, polynomial: Any, rows: An
         peak = builder.select(builder.fcmp_ordered(">", peak, zero), peak, zero)
         peak = builder.select(builder.fcmp_ordered("<", peak, widest), peak, widest)
         most = builder.fadd(builder.fmul(builder.fadd(builder.fmul(a, peak), slope), peak), level)
-        with builder.if_then(builder.fcmp_ordered(">=", most, threshold)):
-            first = builder.mul(row, ir.Constant(_I64, CHANNELS * LANES))
+        first = builder.mul(row, ir.Constant(_I64, CHANNELS * LANES))
 
-            def offset(channel: int, first: Any = first) -> Any:
-                return builder.add(first, ir.Constant(_I64, channel * LANES))
+        def offset(channel: int, first: Any = first) -> Any:
+            return builder.add(first, ir.Constant(_I64, channel * LANES))
 
+        gate = builder.load(builder.gep(state, [offset(GATE)]))
+        reached = builder.fcmp_ordered(">=", most, threshold)
+        with builder.if_then(builder.and_(reached, builder.fcmp_ordered(">=", gate, place))):
             p = spread.times_plus(x, lanes.splat(slope)).times_plus(x, lanes.splat(level))
             t = lanes.load(state, offset(T))
             seen = p.compare(">=", -_LOG2_255) & t.compare(">", 0.0)
             with builder.if_then(seen.any()):
-                body(offset, y, x, p, seen, t)
+                body(offset, y, p, seen, t)
 
 
 def _alpha_and_next(p: Vector, seen: Vector, t: Vector) -> tuple[Vector, Vector, Vector]:
@@ -76,6 +81,14 @@ def _alpha_and_next(p: Vector, seen: Vector, t: Vector) -> tuple[Vector, Vector,
     blended = seen & after.compare(">", 1e-4)
     spent = seen & after.compare("<=", 1e-4)
     return blended.where(alpha, 0.0), blended.where(after, spent.where(t * -1.0, t)), blended
+
+
+def _store_light(lanes: Builder, after: Vector, state: Any, offset: Callable[[int], Any]) -> None:
+    """Keep the transmittance, and close the row when no pixel of it is lit."""
+    lanes.store(after, state, offset(T))
+    lit = after.compare(">", 0.0).any()
+    gate = lanes.ir.select(lit, ir.Constant(_F32, float("inf")), ir.Constant(_F32, -1.0))
+    lanes.ir.store(gate, lanes.ir.gep(state, [offset(GATE)]))
 
 
 @intrinsic
@@ -100,7 +113,7 @@ def blend(typing_context, state, polynomial, feature, index, start, stop):
         features = [lanes.splat(builder.extract_value(args[2], k)) for k in range(4)]
         place = lanes.splat(args[3])
 
-        def body(offset: Any, row: Any, x: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+        def body(offset: Any, row: Any, p: Vector, seen: Vector, t: Vector) -> None:
             alpha, after, blended = _alpha_and_next(p, seen, t)
             weight = alpha * t
             for channel, value in zip((RED, GREEN, BLUE, DEPTH), features, strict=True):
@@ -108,9 +121,9 @@ def blend(typing_context, state, polynomial, feature, index, start, stop):
             halved = blended & t.compare(">", 0.5) & after.compare("<=", 0.5)
             lanes.store(halved.where(features[3], lanes.load(data, offset(MEDIAN))), data, offset(MEDIAN))
             lanes.store(blended.where(place, lanes.load(data, offset(LAST))), data, offset(LAST))
-            lanes.store(after, data, offset(T))
+            _store_light(lanes, after, data, offset)
 
-        _emit_rows(context, builder, data, args[1], (args[4], args[5]), body)
+        _emit_rows(builder, data, args[1], args[3], (args[4], args[5]), body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -122,7 +135,7 @@ def weigh(typing_context, state, polynomial, start, stop):
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32, of which only T is used.
+        state: (16, CHANNELS, 16) float32, of which only T and GATE are used.
         polynomial: Six float32: c, lx, ly, A, B, C.
         start: First row.
         stop: One past the last row.
@@ -139,14 +152,14 @@ def weigh(typing_context, state, polynomial, start, stop):
         lanes = Builder(builder, LANES, "float32")
         sums = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(2)]
 
-        def body(offset: Any, row: Any, x: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+        def body(offset: Any, row: Any, p: Vector, seen: Vector, t: Vector) -> None:
             alpha, after, _ = _alpha_and_next(p, seen, t)
             weight = alpha * t
             builder.store(Vector(lanes, builder.load(sums[0])).most(weight).value, sums[0])
             builder.store((Vector(lanes, builder.load(sums[1])) + weight).value, sums[1])
-            lanes.store(after, data, offset(T))
+            _store_light(lanes, after, data, offset)
 
-        _emit_rows(context, builder, data, args[1], (args[2], args[3]), body)
+        _emit_rows(builder, data, args[1], ir.Constant(_F32, 0.0), (args[2], args[3]), body)
         largest = Vector(lanes, builder.load(sums[0])).largest()
         return context.make_tuple(builder, pair, [largest, Vector(lanes, builder.load(sums[1])).sum()])
 
@@ -194,7 +207,7 @@ def blend_backward(typing_context, state, polynomial, feature, centre, index, st
         def add(k: int, value: Vector, factor: Vector) -> None:
             builder.store(value.times_plus(factor, Vector(lanes, builder.load(sums[k]))).value, sums[k])
 
-        def body(offset: Any, row: Any, x: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+        def body(offset: Any, row: Any, p: Vector, seen: Vector, t: Vector) -> None:
             response = p.exp2()
             alpha = response.least(0.999)
             live = seen & place.compare("<=", lanes.load(data, offset(LAST)))
@@ -219,7 +232,7 @@ def blend_backward(typing_context, state, polynomial, feature, centre, index, st
             lanes.store(weight.times_plus(shine, behind), data, offset(MEDIAN))
             lanes.store(front, data, offset(T))
 
-        _emit_rows(context, builder, data, args[1], (args[5], args[6]), body)
+        _emit_rows(builder, data, args[1], args[4], (args[5], args[6]), body)
         return context.make_tuple(builder, ten, [Vector(lanes, builder.load(s)).sum() for s in sums])
 
     return signature, generate

@@ -17,6 +17,7 @@ NEAR = 0.01
 DILATION = 0.3
 LOG2E = 1.4426950408889634
 _BLOCK = 2048
+_MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below 1/255
 
 
 @njit(cache=True)
@@ -58,6 +59,24 @@ def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m):
 
 
 @njit(cache=True)
+def _misses(mean, scale, viewmat, intrinsics, width, height):
+    """Whether a bound on the footprint, without the rotation, already lies outside the image."""
+    fx, fy, cx, cy = intrinsics
+    z = viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
+    if z <= NEAR:
+        return True
+    u = (viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3]) / z
+    v = (viewmat[1, 0] * mean[0] + viewmat[1, 1] * mean[1] + viewmat[1, 2] * mean[2] + viewmat[1, 3]) / z
+    size = _MOST_REACH * max(scale[0], max(scale[1], scale[2])) / z
+    tan_x = max(cx, width - cx) / fx + 0.15 * width / fx  # where the Jacobian is clamped
+    tan_y = max(cy, height - cy) / fy + 0.15 * height / fy
+    half_x = fx * size * np.sqrt(1.0 + tan_x * tan_x) + _MOST_REACH
+    half_y = fy * size * np.sqrt(1.0 + tan_y * tan_y) + _MOST_REACH
+    x, y = fx * u + cx, fy * v + cy
+    return x + half_x < 0.0 or x - half_x > width or y + half_y < 0.0 or y - half_y > height
+
+
+@njit(cache=True)
 def _covariance(m):
     """xx, xy, yy of m m^T, and its determinant without cancellation."""
     xx = m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1] + m[0, 2] * m[0, 2]
@@ -81,9 +100,9 @@ def project(
         for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
             if opacities[i] < np.float32(1.0 / 255.0):
                 continue
-            x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
-            if z <= NEAR:
+            if _misses(means[i], scales[i], viewmat, intrinsics, width, height):
                 continue
+            x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
             xx, xy, yy, det = _covariance(m)
             full = det + DILATION * (xx + yy) + DILATION * DILATION
             opacity = np.float64(opacities[i])

@@ -88,21 +88,34 @@ def _tile_range(centre, half, tiles):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def count_tiles(splats, order, tiles_x, tiles_y, histogram, pairs):
-    """How many splats each chunk of the depth order puts into each tile, and tiles per splat."""
+def count_candidates(splats, tiles_x, tiles_y, out):
+    """Tiles under the box of each splat into out (M,)."""
+    for m in prange(len(splats)):
+        x0, x1 = _tile_range(splats[m, 0], splats[m, 6], tiles_x)
+        y0, y1 = _tile_range(splats[m, 1], splats[m, 7], tiles_y)
+        out[m] = (x1 - x0 + 1) * (y1 - y0 + 1)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def meet_tiles(splats, order, first_room, tiles_x, tiles_y, met, counts, histogram):
+    """Tiles that each splat reaches, splat k of the depth order from met[first_room[k]] on, counts[k] of them.
+
+    `histogram` (chunks, tiles) receives how many splats each chunk of the order puts into each tile.
+    """
     chunks = len(histogram)
     for chunk in prange(chunks):
         for k in range(len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks):
             splat = splats[order[k]]
             x0, x1 = _tile_range(splat[0], splat[6], tiles_x)
             y0, y1 = _tile_range(splat[1], splat[7], tiles_y)
-            met = 0
+            at = first_room[k]
             for ty in range(y0, y1 + 1):
                 for tx in range(x0, x1 + 1):
                     if _reaches(splat, tx * TILE, ty * TILE):
+                        met[at] = ty * tiles_x + tx
                         histogram[chunk, ty * tiles_x + tx] += 1
-                        met += 1
-            pairs[order[k]] = met
+                        at += 1
+            counts[k] = at - first_room[k]
 
 
 @njit(cache=True)
@@ -119,25 +132,18 @@ def place_chunks(histogram, offsets):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def fill_tiles(splats, order, tiles_x, tiles_y, places, first_pair, members, pair_of):
-    """Write each tile's list, front to back; `pair_of` (may be empty) numbers the pairs splat by splat."""
+def fill_tiles(order, first_room, met, counts, first_pair, places, members, pair_of):
+    """Write each tile's list, front to back; `pair_of` (may be empty) numbers the pairs along the depth order."""
     chunks = len(places)
     for chunk in prange(chunks):
         for k in range(len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks):
-            m = order[k]
-            splat = splats[m]
-            x0, x1 = _tile_range(splat[0], splat[6], tiles_x)
-            y0, y1 = _tile_range(splat[1], splat[7], tiles_y)
-            met = 0
-            for ty in range(y0, y1 + 1):
-                for tx in range(x0, x1 + 1):
-                    if _reaches(splat, tx * TILE, ty * TILE):
-                        place = places[chunk, ty * tiles_x + tx]
-                        places[chunk, ty * tiles_x + tx] = place + 1
-                        members[place] = m
-                        if len(pair_of):
-                            pair_of[place] = first_pair[m] + met
-                        met += 1
+            for i in range(counts[k]):
+                tile = met[first_room[k] + i]
+                place = places[chunk, tile]
+                places[chunk, tile] = place + 1
+                members[place] = order[k]
+                if len(pair_of):
+                    pair_of[place] = first_pair[k] + i
 
 
 @njit(cache=True)
@@ -159,17 +165,23 @@ def _in_tile(splat, left, top):
 
 
 @njit(cache=True)
-def _open_tile(state, left, top, width, height):
-    """Fresh state: light everywhere inside the image, none outside, nothing blended. Returns the rows inside."""
-    state[:] = 0.0
+def _open_tile(left, top, width, height):
+    """Fresh state: light everywhere inside the image, none outside, nothing blended.
+
+    Returns the state, aligned to cache lines, and the rows and columns inside the image.
+    """
+    room = np.zeros(TILE * CHANNELS * TILE + 16, np.float32)
+    first = (-room.ctypes.data % 64) // 4
+    state = room[first : first + TILE * CHANNELS * TILE].reshape((TILE, CHANNELS, TILE))
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
     for r in range(rows):
+        state[r, 7, 0] = np.inf
         for k in range(columns):
             state[r, 0, k] = 1.0
         for k in range(TILE):
             state[r, 6, k] = -1.0
-    return rows, columns
+    return state, rows, columns
 
 
 @njit(cache=True)
@@ -177,11 +189,9 @@ def _lit_rows(state, first, last):
     """Narrow rows [first, last) to those that hold a pixel whose light is not spent."""
     low, high = last, first
     for r in range(first, last):
-        for k in range(TILE):
-            if state[r, 0, k] > 0.0:
-                low = min(low, r)
-                high = r + 1
-                break
+        if state[r, 7, 0] >= 0.0:
+            low = min(low, r)
+            high = r + 1
     return low, high
 
 
@@ -209,8 +219,7 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state = np.empty((TILE, CHANNELS, TILE), np.float32)
-        rows, columns = _open_tile(state, left, top, width, height)
+        state, rows, columns = _open_tile(left, top, width, height)
         low, high = 0, rows
         for k in range(offsets[tile], offsets[tile + 1]):
             m = members[k]
@@ -247,10 +256,10 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state = np.empty((TILE, CHANNELS, TILE), np.float32)
-        rows, columns = _open_tile(state, left, top, width, height)
+        state, rows, columns = _open_tile(left, top, width, height)
         newest = np.float32(-1.0)
         for r in range(rows):
+            state[r, 7, 0] = -1.0
             for k in range(columns):
                 y, x = top + r, left + k
                 t = transmittance[y, x]
@@ -265,7 +274,8 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
                     by_t += v_depth[y, x] * depth[y, x] / covered
                 state[r, 5, k] = t * by_t
                 state[r, 6, k] = last[y, x]
-                newest = max(newest, last[y, x])
+                state[r, 7, 0] = max(state[r, 7, 0], last[y, x])
+            newest = max(newest, state[r, 7, 0])
         for k in range(offsets[tile], offsets[tile + 1]):
             place = k - offsets[tile]
             if place > newest:
@@ -282,12 +292,13 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def sum_pairs(first_pair, pairs, out):
+def sum_pairs(order, first_pair, pairs, out):
     """Sum the pairs of each splat, in the order of its tiles: out (M, 10) float64."""
-    for m in prange(len(out)):
+    for k in prange(len(order)):
+        m = order[k]
         for e in range(10):
             out[m, e] = 0.0
-        for p in range(first_pair[m], first_pair[m + 1]):
+        for p in range(first_pair[k], first_pair[k + 1]):
             for e in range(10):
                 out[m, e] += pairs[p, e]
 
@@ -299,8 +310,7 @@ def weigh_tiles(splats, offsets, members, pair_of, tiles_x, width, height, out):
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state = np.empty((TILE, CHANNELS, TILE), np.float32)
-        rows, _ = _open_tile(state, left, top, width, height)
+        state, rows, _ = _open_tile(left, top, width, height)
         low, high = 0, rows
         for k in range(offsets[tile], offsets[tile + 1]):
             out[pair_of[k], 0] = 0.0

@@ -67,15 +67,17 @@ class Projected:
         ids: (M,) int32, the Gaussian of each splat.
         splats: (M, 8) float64; see `_kernels_project`.
         depths: (M,) float32, camera z.
+        order: (M,) int32 splats, front to back.
         offsets: (tiles + 1,) int64; tile t owns members[offsets[t]:offsets[t + 1]].
         members: (P,) int32 splats, front to back.
-        pair_of: (P,) int32 number of each pair, splat by splat; empty where not asked for.
-        first_pair: (M + 1,) int64.
+        pair_of: (P,) int32 number of each pair, along `order`; empty where not asked for.
+        first_pair: (M + 1,) int64; splat order[k] owns pairs first_pair[k]:first_pair[k + 1].
     """
 
     ids: I32
     splats: F64
     depths: F32
+    order: I32
     offsets: NDArray[np.int64]
     members: I32
     pair_of: I32
@@ -121,16 +123,19 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     if m and (np.diff(depths[order]) == 0).any():
         _kernels_tiles.order_ties(order, depths, ids, _content(scene))
     tiles_x, tiles_y = view.tiles
+    room = np.empty(m, np.int64)
+    _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room)
+    first_room = np.concatenate([[0], np.cumsum(room[order])])
+    met, counts = np.empty(int(first_room[-1]), np.int32), np.empty(m, np.int32)
     histogram = np.zeros((get_num_threads(), tiles_x * tiles_y), np.int32)
-    met = np.zeros(m, np.int32)
-    _kernels_tiles.count_tiles(splats, order, tiles_x, tiles_y, histogram, met)
+    _kernels_tiles.meet_tiles(splats, order, first_room, tiles_x, tiles_y, met, counts, histogram)
     offsets = np.empty(tiles_x * tiles_y + 1, np.int64)
     _kernels_tiles.place_chunks(histogram, offsets)
-    first_pair = np.concatenate([[0], np.cumsum(met, dtype=np.int64)])
+    first_pair = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
     members = np.empty(int(offsets[-1]), np.int32)
     pair_of = np.empty(len(members) if pairs else 0, np.int32)
-    _kernels_tiles.fill_tiles(splats, order, tiles_x, tiles_y, histogram, first_pair, members, pair_of)
-    return Projected(ids, splats, depths, offsets, members, pair_of, first_pair)
+    _kernels_tiles.fill_tiles(order, first_room, met, counts, first_pair, histogram, members, pair_of)
+    return Projected(ids, splats, depths, order, offsets, members, pair_of, first_pair)
 
 
 def _content(scene: Any) -> F32:
@@ -179,7 +184,7 @@ class _Rasterize(torch.autograd.Function):
             background, tuple(forward), (by_image, by_alpha, by_depth), pairs,
         )  # fmt: skip
         sums = np.empty((len(projected.ids), 10))
-        _kernels_tiles.sum_pairs(projected.first_pair, pairs, sums)
+        _kernels_tiles.sum_pairs(projected.order, projected.first_pair, pairs, sums)
         v_means, v_quats, v_scales = (np.zeros_like(a) for a in (scene.means, scene.quats, scene.scales))
         v_opacities, v_sh0, v_shN = (np.zeros_like(a) for a in (scene.opacities, scene.sh0, scene.shN))
         v_means2d = np.empty((len(projected.ids), 2))

@@ -78,7 +78,7 @@ def view_weights(
         )  # fmt: skip
         if len(pairs):
             met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs every stretch non-empty
-            starts, ids = projected.first_pair[met], projected.ids[met]
+            starts, ids = projected.first_pair[met], projected.ids[projected.order[met]]
             largest[c, ids] = np.maximum.reduceat(pairs[:, 0], starts)
             summed[c, ids] = np.add.reduceat(pairs[:, 1], starts)
         progress("views", c + 1, len(cameras))
