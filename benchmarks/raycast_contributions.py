@@ -1,7 +1,7 @@
 """Does listing what each ray sees cost less than listing every proxy face it crosses?
 
-Showroom LOD 3 from inside: `Tracer.contributions` over Open3D's `list_intersections` alone, on the same rays and the same
-proxies, in one run, lot by lot in turn. Then all hits against trimesh's `intersects_id(multiple_hits=True)`, whose
+Showroom LOD 3 from inside: `Tracer.contributions` over Open3D's `list_intersections` alone, on the same rays and the
+same proxies, in one run, lot by lot in turn. Then all hits against trimesh's `intersects_id(multiple_hits=True)`, whose
 `max_hits` is high enough to find them all, on a smaller scene, because it is slow. Open3D and gsvis use all cores;
 trimesh uses one.
 """

@@ -1,7 +1,7 @@
 """How does the cost of a ray grow with the number of Gaussians?
 
-Random subsets of showroom LOD 2, 50k to 1.5M, opacity kept, seen from the same eyes inside. If cost is a logarithm times the
-hits, then cost / (hits per ray * log2 N) stays about level while N grows thirtyfold.
+Random subsets of showroom LOD 2, 50k to 1.5M, opacity kept, seen from the same eyes inside. If cost is a logarithm
+times the hits, then cost / (hits per ray * log2 N) stays about level while N grows thirtyfold.
 """
 
 from __future__ import annotations

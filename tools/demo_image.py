@@ -8,7 +8,7 @@ from pathlib import Path
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
-HEIGHT, GAP = 460, 12
+HEIGHT, GAP = 400, 12
 
 
 def main(folder: Path) -> None:
@@ -22,7 +22,7 @@ def main(folder: Path) -> None:
         left += part.width + GAP
     target = ROOT / "docs" / "images" / "demo.png"
     target.parent.mkdir(exist_ok=True)
-    picture.quantize(128).save(target, optimize=True)
+    picture.save(target, optimize=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Rendering: images, weights and gradients of Gaussians, on the CPU and elsewhere."""
 
-from gsvis.render.rasterize import Rendering, rasterize
+from gsvis.render.rasterizer import Rendering, rasterize
 from gsvis.render.tensors import GaussianTensors
 from gsvis.render.weights import PixelContributors, ViewWeights, contributors, view_weights
 

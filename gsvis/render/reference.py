@@ -7,7 +7,7 @@ z axis in scene units; thresholds are those of docs/conventions.md. This module 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -40,8 +40,8 @@ MIN_ALPHA = 1.0 / 255.0
 MAX_ALPHA = 0.999
 MIN_TRANSMITTANCE = 1e-4
 
-_PAIRS_AT_ONCE = 1 << 22
-"""Pixels times Gaussians of one chunk: some hundreds of megabytes in float64 with gradients."""
+_PAIRS_AT_ONCE = 1 << 20
+"""Pixels times Gaussians of one chunk: tens of megabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,19 +237,21 @@ def rasterize_reference(
         means2d.retain_grad()
     behind = _small_tensor("background", background, (3,), means2d)
     order = _front_to_back(tensors, projection)
+    front_to_back = Projection(*(getattr(projection, field.name)[order] for field in fields(Projection)))
     pixels = _pixel_centres(width, height, means2d)
 
     largest, summed = (torch.zeros_like(means2d[:, 0].detach()) for _ in range(2))
     parts = []
     for some in torch.split(pixels, max(1, _PAIRS_AT_ONCE // max(1, len(order)))):
-        near_by = _hit_somewhere(projection, order, some)
+        with torch.no_grad():  # what is faint at all of these pixels changes none of them
+            hit = (_alphas(front_to_back, slice(None), some) > 0).any(dim=0).nonzero()[:, 0]
         # Recomputed in the backward pass, so that one chunk at a time is in memory there too.
-        *drawn, weights = checkpoint(_blend, projection, near_by, some, behind, use_reentrant=False)
+        *drawn, weights = checkpoint(_blend, front_to_back, hit, some, behind, use_reentrant=False)
         parts.append(drawn)
         if weights.numel():
-            weights = weights.detach()
-            largest[near_by] = torch.maximum(largest[near_by], weights.amax(dim=0))
-            summed[near_by] += weights.sum(dim=0)
+            weights, ids = weights.detach(), order[hit]
+            largest[ids] = torch.maximum(largest[ids], weights.amax(dim=0))
+            summed[ids] += weights.sum(dim=0)
     image, alpha, depth, median_depth = (torch.cat(part) for part in zip(*parts, strict=True))
     return ReferenceImage(
         image.reshape(height, width, 3),
@@ -319,11 +321,11 @@ def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
     return order[projection.valid[order]]
 
 
-def _alphas(projection: Projection, ids: Tensor, pixels: Tensor) -> Tensor:
+def _alphas(projection: Projection, ids: Tensor | slice, pixels: Tensor) -> Tensor:
     """(P, M) alphas of the Gaussians `ids` at (P, 2) pixel centres, 0 where below 1/255."""
-    dx, dy = (projection.means2d[ids] - pixels[:, None, :]).unbind(dim=2)
-    a, b, c = projection.conics[ids].unbind(dim=1)
-    sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+    dx, dy = (projection.means2d[ids, axis] - pixels[:, axis, None] for axis in (0, 1))
+    a, b, c = (0.5 * projection.conics[ids, 0], projection.conics[ids, 1], 0.5 * projection.conics[ids, 2])
+    sigma = a * dx * dx + b * dx * dy + c * dy * dy
     alphas = (projection.opacities[ids] * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
     drawn = (alphas.detach() >= MIN_ALPHA) & (sigma.detach() >= 0)
     return torch.where(drawn, alphas, torch.zeros_like(alphas))
@@ -354,12 +356,6 @@ def _blend(projection: Projection, ids: Tensor, pixels: Tensor, background: Tens
     half = transmittance[:, 1:].detach() <= 0.5
     median = torch.where(half.any(dim=1), depths[half.byte().argmax(dim=1)], 0.0)
     return image, alpha, depth, median, weights
-
-
-def _hit_somewhere(projection: Projection, order: Tensor, pixels: Tensor) -> Tensor:
-    """Those of `order` that have an alpha of at least 1/255 at any of the pixels: the rest changes nothing there."""
-    with torch.no_grad():
-        return order[(_alphas(projection, order, pixels) > 0).any(dim=0)]
 
 
 def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None) -> Tensor:
