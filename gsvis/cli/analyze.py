@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,17 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
-from gsvis.cli.source import Source, check_folder, check_source, evenly, load_source
+from gsvis.cli.source import Source, check_folder, check_source, evenly, inspected, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import SceneError
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.inspection import axis_vector, inspect_scene
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["PICTURE", "run_analyze"]
 
-PICTURE = 512
+PICTURE = 400
 """Pixels of the longer side of the pictures."""
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
@@ -57,27 +59,41 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
     g = source.gaussians
     if len(g) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
-    inspected = inspect_scene(g).as_dict()
+    facts_found = inspected(source)
     status("reading", 1, 1)
     status("space", 0, 1)
     navigable, no_space = _space(source, given)
     cameras = given if given is not None else _sampled(command, navigable, no_space)
     status("space", 1, 1)
+    status("kernels", 0, 1)
+    _warm_up()
+    status("kernels", 1, 1)
     tracer = Tracer(EllipsoidProxies.from_scene(g))
     analysis = analyze(g, cameras, config, navigable=navigable, tracer=tracer, progress=status)
+    if no_space:
+        analysis = replace(analysis, untraced_because=no_space)
     pictures = picture_views(tracer, analysis, longest_side=PICTURE, progress=status)
     subject = Subject(
         title=source.name,
         gaussians=g,
-        up=navigable.up if navigable is not None else axis_vector(inspected["up"]),
+        up=navigable.up if navigable is not None else axis_vector(facts_found["up"]),
         cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
         command=_spelled(command),
         version=version(),
-        facts={"path": command.scene, "lod": source.lod, **inspected},
+        facts={"path": command.scene, "lod": source.lod, **facts_found},
         parameters=_parameters(command, cameras),
         seconds=dict(status.seconds),
     )
     return write_report(command.out, analysis, subject, pictures, progress=status)
+
+
+def _warm_up() -> None:
+    """Compile the kernels, or load them, on a scene of one Gaussian, so that the first run tells what it waits for."""
+    from gsvis.visibility import AnalysisConfig, analyze
+
+    one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
+    camera = Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1)
+    analyze(one, camera, AnalysisConfig(traced_sample=1), navigable=NavigableSpace.from_box((3, 3, 3), (4, 4, 4), 1))
 
 
 def _given_cameras(command: Analyze) -> Cameras | None:
@@ -183,7 +199,9 @@ def _remarks(document: dict[str, Any]) -> list[str]:
     remarks = [" * in the one view of the paper's figure 1"]
     if not found["has_settled"]:
         count = len(document["visible_fraction"]["cameras"])
-        remarks.append(f" What {count:,} cameras saw of directions has not settled: too few; see the report.")
+        remarks.append(
+            f" {count:,} cameras are too few for what they saw of directions to have settled: see the report."
+        )
     if found["untraced_because"]:
         remarks.append(f" Directions were not traced outward: {found['untraced_because']}.")
     return remarks

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Inspect
-from gsvis.cli.source import Source, load_source
+from gsvis.cli.source import Source, inspected, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.scene.inspection import inspect_scene
 
 __all__ = ["run_inspect"]
 
@@ -24,7 +23,7 @@ def run_inspect(command: Inspect) -> None:
     with Status() as status:
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
-        report = inspect_scene(source.gaussians).as_dict()
+        report = inspected(source)
         status("reading", 1, 1)
     if command.json:
         place = {"scene": source.name, "lod": source.lod, "lods_present": list(source.lods)}

@@ -6,14 +6,16 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["Source", "check_folder", "check_source", "evenly", "load_source"]
+__all__ = ["Source", "check_folder", "check_source", "evenly", "inspected", "load_source"]
 
 BUILTIN = "builtin:"
 
@@ -84,6 +86,17 @@ def load_source(scene: str, lod: int | None) -> Source:
     if lods and lod is None:
         lod = lods[0]
     return Source(_called(path, lod), g, path, lod, lods)
+
+
+def inspected(source: Source) -> dict[str, Any]:
+    """What inspection says of a scene, as a dict; what is known of a built-in scene is not guessed."""
+    report = inspect_scene(source.gaussians).as_dict()
+    if source.navigable is not None:
+        up = source.navigable.up
+        report["up"] = ("+" if up.sum() > 0 else "-") + "xyz"[int(np.abs(up).argmax())]
+        report["up_confidence"] = 1.0
+        report["problems"] = [each for each in report["problems"] if not each.startswith("the up axis")]
+    return report
 
 
 def _called(path: Path, lod: int | None) -> str:

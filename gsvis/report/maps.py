@@ -117,7 +117,7 @@ def draw_directions(axes: Axes, theme: Theme, ground: Ground, analysis: Analysis
 def _raster(ground: Ground, visible: NDArray[np.bool_]) -> tuple[tuple[float, float, float, float], F64, F64]:
     """Extent of the map, and Gaussians and visible Gaussians in each of its cells."""
     low, high = ground.box
-    cell = float((high - low).max()) / np.clip(1.2 * len(visible) ** 0.5, 60, _CELLS)
+    cell = float((high - low).max()) / np.clip(0.6 * len(visible) ** 0.5, 60, _CELLS)
     cells = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
     inside = np.all((ground.places >= low) & (ground.places < high), axis=1)
     at = np.minimum(((ground.places[inside] - low) / cell).astype(int), cells - 1)

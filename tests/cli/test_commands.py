@@ -75,7 +75,7 @@ def test_analyze_writes_a_report_and_prints_a_table(ply: Path, tmp_path: Path, c
     text = capsys.readouterr().out
     assert str(out / "report.html") in text.split()
     assert "20.21%" in text
-    assert "not settled" in " ".join(text.split())
+    assert "3 cameras are too few" in " ".join(text.split())
     assert json.loads((out / "report.json").read_text())["gaussians"] == len(load_scene(ply))
     assert (out / "report.html").read_text().startswith("<!doctype html>")
 
