@@ -243,8 +243,9 @@ def rasterize_reference(
     largest, summed = (torch.zeros_like(means2d[:, 0].detach()) for _ in range(2))
     parts = []
     for some in torch.split(pixels, max(1, _PAIRS_AT_ONCE // max(1, len(order)))):
-        with torch.no_grad():  # what is faint at all of these pixels changes none of them
-            hit = (_alphas(front_to_back, slice(None), some) > 0).any(dim=0).nonzero()[:, 0]
+        with torch.no_grad():  # what is below 1/255 at all of these pixels, by a margin, changes none of them
+            reach = torch.log(255.0 * front_to_back.opacities) + 0.1
+            hit = (_sigmas(front_to_back, slice(None), some) < reach).any(dim=0).nonzero()[:, 0]
         # Recomputed in the backward pass, so that one chunk at a time is in memory there too.
         *drawn, weights = checkpoint(_blend, front_to_back, hit, some, behind, use_reentrant=False)
         parts.append(drawn)
@@ -321,11 +322,16 @@ def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
     return order[projection.valid[order]]
 
 
-def _alphas(projection: Projection, ids: Tensor | slice, pixels: Tensor) -> Tensor:
-    """(P, M) alphas of the Gaussians `ids` at (P, 2) pixel centres, 0 where below 1/255."""
+def _sigmas(projection: Projection, ids: Tensor | slice, pixels: Tensor) -> Tensor:
+    """(P, M) exponents of the Gaussians `ids` at (P, 2) pixel centres: the response there is exp(-sigma)."""
     dx, dy = (projection.means2d[ids, axis] - pixels[:, axis, None] for axis in (0, 1))
     a, b, c = (0.5 * projection.conics[ids, 0], projection.conics[ids, 1], 0.5 * projection.conics[ids, 2])
-    sigma = a * dx * dx + b * dx * dy + c * dy * dy
+    return a * dx * dx + b * dx * dy + c * dy * dy
+
+
+def _alphas(projection: Projection, ids: Tensor, pixels: Tensor) -> Tensor:
+    """(P, M) alphas of the Gaussians `ids` at (P, 2) pixel centres, 0 where below 1/255."""
+    sigma = _sigmas(projection, ids, pixels)
     alphas = (projection.opacities[ids] * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
     drawn = (alphas.detach() >= MIN_ALPHA) & (sigma.detach() >= 0)
     return torch.where(drawn, alphas, torch.zeros_like(alphas))
