@@ -53,7 +53,7 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
     from gsvis.report import Subject, picture_views, write_report
     from gsvis.visibility import AnalysisConfig, analyze
 
-    config = AnalysisConfig(command.tau, command.traced_sample, seed=command.seed)
+    config = AnalysisConfig(command.tau, command.traced_sample, command.rays_per_face, command.seed)
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     g = source.gaussians
@@ -153,13 +153,14 @@ def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
         "seed": command.seed,
         "tau": command.tau,
         "traced_sample": command.traced_sample,
+        "rays_per_face": command.rays_per_face,
     }
 
 
 def _spelled(command: Analyze) -> str:
     """The command line that makes the report again."""
     words = ["gsvis", "analyze", command.scene, "-o", command.out]
-    for name in ("lod", "cameras", "views", "width", "height", "fov", "seed", "tau", "traced_sample"):
+    for name in ("lod", "cameras", "views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face"):
         value = getattr(command, name)
         if value is not None and value != getattr(Analyze, name):
             words += ["--" + name.replace("_", "-"), f"{value:g}" if isinstance(value, float) else str(value)]
@@ -176,6 +177,9 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         ("cameras", f"{len(visible['cameras']):,}, {document['cameras_from']}"),
         ("rays a view", f"{rays['width']} x {rays['height']}, field of view {angle} degrees"),
     ]
+    if found["traced"]:
+        rays_each = document["config"]["rays_per_face"]
+        about.append(("traced outward", f"{found['traced']['gaussians']:,} Gaussians, {rays_each} rays a direction"))
     shares = [
         ("visible in a view: mean of the cameras", f"{visible['mean']:.2%}", "20.21%"),
         ("                   smallest", f"{visible['min']:.2%}", ""),

@@ -50,6 +50,12 @@ def _read_box(words: list[str]) -> tuple[float, ...]:
     return box
 
 
+def _read_face_rays(words: list[str]) -> int:
+    if words[0] not in ("1", "4", "16", "64"):
+        raise ValueError(f"expected 1, 4, 16 or 64 rays, got {words[0]!r}")
+    return int(words[0])
+
+
 _COUNT = 10**9
 _WHOLE = _number("N", int, 0, _COUNT, "a whole number of at least 0")
 _COUNTED = _number("N", int, 1, _COUNT, "a whole number of at least 1")
@@ -58,6 +64,7 @@ _DEGREES = _number("DEG", float, 1.0, 179.0, "degrees in [1, 179]")
 _WEIGHT = _number("W", float, 1e-6, 1.0, "a weight in [1e-6, 1]")
 _OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")
 _SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
+_FACE_RAYS = _spec(1, "K", _read_face_rays)
 _BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
 
 
@@ -111,6 +118,8 @@ class Analyze:
     """Weight from which a Gaussian counts as visible."""
     traced_sample: Annotated[int, _WHOLE] = 5000
     """Gaussians whose directions are traced outward; 0 for none."""
+    rays_per_face: Annotated[int, _FACE_RAYS] = 16
+    """Rays of that tracing over each of the 80 directions: 1, 4, 16 or 64; more find more."""
     json: Flag = False
     """Print report.json on standard output too."""
     debug: Flag = False

@@ -212,7 +212,8 @@ def _agreed(analysis: Analysis) -> str:
     return (
         "<h3>Two ways, one answer?</h3><p>Cameras see a Gaussian from where they happen to stand. Tracing outward asks,"
         f" for {len(analysis.sample):,} Gaussians drawn at random, whether an eye anywhere in navigable space would see"
-        f" it, on {analysis.config.rays_per_face} rays over each face. The two agree where cameras are dense.</p>"
+        f" it, on {analysis.config.rays_per_face} rays over each of the 80 faces. A face counts when one of them finds"
+        " an eye, so more rays find more faces and the shares fall. The two agree where cameras are dense.</p>"
         + _table(("agreement", "here"), rows)
     )
 

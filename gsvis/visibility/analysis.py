@@ -46,13 +46,14 @@ class AnalysisConfig:
     Attributes:
         tau: Weight in (0, 1] from which a Gaussian is visible.
         traced_sample: Gaussians drawn at random whose directions are traced outward; 0 traces none.
-        rays_per_face: Rays of that tracing over each of the 80 faces: 1, 4, 16 or 64.
+        rays_per_face: Rays of that tracing over each of the 80 faces: 1, 4, 16 or 64. A face counts when anything in it
+            is seen, so more rays find more faces.
         seed: Of the sample and of the order in which cameras are taken.
     """
 
     tau: float = TAU
     traced_sample: int = 5000
-    rays_per_face: int = 4
+    rays_per_face: int = 16
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -22,7 +22,7 @@ from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 
 Capture = pytest.CaptureFixture[str]
 FAR = ["90", "90", "90", "91", "91", "91"]
-QUICK = ["--views", "3", "--width", "12", "--height", "9", "--traced-sample", "50"]
+QUICK = ["--views", "3", "--width", "12", "--height", "9", "--traced-sample", "50", "--rays-per-face", "1"]
 
 
 @pytest.fixture(autouse=True)
@@ -205,6 +205,7 @@ def test_an_empty_scene_cannot_be_analysed(tmp_path: Path, capsys: Capture, monk
         (["analyze", "x", "-o", "d", "--tau", "nan"], "weight"),
         (["convert", "x", "y.ply", "--crop", "1", "1", "1", "0", "2", "2"], "X0 < X1"),
         (["convert", "x", "y.ply", "--crop", "1", "1", "1", "2", "2"], "6 values"),
+        (["analyze", "x", "-o", "d", "--rays-per-face", "2"], "1, 4, 16 or 64"),
         (["convert", "x", "y.ply", "--max-sh-degree", "4"], "0 to 3"),
     ],
 )
