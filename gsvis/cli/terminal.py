@@ -133,7 +133,7 @@ def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = (""
     from rich.table import Table
 
     named = any(header)
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=named)
+    table = Table(title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=named)
     for column, name in enumerate(header):
         table.add_column(
             name, style="" if column else "dim", no_wrap=not column, justify="right" if named and column else "left"

@@ -24,6 +24,11 @@ from gsvis.visibility import FACE_LIMITS, Analysis
 __all__ = ["Subject", "report_document", "write_report"]
 
 
+_PICTURES = {"visible.png", "cdf.png", "settling.png", "map_directions.png"} | {
+    f"{kind}_{role}.png" for kind in ("view", "map") for role in ("most", "median", "least")
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Subject:
     """What a report is about, besides the figures.
@@ -82,7 +87,7 @@ def write_report(
     """Draw everything and write the folder, whole or not at all.
 
     Args:
-        folder: Made if missing; other files in it stay.
+        folder: Made if missing; files in it that are not of a report stay.
         analysis: The figures.
         subject: What they are about.
         pictures: Rendered views, as `picture_views` gives them.
@@ -102,7 +107,9 @@ def write_report(
         text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         (partial_folder / "report.json").write_text(text, encoding="utf-8")
         html = page(analysis, document, figures)
-        Path(partial_folder / "report.html").write_text(html, encoding="utf-8")
+        (partial_folder / "report.html").write_text(html, encoding="utf-8")
+    for stale in _PICTURES - {figure.file for figure in figures.values()}:
+        (Path(folder) / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
     return document
 
 

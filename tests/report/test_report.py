@@ -82,6 +82,15 @@ def test_the_folder_holds_the_page_the_document_and_the_pictures(folder: Path) -
             assert path.name != "view_most.png" or image.size == (32, 24)
 
 
+def test_other_files_stay_and_pictures_of_an_earlier_report_go(tmp_path: Path) -> None:
+    for name in ("notes.txt", "settling.png", "cdf.png"):
+        (tmp_path / name).write_text("old")
+    write_report(tmp_path, *made())
+    assert (tmp_path / "notes.txt").read_text() == "old"
+    assert not (tmp_path / "settling.png").exists()
+    assert (tmp_path / "cdf.png").read_bytes()[1:4] == b"PNG"
+
+
 def test_the_document_says_what_it_is_and_holds_every_figure(folder: Path) -> None:
     found, subject, _ = made()
     document = json.loads((folder / "report.json").read_text(encoding="utf-8"))
