@@ -71,9 +71,12 @@ class Vector:
         bounded = self.most(-126.0)
         whole = home.call("llvm.nearbyint", bounded)
         part = bounded - whole
-        result = home.constant(_EXP2[-1])
-        for coefficient in _EXP2[-2::-1]:
-            result = result.times_plus(part, coefficient)
+        # Estrin's scheme: the powers in parallel, because the chain of Horner's is what a loop would wait for.
+        square = part * part
+        c0, c1, c2, c3, c4, c5, c6 = _EXP2
+        low = part.times_plus(c1, c0) + square * part.times_plus(c3, c2)
+        high = part.times_plus(c5, c4) + square * c6
+        result = (square * square).times_plus(high, low)
         integers = ir.VectorType(_I32, home.lanes)
         exponent = home.ir.shl(home.ir.fptosi(whole.value, integers), home.splat_int(23))
         bits = home.ir.add(home.ir.bitcast(result.value, integers), exponent)

@@ -1,9 +1,9 @@
 """One Gaussian against the rows of one tile, as explicit vectors: blend, weigh, and blend backward.
 
-A tile is 16 pixels wide, one vector. Its state is (16 rows, CHANNELS, 16) float32. The Gaussian comes as the polynomial
-`p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels x, y = 0..15, which is exact in
-float32 where a pixel sees the Gaussian, however far its centre lies. A pixel whose transmittance is spent holds it
-negated. Knows no cameras and no lists.
+A tile is 16 pixels wide, one vector. Its state is (17, CHANNELS, 16) float32: 16 rows of channels, then the gates. The
+Gaussian comes as the polynomial `p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels
+x, y = 0..15, which float32 knows well where a pixel sees the Gaussian, however far its centre lies. A pixel whose
+transmittance is spent holds it negated. Knows no cameras and no lists.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ __all__ = ["CHANNELS", "LANES", "blend", "blend_backward", "weigh"]
 
 LANES = 16
 CHANNELS = 8
-T, RED, GREEN, BLUE, DEPTH, MEDIAN, LAST, GATE = range(8)
-"""Forward state. Backward reads T and LAST, and holds in RED..DEPTH the gradients, in MEDIAN what lies behind.
+T, RED, GREEN, BLUE, DEPTH, MEDIAN, STOP = range(7)
+"""Forward state. Backward reads T and STOP, and holds in RED..DEPTH the gradients, in MEDIAN what lies behind.
 
-The first lane of GATE closes a row: a Gaussian whose place in the list is above it changes no pixel of the row.
+STOP is the place, in the tile's list, of the Gaussian that found the pixel's light spent, or inf. The gate of a row is
+a place too: a Gaussian from there on changes no pixel of the row. Gates are the first 16 numbers behind the last row.
 """
 
 _LOG2_255 = 7.994353436858858
@@ -36,116 +37,156 @@ _I64 = ir.IntType(64)
 _polynomial = types.UniTuple(types.float32, 6)
 _feature = types.UniTuple(types.float32, 4)
 _RowBody = Callable[[Any, Any, Vector, Vector, Vector], None]
+_GATES = LANES * CHANNELS * LANES
 
 
-def _emit_rows(builder: Any, state: Any, polynomial: Any, place: Any, rows: Any, body: _RowBody) -> None:
-    """Loop over rows [start, stop) and call `body(offset, row, p, seen, t)` where a lit pixel sees the Gaussian.
+def _emit_rows(builder: Any, state: Any, polynomial: Any, place: Any, body: _RowBody) -> Any:
+    """Call `body(offset, row, p, seen, t)` for each row in which a lit pixel may see the Gaussian.
 
-    `offset(channel)` is the place of a channel of this row, `row` its number as float32, `p` log2 alpha, `seen` the
-    mask of lit pixels with alpha >= 1/255, `t` the transmittance.
+    All rows are tested at once, by the peak of the polynomial along each. `offset(channel)` is the place of a channel
+    of the row, `row` its number as int64, `p` log2 alpha, `seen` the mask of lit pixels with alpha >= 1/255, `t` the
+    transmittance.
+
+    Returns:
+        int64, zero if every gate of the tile is closed.
     """
     lanes = Builder(builder, LANES, "float32")
     c, lx, ly, a, b, q = (builder.extract_value(polynomial, k) for k in range(6))
-    zero, threshold = ir.Constant(_F32, 0.0), ir.Constant(_F32, -_LOG2_255)
-    widest, minus_half = ir.Constant(_F32, LANES - 1.0), ir.Constant(_F32, -0.5)
-    peak_factor = builder.fdiv(minus_half, a)  # a < 0: the dilation keeps every conic positive
+    rows = lanes.counting()
+    slope = rows.times_plus(lanes.splat(b), lanes.splat(lx))
+    level = rows.times_plus(lanes.splat(q), lanes.splat(ly)).times_plus(rows, lanes.splat(c))
+    # a < 0: the dilation keeps every conic positive
+    peak = (slope * lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), a))).most(0.0).least(LANES - 1.0)
+    most = lanes.splat(a).times_plus(peak, slope).times_plus(peak, level)
+    gates = lanes.load(state, ir.Constant(_I64, _GATES))
+    todo = (most.compare(">=", -_LOG2_255) & gates.compare(">", lanes.splat(place))).bits()
+    slopes, levels = (_spilled(lanes, vector) for vector in (slope, level))
     x, spread = lanes.counting(), lanes.splat(a)
-    start, stop = rows
-    with cgutils.for_range_slice(builder, start, stop, ir.Constant(_I64, 1), intp=_I64) as (row, _):
-        y = builder.sitofp(row, _F32)
-        slope = builder.fadd(lx, builder.fmul(b, y))
-        level = builder.fadd(c, builder.fmul(builder.fadd(ly, builder.fmul(q, y)), y))
-        peak = builder.fmul(slope, peak_factor)
-        peak = builder.select(builder.fcmp_ordered(">", peak, zero), peak, zero)
-        peak = builder.select(builder.fcmp_ordered("<", peak, widest), peak, widest)
-        most = builder.fadd(builder.fmul(builder.fadd(builder.fmul(a, peak), slope), peak), level)
-        first = builder.mul(row, ir.Constant(_I64, CHANNELS * LANES))
 
-        def offset(channel: int, first: Any = first) -> Any:
-            return builder.add(first, ir.Constant(_I64, channel * LANES))
+    before = builder.block
+    head, inside, after = (builder.append_basic_block(name) for name in ("rows", "row", "done"))
+    builder.branch(head)
+    builder.position_at_end(head)
+    left = builder.phi(_I64)
+    left.add_incoming(todo, before)
+    builder.cbranch(builder.icmp_unsigned("!=", left, ir.Constant(_I64, 0)), inside, after)
+    builder.position_at_end(inside)
+    row = builder.cttz(left, ir.Constant(ir.IntType(1), 1))
+    first = builder.mul(row, ir.Constant(_I64, CHANNELS * LANES))
 
-        gate = builder.load(builder.gep(state, [offset(GATE)]))
-        reached = builder.fcmp_ordered(">=", most, threshold)
-        with builder.if_then(builder.and_(reached, builder.fcmp_ordered(">=", gate, place))):
-            p = spread.times_plus(x, lanes.splat(slope)).times_plus(x, lanes.splat(level))
-            t = lanes.load(state, offset(T))
-            seen = p.compare(">=", -_LOG2_255) & t.compare(">", 0.0)
-            with builder.if_then(seen.any()):
-                body(offset, y, p, seen, t)
+    def offset(channel: int) -> Any:
+        return builder.add(first, ir.Constant(_I64, channel * LANES))
+
+    p = spread.times_plus(x, lanes.splat(_picked(builder, slopes, row)))
+    p = p.times_plus(x, lanes.splat(_picked(builder, levels, row)))
+    t = lanes.load(state, offset(T))
+    seen = p.compare(">=", -_LOG2_255) & t.compare(">", 0.0)
+    with builder.if_then(seen.any(), likely=True):
+        body(offset, row, p, seen, t)
+    left.add_incoming(builder.and_(left, builder.sub(left, ir.Constant(_I64, 1))), builder.block)
+    builder.branch(head)
+    builder.position_at_end(after)
+    return gates.compare(">=", 0.0).bits()
 
 
-def _alpha_and_next(p: Vector, seen: Vector, t: Vector) -> tuple[Vector, Vector, Vector]:
-    """Alpha where blended (else 0), the new transmittance (negated where spent), and the mask of blended lanes."""
-    alpha = p.exp2().least(0.999)
-    after = t - t * alpha
-    blended = seen & after.compare(">", 1e-4)
+def _spilled(lanes: Builder, vector: Vector) -> Any:
+    """A vector on the stack, to pick lanes from."""
+    return cgutils.alloca_once_value(lanes.ir, vector.value)
+
+
+def _picked(builder: Any, spilled: Any, lane: Any) -> Any:
+    """One lane of a spilled vector, as a scalar."""
+    return builder.load(builder.gep(builder.bitcast(spilled, _F32.as_pointer()), [lane]))
+
+
+def _pass_light(
+    lanes: Builder,
+    pixels: tuple[Vector, Vector, Vector],
+    place: Any,
+    state: Any,
+    offset: Callable[[int], Any],
+    row: Any,
+) -> tuple[Vector, Vector]:
+    """Let the Gaussian take its share of the light, and keep what is left. Returns the weight and the light left.
+
+    `pixels` is (p, seen, t) as `_emit_rows` gives them.
+
+    A pixel that would fall to 1e-4 blends nothing: its light is kept negated, the place of the Gaussian in STOP, and
+    its row is closed if it was the last one lit. That happens once a pixel, so it stands behind a branch.
+    """
+    builder = lanes.ir
+    p, seen, t = pixels
+    alpha = seen.where(p.exp2().least(0.999), 0.0)
+    share = alpha * t
+    after = t - share
+    weight_room = cgutils.alloca_once(builder, lanes.type)
+    after_room = cgutils.alloca_once(builder, lanes.type)
+    builder.store(share.value, weight_room)
+    builder.store(after.value, after_room)
     spent = seen & after.compare("<=", 1e-4)
-    return blended.where(alpha, 0.0), blended.where(after, spent.where(t * -1.0, t)), blended
-
-
-def _store_light(lanes: Builder, after: Vector, state: Any, offset: Callable[[int], Any]) -> None:
-    """Keep the transmittance, and close the row when no pixel of it is lit."""
+    with builder.if_then(spent.any(), likely=False):
+        left = spent.where(t * -1.0, after)
+        builder.store(spent.where(0.0, share).value, weight_room)
+        builder.store(left.value, after_room)
+        lanes.store(spent.where(lanes.splat(place), lanes.load(state, offset(STOP))), state, offset(STOP))
+        gate = builder.select(left.compare(">", 0.0).any(), ir.Constant(_F32, float("inf")), ir.Constant(_F32, -1.0))
+        builder.store(gate, builder.gep(state, [builder.add(row, ir.Constant(_I64, _GATES))]))
+    after = Vector(lanes, builder.load(after_room))
     lanes.store(after, state, offset(T))
-    lit = after.compare(">", 0.0).any()
-    gate = lanes.ir.select(lit, ir.Constant(_F32, float("inf")), ir.Constant(_F32, -1.0))
-    lanes.ir.store(gate, lanes.ir.gep(state, [offset(GATE)]))
+    return Vector(lanes, builder.load(weight_room)), after
 
 
 @intrinsic
-def blend(typing_context, state, polynomial, feature, index, start, stop):
-    """Blend one Gaussian into rows [start, stop) of a tile, front to back.
+def blend(typing_context, state, polynomial, feature, index):
+    """Blend one Gaussian into a tile, front to back.
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
+        state: (17, CHANNELS, 16) float32.
         polynomial: Six float32: c, lx, ly, A, B, C.
         feature: Four float32: red, green, blue, depth.
-        index: float32, place of the Gaussian in the tile's list, kept in LAST.
-        start: First row.
-        stop: One past the last row.
+        index: float32, place of the Gaussian in the tile's list, kept in STOP where it finds the light spent.
+
+    Returns:
+        int64, zero if no pixel of the tile was lit before.
     """
     del typing_context
-    signature = types.void(state, _polynomial, _feature, types.float32, types.int64, types.int64)
+    signature = types.int64(state, _polynomial, _feature, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         lanes = Builder(builder, LANES, "float32")
         features = [lanes.splat(builder.extract_value(args[2], k)) for k in range(4)]
-        place = lanes.splat(args[3])
 
         def body(offset: Any, row: Any, p: Vector, seen: Vector, t: Vector) -> None:
-            alpha, after, blended = _alpha_and_next(p, seen, t)
-            weight = alpha * t
+            weight, after = _pass_light(lanes, (p, seen, t), args[3], data, offset, row)
             for channel, value in zip((RED, GREEN, BLUE, DEPTH), features, strict=True):
                 lanes.store(weight.times_plus(value, lanes.load(data, offset(channel))), data, offset(channel))
-            halved = blended & t.compare(">", 0.5) & after.compare("<=", 0.5)
-            lanes.store(halved.where(features[3], lanes.load(data, offset(MEDIAN))), data, offset(MEDIAN))
-            lanes.store(blended.where(place, lanes.load(data, offset(LAST))), data, offset(LAST))
-            _store_light(lanes, after, data, offset)
+            # `after` is negative where light was spent without blending: that is no crossing.
+            halved = t.compare(">", 0.5) & after.compare("<=", 0.5) & after.compare(">", 0.0)
+            with builder.if_then(halved.any(), likely=False):
+                lanes.store(halved.where(features[3], lanes.load(data, offset(MEDIAN))), data, offset(MEDIAN))
 
-        _emit_rows(builder, data, args[1], args[3], (args[4], args[5]), body)
-        return context.get_dummy_value()
+        return _emit_rows(builder, data, args[1], args[3], body)
 
     return signature, generate
 
 
 @intrinsic
-def weigh(typing_context, state, polynomial, start, stop):
-    """Like `blend` without colours: returns the largest and the summed weight over the rows.
+def weigh(typing_context, state, polynomial):
+    """Like `blend` without colours: the largest and the summed weight over the tile.
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32, of which only T and GATE are used.
+        state: (17, CHANNELS, 16) float32, of which only T and the gates are used.
         polynomial: Six float32: c, lx, ly, A, B, C.
-        start: First row.
-        stop: One past the last row.
 
     Returns:
-        Tuple of two float32.
+        Three float32: largest and summed weight, and zero if no pixel of the tile was lit before.
     """
     del typing_context
-    pair = types.UniTuple(types.float32, 2)
-    signature = pair(state, _polynomial, types.int64, types.int64)
+    three = types.UniTuple(types.float32, 3)
+    signature = three(state, _polynomial)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
@@ -153,35 +194,31 @@ def weigh(typing_context, state, polynomial, start, stop):
         sums = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(2)]
 
         def body(offset: Any, row: Any, p: Vector, seen: Vector, t: Vector) -> None:
-            alpha, after, _ = _alpha_and_next(p, seen, t)
-            weight = alpha * t
+            weight, _ = _pass_light(lanes, (p, seen, t), ir.Constant(_F32, 0.0), data, offset, row)
             builder.store(Vector(lanes, builder.load(sums[0])).most(weight).value, sums[0])
             builder.store((Vector(lanes, builder.load(sums[1])) + weight).value, sums[1])
-            _store_light(lanes, after, data, offset)
 
-        _emit_rows(builder, data, args[1], ir.Constant(_F32, 0.0), (args[2], args[3]), body)
+        lit = builder.uitofp(_emit_rows(builder, data, args[1], ir.Constant(_F32, 0.0), body), _F32)
         largest = Vector(lanes, builder.load(sums[0])).largest()
-        return context.make_tuple(builder, pair, [largest, Vector(lanes, builder.load(sums[1])).sum()])
+        return context.make_tuple(builder, three, [largest, Vector(lanes, builder.load(sums[1])).sum(), lit])
 
     return signature, generate
 
 
 @intrinsic
-def blend_backward(typing_context, state, polynomial, feature, centre, index, start, stop):
-    """Take one Gaussian out of rows [start, stop) of a tile, back to front, and sum its gradients.
+def blend_backward(typing_context, state, polynomial, feature, centre, index):
+    """Take one Gaussian out of a tile, back to front, and sum its gradients.
 
     The state holds the transmittance behind the Gaussian in T, the gradient of the loss by each channel in
     RED..DEPTH, and in MEDIAN the gradient-weighted light from behind, S.
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
+        state: (17, CHANNELS, 16) float32.
         polynomial: Six float32: c, lx, ly, A, B, C.
         feature: Four float32: red, green, blue, depth.
         centre: Two float32, the Gaussian's centre from the tile's first pixel.
-        index: float32, place of the Gaussian in the tile's list; pixels with a smaller LAST never blended it.
-        start: First row.
-        stop: One past the last row.
+        index: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never blended it.
 
     Returns:
         Ten float32: gradients by red, green, blue, depth; then with q = dL/dalpha * alpha (0 where alpha is capped)
@@ -193,14 +230,14 @@ def blend_backward(typing_context, state, polynomial, feature, centre, index, st
     del typing_context
     ten = types.UniTuple(types.float32, 10)
     two = types.UniTuple(types.float32, 2)
-    signature = ten(state, _polynomial, _feature, two, types.float32, types.int64, types.int64)
+    signature = ten(state, _polynomial, _feature, two, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         lanes = Builder(builder, LANES, "float32")
         features = [lanes.splat(builder.extract_value(args[2], k)) for k in range(4)]
         dx = lanes.splat(builder.extract_value(args[3], 0)) - lanes.counting()
-        centre_y = builder.extract_value(args[3], 1)
+        below = _spilled(lanes, lanes.splat(builder.extract_value(args[3], 1)) - lanes.counting())
         place = lanes.splat(args[4])
         sums = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(10)]
 
@@ -210,7 +247,7 @@ def blend_backward(typing_context, state, polynomial, feature, centre, index, st
         def body(offset: Any, row: Any, p: Vector, seen: Vector, t: Vector) -> None:
             response = p.exp2()
             alpha = response.least(0.999)
-            live = seen & place.compare("<=", lanes.load(data, offset(LAST)))
+            live = seen & place.compare("<", lanes.load(data, offset(STOP)))
             alpha = live.where(alpha, 0.0)
             opening = lanes.constant(1.0) / (lanes.constant(1.0) - alpha)
             front = t * opening
@@ -225,14 +262,14 @@ def blend_backward(typing_context, state, polynomial, feature, centre, index, st
                 add(k, weight, gradient)
             free = live & response.compare("<", 0.999)
             q = free.where(by_alpha * response, 0.0)
-            dy = lanes.splat(builder.fsub(centre_y, row))
+            dy = lanes.splat(_picked(builder, below, row))
             qx, qy, one = q * dx, q * dy, lanes.constant(1.0)
             for k, value, factor in ((4, q, one), (5, qx, one), (6, qy, one), (7, qx, dx), (8, qx, dy), (9, qy, dy)):
                 add(k, value, factor)
             lanes.store(weight.times_plus(shine, behind), data, offset(MEDIAN))
             lanes.store(front, data, offset(T))
 
-        _emit_rows(builder, data, args[1], args[4], (args[5], args[6]), body)
+        _emit_rows(builder, data, args[1], args[4], body)
         return context.make_tuple(builder, ten, [Vector(lanes, builder.load(s)).sum() for s in sums])
 
     return signature, generate

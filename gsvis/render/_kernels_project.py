@@ -149,70 +149,81 @@ def project_backward(
     `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
     image, in loss per pixel.
     """
+    v_means, v_quats, v_scales = outs
+    for block in prange((len(ids) + 255) // 256):
+        m, v_r = np.zeros((2, 3)), np.empty((3, 3))
+        for j in range(256 * block, min(len(ids), 256 * block + 256)):
+            _one_backward(
+                ids[j], means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums[j], v_means2d[j],
+                v_opacities, v_means, v_quats, v_scales, m, v_r,
+            )  # fmt: skip
+
+
+@njit(cache=True)
+def _one_backward(
+    i, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums, v_mean2d,
+    v_opacities, v_means, v_quats, v_scales, m, v_r,
+):  # fmt: skip
+    """`project_backward` of Gaussian i; m (2, 3) and v_r (3, 3) are room to work in."""
     fx, fy = intrinsics[0], intrinsics[1]
     width, height = size
-    v_means, v_quats, v_scales = outs
-    for j in prange(len(ids)):
-        i = ids[j]
-        m = np.zeros((2, 3))
-        x, y, z, u, v = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
-        xx, xy, yy, det = _covariance(m)
-        full = det + DILATION * (xx + yy) + DILATION * DILATION
-        xx, yy = xx + DILATION, yy + DILATION
-        a, b, c = yy / full, -xy / full, xx / full
-        q, qx, qy = np.float64(sums[j, 4]), np.float64(sums[j, 5]), np.float64(sums[j, 6])
-        g_a, g_b, g_c = -0.5 * sums[j, 7], -0.5 * sums[j, 8], -0.5 * sums[j, 9]  # as a symmetric matrix
-        v_u, v_v = -(a * qx + b * qy), -(b * qx + c * qy)
-        v_means2d[j, 0], v_means2d[j, 1] = v_u, v_v
-        # cov -> conic: dL/dcov = -conic G conic
-        t00, t01 = a * g_a + b * g_b, a * g_b + b * g_c
-        t10, t11 = b * g_a + c * g_b, b * g_b + c * g_c
-        s_xx, s_xy, s_yy = -(t00 * a + t01 * b), -(t00 * b + t01 * c), -(t10 * b + t11 * c)
-        opacity = np.float64(opacities[i])
-        if antialiased:  # opacity * sqrt(det / full)
-            shrink = np.sqrt(det / full)
-            v_opacities[i] += q / opacity
-            s_xx, s_xy, s_yy = (
-                s_xx - 0.5 * q * (yy / full),
-                s_xy + 0.5 * q * (xy / full),
-                s_yy - 0.5 * q * (xx / full),
-            )
-            if shrink > 0.0:
-                s_xx += 0.5 * q * (yy - DILATION) / det
-                s_xy -= 0.5 * q * xy / det
-                s_yy += 0.5 * q * (xx - DILATION) / det
-        else:
-            v_opacities[i] += q / opacity
-        # m = J (W R S), J rows (fx / z)(1, 0, -u) and (fy / z)(0, 1, -v)
-        v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[j, 3])
-        v_z -= fx * x / (z * z) * v_u + fy * y / (z * z) * v_v
-        r = _rotation(quats[i])
-        v_u_j, v_v_j = 0.0, 0.0  # by the clamped u and v inside J
-        v_r = np.empty((3, 3))
-        for k in range(3):
-            s = np.float64(scales[i, k])
-            n0 = 2.0 * (s_xx * m[0, k] + s_xy * m[1, k])
-            n1 = 2.0 * (s_xy * m[0, k] + s_yy * m[1, k])
-            v_z -= (n0 * m[0, k] + n1 * m[1, k]) / z
-            axis_z = s * (viewmat[2, 0] * r[0][k] + viewmat[2, 1] * r[1][k] + viewmat[2, 2] * r[2][k])
-            v_u_j -= n0 * fx / z * axis_z
-            v_v_j -= n1 * fy / z * axis_z
-            d0, d1, d2 = fx / z * n0, fy / z * n1, -(fx / z * u * n0 + fy / z * v * n1)
-            v_scale = 0.0
-            for e in range(3):
-                by_axis = viewmat[0, e] * d0 + viewmat[1, e] * d1 + viewmat[2, e] * d2
-                v_scale += by_axis * r[e][k]
-                v_r[e, k] = by_axis * s
-            v_scales[i, k] += v_scale
-        if u == x / z:  # not clamped
-            v_x += v_u_j / z
-            v_z -= v_u_j * x / (z * z)
-        if v == y / z:
-            v_y += v_v_j / z
-            v_z -= v_v_j * y / (z * z)
+    x, y, z, u, v = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
+    xx, xy, yy, det = _covariance(m)
+    full = det + DILATION * (xx + yy) + DILATION * DILATION
+    xx, yy = xx + DILATION, yy + DILATION
+    a, b, c = yy / full, -xy / full, xx / full
+    q, qx, qy = np.float64(sums[4]), np.float64(sums[5]), np.float64(sums[6])
+    g_a, g_b, g_c = -0.5 * sums[7], -0.5 * sums[8], -0.5 * sums[9]  # as a symmetric matrix
+    v_u, v_v = -(a * qx + b * qy), -(b * qx + c * qy)
+    v_mean2d[0], v_mean2d[1] = v_u, v_v
+    # cov -> conic: dL/dcov = -conic G conic
+    t00, t01 = a * g_a + b * g_b, a * g_b + b * g_c
+    t10, t11 = b * g_a + c * g_b, b * g_b + c * g_c
+    s_xx, s_xy, s_yy = -(t00 * a + t01 * b), -(t00 * b + t01 * c), -(t10 * b + t11 * c)
+    opacity = np.float64(opacities[i])
+    if antialiased:  # opacity * sqrt(det / full)
+        shrink = np.sqrt(det / full)
+        v_opacities[i] += q / opacity
+        s_xx, s_xy, s_yy = (
+            s_xx - 0.5 * q * (yy / full),
+            s_xy + 0.5 * q * (xy / full),
+            s_yy - 0.5 * q * (xx / full),
+        )
+        if shrink > 0.0:
+            s_xx += 0.5 * q * (yy - DILATION) / det
+            s_xy -= 0.5 * q * xy / det
+            s_yy += 0.5 * q * (xx - DILATION) / det
+    else:
+        v_opacities[i] += q / opacity
+    # m = J (W R S), J rows (fx / z)(1, 0, -u) and (fy / z)(0, 1, -v)
+    v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[3])
+    v_z -= fx * x / (z * z) * v_u + fy * y / (z * z) * v_v
+    r = _rotation(quats[i])
+    v_u_j, v_v_j = 0.0, 0.0  # by the clamped u and v inside J
+    for k in range(3):
+        s = np.float64(scales[i, k])
+        n0 = 2.0 * (s_xx * m[0, k] + s_xy * m[1, k])
+        n1 = 2.0 * (s_xy * m[0, k] + s_yy * m[1, k])
+        v_z -= (n0 * m[0, k] + n1 * m[1, k]) / z
+        axis_z = s * (viewmat[2, 0] * r[0][k] + viewmat[2, 1] * r[1][k] + viewmat[2, 2] * r[2][k])
+        v_u_j -= n0 * fx / z * axis_z
+        v_v_j -= n1 * fy / z * axis_z
+        d0, d1, d2 = fx / z * n0, fy / z * n1, -(fx / z * u * n0 + fy / z * v * n1)
+        v_scale = 0.0
         for e in range(3):
-            v_means[i, e] += viewmat[0, e] * v_x + viewmat[1, e] * v_y + viewmat[2, e] * v_z
-        _add_quat_gradient(quats[i], v_r, v_quats[i])
+            by_axis = viewmat[0, e] * d0 + viewmat[1, e] * d1 + viewmat[2, e] * d2
+            v_scale += by_axis * r[e][k]
+            v_r[e, k] = by_axis * s
+        v_scales[i, k] += v_scale
+    if u == x / z:  # not clamped
+        v_x += v_u_j / z
+        v_z -= v_u_j * x / (z * z)
+    if v == y / z:
+        v_y += v_v_j / z
+        v_z -= v_v_j * y / (z * z)
+    for e in range(3):
+        v_means[i, e] += viewmat[0, e] * v_x + viewmat[1, e] * v_y + viewmat[2, e] * v_z
+    _add_quat_gradient(quats[i], v_r, v_quats[i])
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ from gsvis.render._kernels_lanes import CHANNELS, LANES, blend, blend_backward, 
 
 TILE = LANES
 _LOG2_255 = 7.994353436858858
-_CHECK_EVERY = 16
+_MARGIN = 1e-3  # pixels; a tile too many costs little, one too few an edge
 
 
 @njit(cache=True)
@@ -52,48 +52,36 @@ def order_ties(order, depths, ids, content):
 
 
 @njit(cache=True)
-def _edge(low, high, centre, other, linear, square):
-    """Where log2 alpha is largest along an edge: the free coordinate, clamped to [low, high]."""
-    return min(max(centre - linear * other / (2.0 * square), low), high)
+def _span(splat, low, high):
+    """Least and largest x at which the splat reaches alpha 1/255 between the lines y = low and y = high.
+
+    The right side of an ellipse bulges most where its bounding box touches it, the left side opposite; on a band that
+    does not hold that height, it reaches furthest at the nearer line.
+    """
+    a, b, c = -splat[2], -splat[3], -splat[4]
+    level = splat[5] + _LOG2_255
+    bulge = -b * splat[6] / (2.0 * c)
+    low, high = max(low - splat[1], -splat[7]), min(high - splat[1], splat[7])
+    right, left = min(max(bulge, low), high), min(max(-bulge, low), high)
+    furthest = np.sqrt(max(b * b * right * right - 4.0 * a * (c * right * right - level), 0.0))
+    nearest = np.sqrt(max(b * b * left * left - 4.0 * a * (c * left * left - level), 0.0))
+    return splat[0] + (-b * left - nearest) / (2.0 * a), splat[0] + (-b * right + furthest) / (2.0 * a)
 
 
 @njit(cache=True)
-def _reaches(splat, left, top):
-    """Whether log2 alpha reaches -log2 255 at a point of the box of the tile's pixel centres."""
-    low_x, low_y = left + 0.5, top + 0.5
-    high_x, high_y = low_x + TILE - 1.0, low_y + TILE - 1.0
-    x, y, a, b, c, level = splat[0], splat[1], splat[2], splat[3], splat[4], splat[5]
-    out_x, out_y = x < low_x or x > high_x, y < low_y or y > high_y
-    if not out_x and not out_y:
-        return True
-    if out_x:
-        dx = (low_x if x < low_x else high_x) - x
-        dy = _edge(low_y, high_y, y, dx, b, c) - y
-        if level + a * dx * dx + b * dx * dy + c * dy * dy >= -_LOG2_255 - 1e-6:
-            return True
-    if out_y:
-        dy = (low_y if y < low_y else high_y) - y
-        dx = _edge(low_x, high_x, x, dy, b, a) - x
-        if level + a * dx * dx + b * dx * dy + c * dy * dy >= -_LOG2_255 - 1e-6:
-            return True
-    return False
-
-
-@njit(cache=True)
-def _tile_range(centre, half, tiles):
-    return (
-        max(int(np.floor((centre - half - 0.5) / TILE)), 0),
-        min(int(np.floor((centre + half - 0.5) / TILE)), tiles - 1),
-    )
+def _tiles_between(low, high, tiles):
+    """First and last of `tiles` tiles along an axis with a pixel centre in [low, high]."""
+    return max(int(np.ceil((low + 0.5) / TILE)) - 1, 0), min(int(np.floor((high - 0.5) / TILE)), tiles - 1)
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def count_candidates(splats, tiles_x, tiles_y, out):
     """Tiles under the box of each splat into out (M,)."""
     for m in prange(len(splats)):
-        x0, x1 = _tile_range(splats[m, 0], splats[m, 6], tiles_x)
-        y0, y1 = _tile_range(splats[m, 1], splats[m, 7], tiles_y)
-        out[m] = (x1 - x0 + 1) * (y1 - y0 + 1)
+        splat = splats[m]
+        x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
+        y0, y1 = _tiles_between(splat[1] - splat[7], splat[1] + splat[7], tiles_y)
+        out[m] = max(x1 - x0 + 1, 0) * max(y1 - y0 + 1, 0)
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -106,15 +94,19 @@ def meet_tiles(splats, order, first_room, tiles_x, tiles_y, met, counts, histogr
     for chunk in prange(chunks):
         for k in range(len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks):
             splat = splats[order[k]]
-            x0, x1 = _tile_range(splat[0], splat[6], tiles_x)
-            y0, y1 = _tile_range(splat[1], splat[7], tiles_y)
+            x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
+            y0, y1 = _tiles_between(splat[1] - splat[7], splat[1] + splat[7], tiles_y)
             at = first_room[k]
             for ty in range(y0, y1 + 1):
-                for tx in range(x0, x1 + 1):
-                    if _reaches(splat, tx * TILE, ty * TILE):
-                        met[at] = ty * tiles_x + tx
-                        histogram[chunk, ty * tiles_x + tx] += 1
-                        at += 1
+                first, last = x0, x1
+                if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
+                    low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+                    first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
+                    first, last = max(x0, first), min(x1, last)
+                for tx in range(first, last + 1):
+                    met[at] = ty * tiles_x + tx
+                    histogram[chunk, ty * tiles_x + tx] += 1
+                    at += 1
             counts[k] = at - first_room[k]
 
 
@@ -148,7 +140,7 @@ def fill_tiles(order, first_room, met, counts, first_pair, places, members, pair
 
 @njit(cache=True)
 def _in_tile(splat, left, top):
-    """Polynomial over the tile's pixels, the first and one past the last row it can touch, and the centre."""
+    """Polynomial over the tile's pixels, and the centre from the first of them."""
     x, y = splat[0] - (left + 0.5), splat[1] - (top + 0.5)
     a, b, c = splat[2], splat[3], splat[4]
     polynomial = (
@@ -159,9 +151,7 @@ def _in_tile(splat, left, top):
         np.float32(b),
         np.float32(c),
     )
-    start = max(int(np.ceil(y - splat[7])), 0)
-    stop = min(int(np.floor(y + splat[7])) + 1, TILE)
-    return polynomial, start, stop, (np.float32(x), np.float32(y))
+    return polynomial, (np.float32(x), np.float32(y))
 
 
 @njit(cache=True)
@@ -170,29 +160,20 @@ def _open_tile(left, top, width, height):
 
     Returns the state, aligned to cache lines, and the rows and columns inside the image.
     """
-    room = np.zeros(TILE * CHANNELS * TILE + 16, np.float32)
+    size = (TILE + 1) * CHANNELS * TILE
+    room = np.zeros(size + 16, np.float32)
     first = (-room.ctypes.data % 64) // 4
-    state = room[first : first + TILE * CHANNELS * TILE].reshape((TILE, CHANNELS, TILE))
+    state = room[first : first + size].reshape((TILE + 1, CHANNELS, TILE))
+    state[TILE, 0] = -1.0
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
     for r in range(rows):
-        state[r, 7, 0] = np.inf
+        state[TILE, 0, r] = np.inf
         for k in range(columns):
             state[r, 0, k] = 1.0
         for k in range(TILE):
-            state[r, 6, k] = -1.0
+            state[r, 6, k] = np.inf
     return state, rows, columns
-
-
-@njit(cache=True)
-def _lit_rows(state, first, last):
-    """Narrow rows [first, last) to those that hold a pixel whose light is not spent."""
-    low, high = last, first
-    for r in range(first, last):
-        if state[r, 7, 0] >= 0.0:
-            low = min(low, r)
-            high = r + 1
-    return low, high
 
 
 @njit(cache=True)
@@ -212,7 +193,7 @@ def _gcd(a, b):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def blend_tiles(splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, last):
+def blend_tiles(splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, stop_at):
     """Render all tiles. `features` is (M, 4) float32: colour and depth. Outputs are (H, W, ...)."""
     height, width = transmittance.shape
     tiles = len(offsets) - 1
@@ -220,16 +201,12 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         state, rows, columns = _open_tile(left, top, width, height)
-        low, high = 0, rows
         for k in range(offsets[tile], offsets[tile + 1]):
             m = members[k]
-            polynomial, start, stop, _ = _in_tile(splats[m], left, top)
+            polynomial, _ = _in_tile(splats[m], left, top)
             feature = (features[m, 0], features[m, 1], features[m, 2], features[m, 3])
-            blend(state, polynomial, feature, np.float32(k - offsets[tile]), max(start, low), min(stop, high))
-            if (k - offsets[tile]) % _CHECK_EVERY == _CHECK_EVERY - 1:
-                low, high = _lit_rows(state, low, high)
-                if low >= high:
-                    break
+            if blend(state, polynomial, feature, np.float32(k - offsets[tile])) == 0:
+                break
         for r in range(rows):
             for k in range(columns):
                 left_over = abs(state[r, 0, k])
@@ -240,16 +217,16 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
                 covered = np.float32(1.0) - left_over
                 depth[y, x] = state[r, 4, k] / covered if covered > 0.0 else np.float32(0.0)
                 median[y, x] = state[r, 5, k]
-                last[y, x] = state[r, 6, k]
+                stop_at[y, x] = state[r, 6, k]
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out):
     """Gradient sums of every (tile, splat) pair into out (P, 10) float32; see `blend_backward`.
 
-    `forward` is (transmittance, depth, last); `gradients` is by (image, alpha, depth).
+    `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth).
     """
-    transmittance, depth, last = forward
+    transmittance, depth, stop_at = forward
     v_image, v_alpha, v_depth = gradients
     height, width = transmittance.shape
     tiles = len(offsets) - 1
@@ -259,7 +236,7 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
         state, rows, columns = _open_tile(left, top, width, height)
         newest = np.float32(-1.0)
         for r in range(rows):
-            state[r, 7, 0] = -1.0
+            state[TILE, 0, r] = -1.0
             for k in range(columns):
                 y, x = top + r, left + k
                 t = transmittance[y, x]
@@ -273,20 +250,20 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
                     state[r, 4, k] = v_depth[y, x] / covered
                     by_t += v_depth[y, x] * depth[y, x] / covered
                 state[r, 5, k] = t * by_t
-                state[r, 6, k] = last[y, x]
-                state[r, 7, 0] = max(state[r, 7, 0], last[y, x])
-            newest = max(newest, state[r, 7, 0])
-        for k in range(offsets[tile], offsets[tile + 1]):
-            place = k - offsets[tile]
-            if place > newest:
-                for e in range(10):
-                    out[pair_of[k], e] = 0.0
-        for place in range(int(newest), -1, -1):
+                state[r, 6, k] = stop_at[y, x]
+                state[TILE, 0, r] = max(state[TILE, 0, r], stop_at[y, x])
+            newest = max(newest, state[TILE, 0, r])
+        count = offsets[tile + 1] - offsets[tile]
+        reached = int(min(np.float64(newest), np.float64(count)))  # no pixel goes beyond
+        for k in range(offsets[tile] + reached, offsets[tile + 1]):
+            for e in range(10):
+                out[pair_of[k], e] = 0.0
+        for place in range(reached - 1, -1, -1):
             k = offsets[tile] + place
             m = members[k]
-            polynomial, start, stop, centre = _in_tile(splats[m], left, top)
+            polynomial, centre = _in_tile(splats[m], left, top)
             feature = (features[m, 0], features[m, 1], features[m, 2], features[m, 3])
-            sums = blend_backward(state, polynomial, feature, centre, np.float32(place), start, min(stop, rows))
+            sums = blend_backward(state, polynomial, feature, centre, np.float32(place))
             for e in range(10):
                 out[pair_of[k], e] = sums[e]
 
@@ -310,17 +287,14 @@ def weigh_tiles(splats, offsets, members, pair_of, tiles_x, width, height, out):
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, rows, _ = _open_tile(left, top, width, height)
-        low, high = 0, rows
+        state, _, _ = _open_tile(left, top, width, height)
         for k in range(offsets[tile], offsets[tile + 1]):
             out[pair_of[k], 0] = 0.0
             out[pair_of[k], 1] = 0.0
         for k in range(offsets[tile], offsets[tile + 1]):
-            polynomial, start, stop, _ = _in_tile(splats[members[k]], left, top)
-            largest, total = weigh(state, polynomial, max(start, low), min(stop, high))
+            polynomial, _ = _in_tile(splats[members[k]], left, top)
+            largest, total, lit = weigh(state, polynomial)
+            if lit == 0.0:
+                break
             out[pair_of[k], 0] = largest
             out[pair_of[k], 1] = total
-            if (k - offsets[tile]) % _CHECK_EVERY == _CHECK_EVERY - 1:
-                low, high = _lit_rows(state, low, high)
-                if low >= high:
-                    break

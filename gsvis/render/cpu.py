@@ -163,12 +163,12 @@ class _Rasterize(torch.autograd.Function):
             features[:, :3] = colours[projected.ids]
         shape = (view.height, view.width)
         image = np.empty((*shape, 3), np.float32)
-        transmittance, depth, median, last = (np.empty(shape, np.float32) for _ in range(4))
+        transmittance, depth, median, stop_at = (np.empty(shape, np.float32) for _ in range(4))
         _kernels_tiles.blend_tiles(
             projected.splats, features, projected.offsets, projected.members, view.tiles[0], background,
-            image, transmittance, depth, median, last,
+            image, transmittance, depth, median, stop_at,
         )  # fmt: skip
-        ctx.saved = (view, options, scene, colours, projected, features, transmittance, depth, last)
+        ctx.saved = (view, options, scene, colours, projected, features, transmittance, depth, stop_at)
         ctx.dtypes = [None if t is None else t.dtype for t in tensors]
         outputs = tuple(torch.from_numpy(a) for a in (image, np.float32(1.0) - transmittance, depth, median))
         ctx.mark_non_differentiable(outputs[3])
