@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from gsvis.render._kernels_lanes import CHANNELS, LANES, blend, blend_backward, weigh
+from gsvis.render._kernels_lanes import CHANNELS, LANES, RECORD, blend, blend_backward, reached_rows, weigh
 
 TILE = LANES
 _LOG2_255 = 7.994353436858858
+_BATCH = 32  # Gaussians made ready at a time
 _MARGIN = 1e-3  # pixels; a tile too many costs little, one too few an edge
 
 
@@ -139,41 +140,49 @@ def fill_tiles(order, first_room, met, counts, first_pair, places, members, pair
 
 
 @njit(cache=True)
-def _in_tile(splat, left, top):
-    """Polynomial over the tile's pixels, and the centre from the first of them."""
-    x, y = splat[0] - (left + 0.5), splat[1] - (top + 0.5)
-    a, b, c = splat[2], splat[3], splat[4]
-    polynomial = (
-        np.float32(splat[5] + a * x * x + b * x * y + c * y * y),
-        np.float32(-(2.0 * a * x + b * y)),
-        np.float32(-(2.0 * c * y + b * x)),
-        np.float32(a),
-        np.float32(b),
-        np.float32(c),
-    )
-    return polynomial, (np.float32(x), np.float32(y))
+def _aligned(count):
+    """Room for `count` float32 zeros that starts on a cache line."""
+    room = np.zeros(count + 16, np.float32)
+    first = (-room.ctypes.data % 64) // 4
+    return room[first : first + count]
 
 
 @njit(cache=True)
 def _open_tile(left, top, width, height):
     """Fresh state: light everywhere inside the image, none outside, nothing blended.
 
-    Returns the state, aligned to cache lines, and the rows and columns inside the image.
+    Returns the state, the gates of its rows, and the rows and columns inside the image.
     """
-    size = (TILE + 1) * CHANNELS * TILE
-    room = np.zeros(size + 16, np.float32)
-    first = (-room.ctypes.data % 64) // 4
-    state = room[first : first + size].reshape((TILE + 1, CHANNELS, TILE))
-    state[TILE, 0] = -1.0
+    state = _aligned(TILE * CHANNELS * TILE).reshape((TILE, CHANNELS, TILE))
+    gates = _aligned(TILE)
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
+    gates[:rows] = np.inf
+    gates[rows:] = -1.0
     for r in range(rows):
-        state[TILE, 0, r] = np.inf
         for k in range(columns):
             state[r, 0, k] = 1.0
         for k in range(TILE):
             state[r, 6, k] = np.inf
-    return state, rows, columns
+    return state, gates, rows, columns
+
+
+@njit(cache=True)
+def _prepare(splats, features, members, first, place, count, left, top, gates, records, todo):
+    """Records and rows of `count` Gaussians of a tile's list that starts at `first`, from `place` on."""
+    for j in range(count):
+        m = members[first + place + j]
+        x, y = splats[m, 0] - (left + 0.5), splats[m, 1] - (top + 0.5)
+        a, b, c = splats[m, 2], splats[m, 3], splats[m, 4]
+        records[j, 0] = splats[m, 5] + a * x * x + b * x * y + c * y * y
+        records[j, 1] = -(2.0 * a * x + b * y)
+        records[j, 2] = -(2.0 * c * y + b * x)
+        records[j, 3], records[j, 4], records[j, 5] = a, b, c
+        for e in range(4):
+            records[j, 6 + e] = features[m, e]
+        records[j, 10], records[j, 11] = x, y
+    for j in range(count):
+        todo[j] = reached_rows(records, j, gates, np.float32(place + j))
 
 
 @njit(cache=True)
@@ -200,13 +209,17 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, rows, columns = _open_tile(left, top, width, height)
-        for k in range(offsets[tile], offsets[tile + 1]):
-            m = members[k]
-            polynomial, _ = _in_tile(splats[m], left, top)
-            feature = (features[m, 0], features[m, 1], features[m, 2], features[m, 3])
-            if blend(state, polynomial, feature, np.float32(k - offsets[tile])) == 0:
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
                 break
+            count = min(_BATCH, total - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count):
+                blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
         for r in range(rows):
             for k in range(columns):
                 left_over = abs(state[r, 0, k])
@@ -233,10 +246,10 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, rows, columns = _open_tile(left, top, width, height)
-        newest = np.float32(-1.0)
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        gates[:rows] = -1.0
         for r in range(rows):
-            state[TILE, 0, r] = -1.0
             for k in range(columns):
                 y, x = top + r, left + k
                 t = transmittance[y, x]
@@ -251,21 +264,20 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
                     by_t += v_depth[y, x] * depth[y, x] / covered
                 state[r, 5, k] = t * by_t
                 state[r, 6, k] = stop_at[y, x]
-                state[TILE, 0, r] = max(state[TILE, 0, r], stop_at[y, x])
-            newest = max(newest, state[TILE, 0, r])
-        count = offsets[tile + 1] - offsets[tile]
-        reached = int(min(np.float64(newest), np.float64(count)))  # no pixel goes beyond
-        for k in range(offsets[tile] + reached, offsets[tile + 1]):
+                gates[r] = max(gates[r], stop_at[y, x])
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
+        for k in range(first + reached, first + total):
             for e in range(10):
                 out[pair_of[k], e] = 0.0
-        for place in range(reached - 1, -1, -1):
-            k = offsets[tile] + place
-            m = members[k]
-            polynomial, centre = _in_tile(splats[m], left, top)
-            feature = (features[m, 0], features[m, 1], features[m, 2], features[m, 3])
-            sums = blend_backward(state, polynomial, feature, centre, np.float32(place))
-            for e in range(10):
-                out[pair_of[k], e] = sums[e]
+        for stop in range(reached, 0, -_BATCH):
+            start = max(stop - _BATCH, 0)
+            _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
+            for j in range(stop - start - 1, -1, -1):
+                sums = blend_backward(state, records, j, todo[j], np.float32(start + j))
+                row = out[pair_of[first + start + j]]
+                for e in range(10):
+                    row[e] = sums[e]
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -281,20 +293,25 @@ def sum_pairs(order, first_pair, pairs, out):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def weigh_tiles(splats, offsets, members, pair_of, tiles_x, width, height, out):
+def weigh_tiles(splats, features, offsets, members, pair_of, tiles_x, width, height, out):
     """Largest and summed weight of every (tile, splat) pair into out (P, 2) float32."""
     tiles = len(offsets) - 1
     for i in prange(tiles):
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, _, _ = _open_tile(left, top, width, height)
-        for k in range(offsets[tile], offsets[tile + 1]):
+        state, gates, rows, _ = _open_tile(left, top, width, height)
+        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        for k in range(first, first + total):
             out[pair_of[k], 0] = 0.0
             out[pair_of[k], 1] = 0.0
-        for k in range(offsets[tile], offsets[tile + 1]):
-            polynomial, _ = _in_tile(splats[members[k]], left, top)
-            largest, total, lit = weigh(state, polynomial)
-            if lit == 0.0:
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
                 break
-            out[pair_of[k], 0] = largest
-            out[pair_of[k], 1] = total
+            count = min(_BATCH, total - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count):
+                largest, total_weight = weigh(state, records, j, todo[j] & lit[0], lit)
+                out[pair_of[first + start + j], 0] = largest
+                out[pair_of[first + start + j], 1] = total_weight

@@ -73,7 +73,7 @@ def view_weights(
         view, projected = _project(g, cameras[c], antialiased)
         pairs = np.empty((len(projected.members), 2), np.float32)
         _kernels_tiles.weigh_tiles(
-            projected.splats, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
+            projected.splats, np.zeros((len(projected.ids), 4), np.float32), projected.offsets, projected.members, projected.pair_of, view.tiles[0],
             view.width, view.height, pairs,
         )  # fmt: skip
         if len(pairs):
