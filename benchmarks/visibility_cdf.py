@@ -7,7 +7,10 @@ SRBF-Gaussian, section 3.1, on scenes of ours, beside the paper's figures. Three
   navigable space, sees them, after each doubling of V;
 - traced outward from the same sample, with 1, 4, 16 and 64 rays over each face; agreement with the gathered sets.
 
-Either has settled when its last step (twice the viewpoints, four times the rays) moves no point of the CDF by 2%. The
+- the share of directions by solid angle, from the same rays. Faces counted as soon as anything in them is seen grow
+  with every refinement; this measure converges.
+
+A way has settled when its last step (twice the viewpoints, four times the rays) moves no point of the CDF by 2%. The
 first comes down to the second from above, slowly: the rare directions of a Gaussian are those that few places share.
 Gathering casts one ray from each viewpoint to the centre of each Gaussian of the sample: it has no resolution, and a
 fixed sample is what lets many viewpoints be tried.
@@ -26,7 +29,7 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
-from gsvis.raycast import TAU, EllipsoidProxies, Tracer, _kernels, directions, visible_in
+from gsvis.raycast import TAU, EllipsoidProxies, Tracer, directions, visible_from, visible_in
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility import FACE_LIMITS, PAPER, Agreement, AnalysisConfig, DirectionCdf, analyze
 from gsvis.visibility.analysis import SETTLED
@@ -49,14 +52,14 @@ def main() -> None:
     print(table(results))
     changes = [
         {
-            "name": f"change of the {way} CDF at the last step, {result['scene']}",
+            "name": f"change of the {way.replace('_', ' ')} CDF at the last step, {result['scene']}",
             "target": SETTLED,
             "reached": result[way][-1]["change"],
             "unit": "largest difference of two CDFs",
             "better": "lower",
         }
         for result in results
-        for way in ("gathered", "traced")
+        for way in ("gathered", "traced", "solid_angle")
     ]
     question = "What does a view need, and from how many directions can Gaussians be seen?"
     write_result(options.out, question, changes, {"paper": dict(PAPER), "scenes": results})
@@ -79,6 +82,15 @@ def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
         traced.append({"rays_per_face": rays, **shares(cdf), "change": moved(before, cdf), "agreement": agreement})
         print(f"{label}: traced {traced[-1]}", file=sys.stderr)
         before = cdf
+    measure = {
+        rays: directions.solid_angle_fractions(tracer, navigable, ids=sample, rays_per_face=rays)
+        for rays in (4, 16, 64)
+    }
+    solid = [
+        {"rays_per_face": rays, **angle_shares(fractions), "change": farthest(measure.get(rays // 4), fractions)}
+        for rays, fractions in measure.items()
+    ]
+    print(f"{label}: solid angle {solid}", file=sys.stderr)
     return {
         "scene": label + (f" LOD {lod}" if lod else ""),
         "gaussians": len(g),
@@ -89,6 +101,7 @@ def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
         "gathered_has_settled": steps[-1]["change"] < SETTLED,
         "traced": traced,
         "traced_has_settled": traced[-1]["change"] < SETTLED,
+        "solid_angle": solid,
     }
 
 
@@ -117,22 +130,14 @@ def views(tracer: Tracer, navigable: NavigableSpace, count: int) -> dict[str, An
 
 def gather(tracer: Tracer, points: np.ndarray, sample: np.ndarray) -> tuple[list[dict[str, Any]], np.ndarray]:
     """Direction sets (M, 10) of the sample from all points, and the figures after each doubling of their number."""
-    g, hierarchy = tracer.proxies.gaussians, tracer.hierarchy
+    part = tracer.proxies.gaussians[sample]
     sets = np.zeros((len(sample), 10), np.uint8)
-    there = np.flatnonzero(hierarchy.positions[sample] >= 0)  # the others are fainter than 1/255 and never seen
-    targets, part = hierarchy.positions[sample[there]], g[sample[there]]
     steps: list[dict[str, Any]] = []
     before, start = None, time.perf_counter()
     for first in range(0, len(points), LOT):
         eyes = points[first : first + LOT]
-        rays_d = part.means.astype(np.float64)[None] - eyes[:, None]
-        rays_d /= np.linalg.norm(rays_d, axis=2, keepdims=True)
-        rays_o = np.broadcast_to(eyes[:, None], rays_d.shape).reshape(-1, 3).copy()
-        weights = np.empty(len(rays_o))
-        lot = np.tile(targets, len(eyes))
-        _kernels.weights_of(*hierarchy.arrays, rays_o, rays_d.reshape(-1, 3), lot, tracer.limits, TAU / 4, weights)
-        seen = weights.reshape(len(eyes), -1).astype(np.float32)
-        sets[there] |= directions.seen_directions(part, seen, eyes)
+        weights = visible_from(tracer, eyes, sampling="gaussians", ids=sample)
+        sets |= directions.seen_directions(part, weights, eyes)
         done = first + len(eyes)
         if done & (done - 1) == 0:  # a power of two
             cdf = DirectionCdf.of(sets)
@@ -153,6 +158,20 @@ def moved(before: DirectionCdf | None, after: DirectionCdf) -> float | None:
     return None if before is None else float(np.abs(after.values - before.values).max())
 
 
+def angle_shares(fractions: np.ndarray) -> dict[str, float]:
+    """Shares of Gaussians seen from less than the paper's two shares of all directions, by solid angle."""
+    return {f"below_{k}": float(np.mean(fractions < k / directions.NUM_FACES)) for k in FACE_LIMITS}
+
+
+def farthest(before: np.ndarray | None, after: np.ndarray) -> float | None:
+    """Largest difference of the distributions of two samples, at the borders of 80 bins."""
+    if before is None:
+        return None
+    borders = np.linspace(0.0, 1.0, 81)
+    curves = [np.searchsorted(np.sort(values), borders, side="right") / len(values) for values in (before, after)]
+    return float(np.abs(curves[0] - curves[1]).max())
+
+
 def power_of_two(count: int) -> int:
     return max(2 * LOT, 1 << (count - 1).bit_length())
 
@@ -160,11 +179,12 @@ def power_of_two(count: int) -> int:
 def table(results: list[dict[str, Any]]) -> str:
     head = (
         "| scene | visible in a view: mean (min to max) | gathered < 41.25% | < 60% | settled"
-        " | traced < 41.25% | < 60% | settled | mean Jaccard |\n|---|---|---|---|---|---|---|---|---|"
+        " | traced < 41.25% | < 60% | settled | mean Jaccard | solid angle < 41.25% | < 60% | settled |\n"
+        "|---|---|---|---|---|---|---|---|---|---|---|---|"
     )
     paper = (
         f"| paper (Tanks & Temples) | {PAPER['mean_visible']:.2%} (one view {PAPER['one_view_visible']:.2%})"
-        f" | {PAPER['below_33_faces']:.1%} | {PAPER['below_48_faces']:.1%} | | | | | |"
+        f" | {PAPER['below_33_faces']:.1%} | {PAPER['below_48_faces']:.1%} | | | | | | | | |"
     )
     return "\n".join([head, paper, *map(row, results)])
 
@@ -175,11 +195,14 @@ def row(result: dict[str, Any]) -> str:
         f"{'yes' if result[f'{way}_has_settled'] else 'no'} ({last['change']:.1%})"
         for way, last in (("gathered", gathered), ("traced", traced))
     ]
+    solid = result["solid_angle"][-1]
+    steady = "yes" if solid["change"] < SETTLED else "no"
     return (
         f"| {result['scene']} | {seen['mean']:.2%} ({seen['min']:.2%} to {seen['max']:.2%})"
         f" | {gathered['below_33']:.1%} | {gathered['below_48']:.1%} | {settled[0]}"
         f" | {traced['below_33']:.1%} | {traced['below_48']:.1%} | {settled[1]}"
-        f" | {traced['agreement']['mean_jaccard']:.3f} |"
+        f" | {traced['agreement']['mean_jaccard']:.3f}"
+        f" | {solid['below_33']:.1%} | {solid['below_48']:.1%} | {steady} ({solid['change']:.1%}) |"
     )
 
 

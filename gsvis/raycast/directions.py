@@ -29,6 +29,7 @@ __all__ = [
     "icosphere_faces",
     "jaccard",
     "seen_directions",
+    "solid_angle_fractions",
     "trace_directions",
 ]
 
@@ -162,22 +163,74 @@ def trace_directions(
     Raises:
         ValueError: If an id is out of range.
     """
-    hierarchy = tracer.hierarchy
-    chosen = np.arange(len(hierarchy.positions)) if ids is None else _check.integers("ids", ids, ("M",))
-    if len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(hierarchy.positions):
-        raise ValueError(f"ids: expected values in [0, {len(hierarchy.positions)}), got {chosen.min()}..{chosen.max()}")
-    rays = face_directions(rays_per_face)
+    chosen = tracer.chosen(ids)
     sets = np.zeros((len(chosen), NUM_FACES // 8), np.uint8)
-    grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
     progress("directions", 0, len(chosen))
     for start in range(0, len(chosen), _CHUNK):
         part = slice(start, min(start + _CHUNK, len(chosen)))
-        targets = hierarchy.positions[chosen[part]]
-        _kernels_directions.trace_outward(
-            *hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets[part]
-        )
+        _trace(tracer, navigable, chosen[part], face_directions(rays_per_face), tau, sets[part])
         progress("directions", part.stop, len(chosen))
     return sets
+
+
+def solid_angle_fractions(
+    tracer: Tracer,
+    navigable: NavigableSpace,
+    *,
+    ids: ArrayLike | None = None,
+    rays_per_face: int = 16,
+    tau: float = TAU,
+    progress: Progress = silent,
+) -> NDArray[np.float32]:
+    """Share of the sphere of directions, by solid angle, from which an eye in navigable space would see each Gaussian.
+
+    Direction sets count a face as soon as anything in it is seen, so finer sampling only ever adds faces, and slowly
+    adds many. This measure weighs each ray by the solid angle it stands for; it converges.
+
+    Args:
+        tracer: The scene, N Gaussians.
+        navigable: Where eyes may be.
+        ids: (M,) Gaussians to trace; None means all N.
+        rays_per_face: 1, 4, 16 or 64 rays spread over each of the 80 faces.
+        tau: Weight from which a Gaussian counts as seen.
+        progress: Called with stage "directions".
+
+    Returns:
+        (M,) float32 in [0, 1].
+
+    Raises:
+        ValueError: If an id is out of range.
+    """
+    chosen = tracer.chosen(ids)
+    rays, areas = face_directions(rays_per_face), _solid_angles(rays_per_face)
+    fractions = np.zeros(len(chosen))
+    progress("directions", 0, rays_per_face)
+    for k in range(rays_per_face):
+        sets = np.zeros((len(chosen), NUM_FACES // 8), np.uint8)
+        _trace(tracer, navigable, chosen, np.ascontiguousarray(rays[:, k : k + 1]), tau, sets)
+        fractions += np.unpackbits(sets, axis=1, bitorder="little") @ areas[:, k]
+        progress("directions", k + 1, rays_per_face)
+    return fractions.astype(np.float32)
+
+
+def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], rays: F64, tau: float, sets: U8) -> None:
+    hierarchy = tracer.hierarchy
+    grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
+    targets = hierarchy.positions[ids]
+    _kernels_directions.trace_outward(*hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets)
+
+
+def _solid_angles(rays_per_face: int) -> F64:
+    """(80, rays_per_face) shares of the sphere of the parts whose centres `face_directions` gives; they sum to 1.
+
+    References:
+        Van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 1983.
+    """
+    vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))
+    a, b, c = np.swapaxes(vertices[faces], 0, 1)
+    volume = np.einsum("fi,fi->f", a, np.cross(b, c))
+    flat = 1.0 + np.einsum("fi,fi->f", a, b) + np.einsum("fi,fi->f", b, c) + np.einsum("fi,fi->f", c, a)
+    return np.asarray(2.0 * np.arctan2(volume, flat).reshape(NUM_FACES, rays_per_face) / (4.0 * np.pi))
 
 
 def direction_fractions(sets: ArrayLike) -> NDArray[np.float32]:

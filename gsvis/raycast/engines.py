@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
+from numba import get_num_threads
 from numpy.typing import NDArray
 
 from gsvis.errors import BackendError
@@ -35,6 +36,7 @@ class Open3dEngine:
     """Embree through Open3D's RaycastingScene, on all cores."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
+        get_num_threads()  # starts numba's threads before open3d brings a TBB that numba finds too old, and says so
         try:
             import open3d as o3d
         except ImportError as error:

@@ -131,6 +131,20 @@ class Tracer:
         """(min_alpha, max_alpha, min_transmittance), as the kernels take them."""
         return self.proxies.min_alpha, MAX_ALPHA, MIN_TRANSMITTANCE
 
+    def chosen(self, ids: ArrayLike | None) -> NDArray[np.int64]:
+        """Gaussians given by number, checked; None means all.
+
+        Raises:
+            ValueError: If an id is not in [0, N).
+        """
+        n = len(self.proxies.gaussians)
+        if ids is None:
+            return np.arange(n)
+        picked = _check.integers("ids", ids, ("M",))
+        if len(picked) and not 0 <= picked.min() <= picked.max() < n:
+            raise ValueError(f"ids: expected values in [0, {n}), got {picked.min()}..{picked.max()}")
+        return picked
+
     def first_hit(self, rays_o: ArrayLike, rays_d: ArrayLike) -> FirstHits:
         """The first proxy each ray meets.
 

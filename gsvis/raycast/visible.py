@@ -70,6 +70,7 @@ def visible_from(
     sampling: str = "pixels",
     size: int = 128,
     rays: GaussianRays | None = None,
+    ids: ArrayLike | None = None,
     progress: Progress = silent,
 ) -> F32:
     """Largest weight of each Gaussian from each viewpoint, in all directions.
@@ -80,23 +81,25 @@ def visible_from(
         sampling: "pixels" casts the rays of a cubemap; "gaussians" casts rays to every Gaussian.
         size: Pixels along a side of the cubemap faces (sampling "pixels").
         rays: How Gaussian rays are cast (sampling "gaussians"); None means `GaussianRays()`.
+        ids: (M,) Gaussians asked for; None means all N. With Gaussian rays only these cost anything.
         progress: Called with stage "viewpoints".
 
     Returns:
-        (V, N) float32; a Gaussian is visible from viewpoint v where the entry is at least tau.
+        (V, N) float32, or (V, M) with ids; a Gaussian is visible from viewpoint v where the entry is at least tau.
 
     Raises:
         ValueError: If an argument is out of range.
     """
     _check.one_of("sampling", sampling, ("pixels", "gaussians"))
     points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
-    weights = np.zeros((len(points), len(tracer.proxies.gaussians)), np.float32)
+    chosen = tracer.chosen(ids)
+    weights = np.zeros((len(points), len(chosen)), np.float32)
     progress("viewpoints", 0, len(points))
     for v, point in enumerate(points):
         if sampling == "pixels":
-            weights[v] = _largest(tracer, *Cameras.cubemap(point[None], size).rays())
+            weights[v] = _largest(tracer, *Cameras.cubemap(point[None], size).rays())[chosen]
         else:
-            weights[v] = _to_gaussians(tracer, point, rays or GaussianRays())
+            weights[v] = _to_gaussians(tracer, point, rays or GaussianRays(), chosen)
         progress("viewpoints", v + 1, len(points))
     return weights
 
@@ -110,25 +113,24 @@ def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
     return weights
 
 
-def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays) -> F32:
-    """Weights (N,) from one eye along rays to the centre and the ring of each Gaussian."""
+def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.int64]) -> F32:
+    """Weights (M,) from one eye along rays to the centre and the ring of the Gaussians ids (M,)."""
     hierarchy, g = tracer.hierarchy, tracer.proxies.gaussians
-    targets = np.arange(len(hierarchy.ids))
-    best = np.zeros(len(targets))
-    out = np.empty(len(targets))
-    for offset in _offsets(hierarchy.table, g.quats[hierarchy.ids], g.scales[hierarchy.ids], eye, rays.ring):
-        toward = hierarchy.table[:, :3] + offset - eye
+    there = np.flatnonzero(hierarchy.positions[ids] >= 0)  # the others are too faint to be seen
+    targets = np.sort(hierarchy.positions[ids[there]])  # neighbours one after the other: their paths share memory
+    table, owners = hierarchy.table[targets], hierarchy.ids[targets]
+    best, out = np.zeros(len(targets)), np.empty(len(targets))
+    for offset in _offsets(table, g.quats[owners], g.scales[owners], eye, rays.ring):
+        toward = table[:, :3] + offset - eye
         length = np.linalg.norm(toward, axis=1)
         toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is in the centre: every direction is as good
         toward /= np.where(length == 0.0, 1.0, length)[:, None]
-        rays_o = np.broadcast_to(eye, toward.shape)
-        _kernels.weights_of(
-            *hierarchy.arrays, np.ascontiguousarray(rays_o), toward, targets, tracer.limits, rays.floor, out
-        )
+        rays_o = np.ascontiguousarray(np.broadcast_to(eye, toward.shape))
+        _kernels.weights_of(*hierarchy.arrays, rays_o, toward, targets, tracer.limits, rays.floor, out)
         np.maximum(best, out, out=best)
-    weights = np.zeros(len(hierarchy.positions), np.float32)
-    weights[hierarchy.ids] = best
-    return weights
+    everything = np.zeros(len(g), np.float32)
+    everything[owners] = best
+    return everything[ids]
 
 
 def _offsets(table: F64, quats: F32, scales: F32, eye: F64, ring: int) -> list[F64]:

@@ -97,8 +97,8 @@ def reached_rows(typing_context, records, number, gates, place):
 def _each_row(lanes: Builder, state: Any, record: _Record, todo: Any, body: _RowBody) -> None:
     """Call `body(row, y, p, seen, t)` for each row in `todo` in which a lit pixel sees the Gaussian.
 
-    `row` is the place of the row's state, `y` its number in all lanes, `p` log2 alpha, `seen` the mask of lit pixels with
-    alpha >= 1/255, `t` the transmittance.
+    `row` is the place of the row's state, `y` its number in all lanes, `p` log2 alpha, `seen` the mask of lit pixels
+    with alpha >= 1/255, `t` the transmittance.
     """
     builder = lanes.ir
     x = lanes.counting()
@@ -139,8 +139,8 @@ def _pass_light(
     """Let the Gaussian take its share of the light, and keep what is left. Returns the weight and the light left.
 
     `pixels` is (y, p, seen, t) as `_each_row` gives them. A pixel that would fall to 1e-4 blends nothing: its light is
-    kept negated and the place of the Gaussian in STOP; the bit of its row in `lit` is cleared if it was the last one lit.
-    That happens once a pixel, so it stands behind a branch.
+    kept negated and the place of the Gaussian in STOP; the bit of its row in `lit` is cleared if it was the last one
+    lit. That happens once a pixel, so it stands behind a branch.
     """
     builder = lanes.ir
     y, p, seen, t = pixels

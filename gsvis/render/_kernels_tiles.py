@@ -18,18 +18,29 @@ _MARGIN = 1e-3  # pixels; a tile too many costs little, one too few an edge
 
 
 @njit(cache=True)
-def _less(i, j, ids, content):
-    """Content order of two Gaussians of equal depth."""
-    for c in range(content.shape[1]):
-        if content[ids[i], c] != content[ids[j], c]:
-            return content[ids[i], c] < content[ids[j], c]
+def _row_order(rows, i, j):
+    """-1, 0 or 1 as row i of an array of two dimensions sorts before, with or after row j."""
+    for c in range(rows.shape[1]):
+        if rows[i, c] != rows[j, c]:
+            return -1 if rows[i, c] < rows[j, c] else 1
+    return 0
+
+
+@njit(cache=True)
+def _less(i, j, ids, means, scales, quats, opacities, sh0):
+    """Content order of two splats of equal depth: means, scales, quats, opacity, colour."""
+    i, j = ids[i], ids[j]
+    for rows in (means, scales, quats, opacities, sh0):
+        sign = _row_order(rows, i, j)
+        if sign != 0:
+            return sign < 0
     return False
 
 
 @njit(cache=True)
-def order_ties(order, depths, ids, content):
-    """Put runs of equal depth in a depth order into content order (merge sort)."""
-    scratch = np.empty(len(order), order.dtype)
+def order_ties(order, depths, ids, means, scales, quats, opacities, sh0):
+    """Put runs of equal depth in a depth order into content order (merge sort). All content is (N, columns)."""
+    scratch = np.empty_like(order)
     start = 0
     while start < len(order):
         stop = start + 1
@@ -41,7 +52,10 @@ def order_ties(order, depths, ids, content):
                 middle, right = min(left + width, stop), min(left + 2 * width, stop)
                 i, j = left, middle
                 for k in range(left, right):
-                    if i < middle and (j >= right or not _less(order[j], order[i], ids, content)):
+                    take_left = i < middle
+                    if take_left and j < right:
+                        take_left = not _less(order[j], order[i], ids, means, scales, quats, opacities, sh0)
+                    if take_left:
                         scratch[k] = order[i]
                         i += 1
                     else:

@@ -120,8 +120,8 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     _kernels_project.gather_blocks(counts, starts, ids, splats, depths, *packed)
     ids, splats, depths = packed
     order = np.argsort(depths).astype(np.int32)
-    if m and (np.diff(depths[order]) == 0).any():
-        _kernels_tiles.order_ties(order, depths, ids, _content(scene))
+    content = scene.means, scene.scales, scene.quats, scene.opacities[:, None], scene.sh0[:, 0]
+    _kernels_tiles.order_ties(order, depths, ids, *content)
     tiles_x, tiles_y = view.tiles
     room = np.empty(m, np.int64)
     _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room)
@@ -136,12 +136,6 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     pair_of = np.empty(len(members) if pairs else 0, np.int32)
     _kernels_tiles.fill_tiles(order, first_room, met, counts, first_pair, histogram, members, pair_of)
     return Projected(ids, splats, depths, order, offsets, members, pair_of, first_pair)
-
-
-def _content(scene: Any) -> F32:
-    """(N, C) what orders Gaussians of equal depth."""
-    columns = [scene.means, scene.scales, scene.quats, scene.opacities[:, None], scene.sh0[:, 0]]
-    return np.ascontiguousarray(np.concatenate(columns, axis=1, dtype=np.float32))
 
 
 class _Rasterize(torch.autograd.Function):

@@ -72,10 +72,9 @@ def view_weights(
     for c in range(len(cameras)):
         view, projected = _project(g, cameras[c], antialiased)
         pairs = np.empty((len(projected.members), 2), np.float32)
-        _kernels_tiles.weigh_tiles(
-            projected.splats, np.zeros((len(projected.ids), 4), np.float32), projected.offsets, projected.members, projected.pair_of, view.tiles[0],
-            view.width, view.height, pairs,
-        )  # fmt: skip
+        colourless = np.zeros((len(projected.ids), 4), np.float32)
+        lists = projected.offsets, projected.members, projected.pair_of, view.tiles[0]
+        _kernels_tiles.weigh_tiles(projected.splats, colourless, *lists, view.width, view.height, pairs)
         if len(pairs):
             met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs every stretch non-empty
             starts, ids = projected.first_pair[met], projected.ids[projected.order[met]]

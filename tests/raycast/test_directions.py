@@ -128,6 +128,27 @@ def test_traced_and_gathered_agree_where_eyes_are_dense() -> None:
     assert dirs.jaccard(gathered, traced).mean() > 0.7
 
 
+def test_solid_angles_of_a_lone_gaussian_and_of_half_a_world() -> None:
+    tracer, box = lone_gaussian()
+    for rays_per_face in (1, 4, 16, 64):
+        np.testing.assert_allclose(
+            dirs.solid_angle_fractions(tracer, box, rays_per_face=rays_per_face), [1.0], rtol=1e-6
+        )
+    above = NavigableSpace.from_box([-50, -50, 0.2], [50, 50, 1.2], 100)  # eyes in a slab overhead
+    half = dirs.solid_angle_fractions(tracer, above, rays_per_face=64)
+    np.testing.assert_allclose(half, [0.5], atol=0.03)
+
+
+def test_solid_angle_never_exceeds_the_faces_that_hold_it() -> None:
+    tracer = Tracer(EllipsoidProxies.from_scene(scene("mixed")))
+    box = NavigableSpace.from_box([-3, -3, 1.5], [3, 3, 3], 24)
+    faces = dirs.direction_fractions(dirs.trace_directions(tracer, box, rays_per_face=16))
+    angle = dirs.solid_angle_fractions(tracer, box, rays_per_face=16)
+    assert (angle <= 1.1 * faces + 1e-6).all()  # faces differ in size by a tenth
+    assert ((angle > 0) == (faces > 0)).all()
+    np.testing.assert_array_equal(dirs.solid_angle_fractions(tracer, box, ids=[3, 1], rays_per_face=16), angle[[3, 1]])
+
+
 def test_ids_choose_and_order() -> None:
     tracer = Tracer(EllipsoidProxies.from_scene(scene("mixed")))
     box = NavigableSpace.from_box([-3, -3, 1.5], [3, 3, 3], 24)

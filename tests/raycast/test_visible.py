@@ -52,6 +52,14 @@ def test_gaussian_rays_equal_the_oracle_along_the_same_rays(kind: str) -> None:
     np.testing.assert_allclose(weights, want, atol=1e-6)
 
 
+def test_ids_choose_and_order() -> None:
+    tracer = tracer_of("mixed")
+    for options in ({"sampling": "gaussians"}, {"sampling": "pixels", "size": 8}):
+        whole = visible_from(tracer, [[0, -2.0, 0], [0, 0, 0]], **options)  # type: ignore[arg-type]
+        some = visible_from(tracer, [[0, -2.0, 0], [0, 0, 0]], ids=[9, 2, 250], **options)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(some, whole[:, [9, 2, 250]])
+
+
 def test_the_floor_only_drops_what_is_below_it() -> None:
     tracer = tracer_of("mixed")
     exact = visible_from(tracer, [[0, -2.0, 0]], sampling="gaussians", rays=GaussianRays(4, floor=0.0))[0]
