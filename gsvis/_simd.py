@@ -155,3 +155,38 @@ class Builder:
         """Write the lanes to `offset` elements behind `pointer`."""
         address = self.ir.bitcast(self.ir.gep(pointer, [offset]), self.type.as_pointer())
         self.ir.store(vector.value, address, align=4)
+
+    def store_first(self, vector: Vector, count: int, pointer: Any, offset: Any) -> None:
+        """Write the first `count` lanes, a multiple of four, to `offset` elements behind `pointer`."""
+        for first in range(0, count, 4):
+            mask = ir.Constant(ir.VectorType(_I32, 4), list(range(first, first + 4)))
+            part = self.ir.shuffle_vector(vector.value, vector.value, mask)
+            place = self.ir.gep(pointer, [self.ir.add(offset, ir.Constant(ir.IntType(64), first))])
+            self.ir.store(part, self.ir.bitcast(place, ir.VectorType(self.element, 4).as_pointer()), align=4)
+
+    def sums(self, vectors: list[Vector]) -> Vector:
+        """The sum of the lanes of each of up to `lanes` vectors, sum k in lane k.
+
+        Pairs of vectors are folded into one, half by half: a fifth of the work of summing each alone.
+        """
+        zero = self.constant(0.0)
+        row = [*vectors, *[zero] * (self.lanes - len(vectors))]
+        step = self.lanes // 2
+        while step:
+            row = [
+                self._folded(a, b, step) if a is not zero else zero for a, b in zip(row[::2], row[1::2], strict=True)
+            ]
+            step //= 2
+        # Lane l now holds the sum whose number is l with its bits reversed.
+        bits = self.lanes.bit_length() - 1
+        mask = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(self.lanes)]
+        shuffle = ir.Constant(ir.VectorType(_I32, self.lanes), mask)
+        return Vector(self, self.ir.shuffle_vector(row[0].value, row[0].value, shuffle))
+
+    def _folded(self, a: Vector, b: Vector, step: int) -> Vector:
+        """Lane l: a[l] + a[l ^ step] where l lacks the bit `step`, b[l] + b[l ^ step] where it has it."""
+        kind = ir.VectorType(_I32, self.lanes)
+        own = ir.Constant(kind, [k + (self.lanes if k & step else 0) for k in range(self.lanes)])
+        other = ir.Constant(kind, [(k ^ step) + (self.lanes if k & step else 0) for k in range(self.lanes)])
+        shuffled = [Vector(self, self.ir.shuffle_vector(a.value, b.value, mask)) for mask in (own, other)]
+        return shuffled[0] + shuffled[1]

@@ -22,6 +22,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis inspect scene.ply                    what is in it, what looks wrong
   gsvis analyze scene.ply -o report          visibility report with pictures
   gsvis analyze builtin:two_rooms -o report  the same without a scene at hand
+  gsvis render scene.ply -o orbit.gif --orbit 36
   gsvis convert scene.ply small.spz --min-opacity 0.02
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
@@ -113,6 +114,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.analyze import run_analyze
 
         run_analyze(command)
+    elif isinstance(command, arguments.Render):
+        from gsvis.cli.render import run_render
+
+        run_render(command)
     else:
         from gsvis.cli.convert import run_convert
 

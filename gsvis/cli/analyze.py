@@ -11,7 +11,15 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
-from gsvis.cli.source import Source, check_folder, check_source, evenly, inspected, load_source
+from gsvis.cli.source import (
+    check_folder,
+    check_source,
+    evenly,
+    file_cameras,
+    inspected,
+    load_source,
+    navigable_space,
+)
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import SceneError
 from gsvis.scene.cameras import Cameras
@@ -62,7 +70,7 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
     facts_found = inspected(source)
     status("reading", 1, 1)
     status("space", 0, 1)
-    navigable, no_space = _space(source, given)
+    navigable, no_space = navigable_space(source, seeds=None if given is None else given.viewpoints)
     cameras = given if given is not None else _sampled(command, navigable, no_space)
     status("space", 1, 1)
     status("kernels", 0, 1)
@@ -104,28 +112,8 @@ def _given_cameras(command: Analyze) -> Cameras | None:
         raise ValueError(
             f"--fov: expected none with --cameras, whose file states it, got {command.fov:g}; leave it out"
         )
-    from gsvis.io.cameras import load_cameras
-
-    both = (command.width, command.height) if command.width and command.height else None
-    cameras = load_cameras(command.cameras, size=both)
-    if len(cameras) == 0:
-        raise ValueError(f"--cameras: expected at least one camera in {command.cameras}, got none")
-    if both is None:
-        aspect = cameras.width / cameras.height
-        width = command.width or (round(command.height * aspect) if command.height else min(_WIDTH, cameras.width))
-        cameras = cameras.resized(max(1, width), max(1, command.height or round(width / aspect)))
+    cameras = file_cameras(command.cameras, command.width, command.height, at_most=_WIDTH)
     return cameras if command.views is None else evenly(cameras, command.views)
-
-
-def _space(source: Source, given: Cameras | None) -> tuple[NavigableSpace | None, str]:
-    """Where eyes may be, or None and why not."""
-    if source.navigable is not None:
-        return source.navigable, ""
-    seeds = None if given is None else given.viewpoints
-    try:
-        return NavigableSpace.from_scene(source.gaussians, seeds=seeds), ""
-    except SceneError as error:
-        return None, str(error)
 
 
 def _sampled(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:

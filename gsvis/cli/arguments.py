@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-__all__ = ["Analyze", "Command", "Convert", "Inspect"]
+__all__ = ["Analyze", "Command", "Convert", "Inspect", "Render"]
 
 
 def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
@@ -30,7 +30,7 @@ def _number(metavar: str, kind: type[int] | type[float], low: float, high: float
     return _spec(1, metavar, read)
 
 
-def _spec(nargs: int, metavar: str, read: Callable[[list[str]], Any]) -> Any:
+def _spec(nargs: int | Literal["*"], metavar: str, read: Callable[[list[str]], Any]) -> Any:
     return PrimitiveConstructorSpec(
         nargs=nargs,
         metavar=metavar,
@@ -50,6 +50,34 @@ def _read_box(words: list[str]) -> tuple[float, ...]:
     return box
 
 
+def _numbers(metavar: str, low: float = -1e30, high: float = 1e30, what: str = "three finite numbers") -> Any:
+    """How tyro reads as many numbers in [low, high] as `metavar` has words."""
+
+    def read(words: list[str]) -> tuple[float, ...]:
+        try:
+            values = tuple(float(word) for word in words)
+        except ValueError:
+            values = ()
+        if not values or not all(low <= value <= high for value in values):
+            raise ValueError(f"expected {what}, got {' '.join(words)}")
+        return values
+
+    return _spec(len(metavar.split()), metavar, read)
+
+
+def _read_indices(words: list[str]) -> tuple[int, ...]:
+    if not words or not all(word.isdecimal() for word in words):
+        raise ValueError(f"expected whole numbers of at least 0, got {' '.join(words) or 'none'}")
+    return tuple(int(word) for word in words)
+
+
+def _read_pixel(words: list[str]) -> tuple[int, int]:
+    column, _, row = words[0].partition(",")
+    if not (column.isdecimal() and row.isdecimal()):
+        raise ValueError(f"expected a column and a row, such as 320,240, got {words[0]!r}")
+    return int(column), int(row)
+
+
 def _read_face_rays(words: list[str]) -> int:
     if words[0] not in ("1", "4", "16", "64"):
         raise ValueError(f"expected 1, 4, 16 or 64 rays, got {words[0]!r}")
@@ -66,6 +94,13 @@ _OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")
 _SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
 _FACE_RAYS = _spec(1, "K", _read_face_rays)
 _BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
+_POINT = _numbers("X Y Z")
+_COLOUR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
+_INDICES = _spec("*", "I [I ...]", _read_indices)
+_PIXEL = _spec(1, "X,Y", _read_pixel)
+_DISTANCE = _number("R", float, 1e-12, 1e12, "a distance above 0")
+_ELEVATION = _number("DEG", float, -89.0, 89.0, "degrees in [-89, 89]")
+_RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
 
 
 def _hint(text: str) -> Any:
@@ -127,6 +162,69 @@ class Analyze:
 
 
 @dataclass(frozen=True)
+class Render:
+    """Draw a scene as cameras see it; list who contributes to a pixel."""
+
+    scene: Scene
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    out: Annotated[
+        str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(required without --contributors)")
+    ] = None
+    """A .png for one camera, a .gif for an animation, or a folder for 0000.png, 0001.png and on; made if missing."""
+    lod: Lod = None
+    """Level of detail of a streamed scene; 0 is the finest."""
+    camera: Annotated[
+        str | None,
+        arg(
+            aliases=["--cameras"],
+            metavar="FILE",
+            help_behavior_hint="(default: one camera, sampled in navigable space)",
+        ),
+    ] = None
+    """COLMAP model, transforms.json or cameras.json; all its cameras, or those of --index."""
+    index: Annotated[tuple[int, ...] | None, _INDICES, _hint("all")] = None
+    """Which cameras of FILE, counted from 0."""
+    orbit: Annotated[int | None, _COUNTED, _hint("no orbit")] = None
+    """N cameras on a circle around the scene, or around --target."""
+    radius: Annotated[float | None, _DISTANCE, _hint("shows the middle 90% of the scene")] = None
+    """Distance of the orbit from what it goes around, scene units."""
+    elevation: Annotated[float | None, _ELEVATION, _hint("20")] = None
+    """Height of the orbit above what it goes around."""
+    eye: Annotated[tuple[float, ...] | None, _POINT, _hint("none")] = None
+    """One camera at this point."""
+    target: Annotated[tuple[float, ...] | None, _POINT, _hint("the middle of the scene")] = None
+    """What --eye looks at, or --orbit goes around."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards in the image, such as -y; not with --camera."""
+    seed: Annotated[int, _WHOLE] = 0
+    """Seed of the sampled camera: the same seed gives the same view."""
+    width: Annotated[int | None, _PIXELS, _hint("640; with --camera that of FILE")] = None
+    """Pixels across."""
+    height: Annotated[int | None, _PIXELS, _hint("480; with --camera by its aspect")] = None
+    """Pixels down."""
+    fov: Annotated[float | None, _DEGREES, _hint("60; with --camera its own")] = None
+    """Horizontal field of view."""
+    background: Annotated[tuple[float, ...], _COLOUR, _hint("0 0 0")] = (0.0, 0.0, 0.0)
+    """Colour behind everything, each channel in [0, 1]."""
+    sh_degree: Annotated[int | None, _SH_DEGREE, _hint("all there is")] = None
+    """Highest degree of spherical harmonics to evaluate."""
+    antialiased: Flag = False
+    """Lower opacities so that small Gaussians keep their light; for scenes trained that way."""
+    depth: Flag = False
+    """Write depth pictures too (NAME_depth.png or NAME_depth.gif)."""
+    fps: Annotated[float | None, _RATE, _hint("12")] = None
+    """Frames a second of a .gif."""
+    contributors: Annotated[tuple[int, int] | None, _PIXEL, _hint("none")] = None
+    """List the Gaussians blended into the pixel in column X and row Y, front to back; for one camera."""
+    backend: Annotated[Literal["auto", "cpu", "cuda", "reference"], _PLAIN] = "auto"
+    """What draws; auto takes a GPU where there is one that can. (default: auto)"""
+    json: Flag = False
+    """Print one JSON document instead of lines."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True)
 class Convert:
     """Change a scene or its format; the suffix of OUT names the format."""
 
@@ -150,4 +248,4 @@ class Convert:
     """Show the traceback of an error."""
 
 
-Command = Inspect | Analyze | Convert
+Command = Inspect | Analyze | Render | Convert

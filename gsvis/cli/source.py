@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from gsvis.errors import SceneError
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["Source", "check_folder", "check_source", "evenly", "inspected", "load_source"]
+__all__ = [
+    "Source",
+    "check_folder",
+    "check_source",
+    "evenly",
+    "file_cameras",
+    "inspected",
+    "load_source",
+    "navigable_space",
+]
 
 BUILTIN = "builtin:"
 
@@ -105,6 +116,52 @@ def _called(path: Path, lod: int | None) -> str:
     inner = resolved.name in ("lod-meta.json", "meta.json") or resolved.is_dir()
     name = (resolved if resolved.is_dir() else resolved.parent).name if inner else resolved.name.split(".")[0]
     return (name or resolved.name) + ("" if lod is None else f", LOD {lod}")
+
+
+def navigable_space(
+    source: Source, *, up: ArrayLike | None = None, seeds: ArrayLike | None = None
+) -> tuple[NavigableSpace | None, str]:
+    """Where eyes may be, or None and why not.
+
+    Args:
+        source: The scene; a built-in one knows its space.
+        up: (3,) up axis; guessed, or that of the built-in scene, by default.
+        seeds: (S, 3) positions known to be navigable.
+    """
+    if source.navigable is not None:
+        return source.navigable if up is None else replace(source.navigable, up=np.asarray(up, np.float64)), ""
+    try:
+        return NavigableSpace.from_scene(source.gaussians, up=up, seeds=seeds), ""
+    except SceneError as error:
+        return None, str(error)
+
+
+def file_cameras(path: str, width: int | None, height: int | None, *, at_most: int | None = None) -> Cameras:
+    """The cameras of a file at the size that is asked for; a side left open follows from the file's aspect.
+
+    Args:
+        path: Anything `load_cameras` reads.
+        width: Pixels.
+        height: Pixels.
+        at_most: Pixels across where neither is given, if the file's are more; None keeps the file's.
+
+    Raises:
+        FormatError: If the file cannot be read.
+        FileNotFoundError: If there is none.
+        ValueError: If it holds no camera.
+    """
+    from gsvis.io.cameras import load_cameras
+
+    both = (width, height) if width and height else None
+    cameras = load_cameras(path, size=both)
+    if len(cameras) == 0:
+        raise ValueError(f"{path}: expected at least one camera, got none")
+    if both is None:
+        aspect = cameras.width / cameras.height
+        across = width or (round(height * aspect) if height else min(at_most or cameras.width, cameras.width))
+        if across != cameras.width or height:
+            cameras = cameras.resized(max(1, across), max(1, height or round(across / aspect)))
+    return cameras
 
 
 def evenly(cameras: Cameras, count: int) -> Cameras:

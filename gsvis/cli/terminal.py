@@ -25,6 +25,7 @@ _SAID = {
     "cameras": "tracing cameras",
     "directions": "tracing directions outward",
     "pictures": "rendering pictures",
+    "rendering": "rendering",
     "writing": "writing",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage

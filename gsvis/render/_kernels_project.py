@@ -21,22 +21,23 @@ _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below
 
 
 @njit(cache=True)
-def _rotation(quat):
+def _rotation(quat, r):
+    """Rotation matrix of a quaternion of any length into r (3, 3)."""
     w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
-    n = np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / n, x / n, y / n, z / n
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    xx, yy, zz = s * x * x, s * y * y, s * z * z
+    xy, xz, yz = s * x * y, s * x * z, s * y * z
+    wx, wy, wz = s * w * x, s * w * y, s * w * z
+    r[0, 0], r[0, 1], r[0, 2] = 1.0 - yy - zz, xy - wz, xz + wy
+    r[1, 0], r[1, 1], r[1, 2] = xy + wz, 1.0 - xx - zz, yz - wx
+    r[2, 0], r[2, 1], r[2, 2] = xz - wy, yz + wx, 1.0 - xx - yy
 
 
 @njit(cache=True)
-def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m):
+def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m, r):
     """Camera point, and m (2, 3) = J W R S, whose m m^T is the covariance in the image before dilation.
 
-    Returns x, y, z and the clamped x / z, y / z.
+    The rotation is left in r (3, 3). Returns x, y, z and the clamped x / z, y / z.
     """
     fx, fy, cx, cy = intrinsics
     x = viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3]
@@ -47,14 +48,15 @@ def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m):
     margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
     u = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
     v = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-    r = _rotation(quat)
+    _rotation(quat, r)
+    jx, jy = fx / z, fy / z
     for k in range(3):  # the axes of the Gaussian, in the camera's frame
         s = np.float64(scale[k])
-        a = s * (viewmat[0, 0] * r[0][k] + viewmat[0, 1] * r[1][k] + viewmat[0, 2] * r[2][k])
-        b = s * (viewmat[1, 0] * r[0][k] + viewmat[1, 1] * r[1][k] + viewmat[1, 2] * r[2][k])
-        c = s * (viewmat[2, 0] * r[0][k] + viewmat[2, 1] * r[1][k] + viewmat[2, 2] * r[2][k])
-        m[0, k] = fx * (a - u * c) / z
-        m[1, k] = fy * (b - v * c) / z
+        a = s * (viewmat[0, 0] * r[0, k] + viewmat[0, 1] * r[1, k] + viewmat[0, 2] * r[2, k])
+        b = s * (viewmat[1, 0] * r[0, k] + viewmat[1, 1] * r[1, k] + viewmat[1, 2] * r[2, k])
+        c = s * (viewmat[2, 0] * r[0, k] + viewmat[2, 1] * r[1, k] + viewmat[2, 2] * r[2, k])
+        m[0, k] = jx * (a - u * c)
+        m[1, k] = jy * (b - v * c)
     return x, y, z, u, v
 
 
@@ -95,14 +97,14 @@ def project(
     """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
     fx, fy, cx, cy = intrinsics
     for block in prange(len(counts)):
-        m = np.zeros((2, 3))
+        m, r = np.zeros((2, 3)), np.empty((3, 3))
         at = block * _BLOCK
         for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
             if opacities[i] < np.float32(1.0 / 255.0):
                 continue
             if _misses(means[i], scales[i], viewmat, intrinsics, width, height):
                 continue
-            x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
+            x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
             xx, xy, yy, det = _covariance(m)
             full = det + DILATION * (xx + yy) + DILATION * DILATION
             opacity = np.float64(opacities[i])
@@ -151,23 +153,23 @@ def project_backward(
     """
     v_means, v_quats, v_scales = outs
     for block in prange((len(ids) + 255) // 256):
-        m, v_r = np.zeros((2, 3)), np.empty((3, 3))
+        m, r, v_r = np.zeros((2, 3)), np.empty((3, 3)), np.empty((3, 3))
         for j in range(256 * block, min(len(ids), 256 * block + 256)):
             _one_backward(
                 ids[j], means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums[j], v_means2d[j],
-                v_opacities, v_means, v_quats, v_scales, m, v_r,
+                v_opacities, v_means, v_quats, v_scales, m, r, v_r,
             )  # fmt: skip
 
 
 @njit(cache=True)
 def _one_backward(
     i, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums, v_mean2d,
-    v_opacities, v_means, v_quats, v_scales, m, v_r,
+    v_opacities, v_means, v_quats, v_scales, m, r, v_r,
 ):  # fmt: skip
-    """`project_backward` of Gaussian i; m (2, 3) and v_r (3, 3) are room to work in."""
+    """`project_backward` of Gaussian i; m (2, 3), r and v_r (3, 3) are room to work in."""
     fx, fy = intrinsics[0], intrinsics[1]
     width, height = size
-    x, y, z, u, v = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m)
+    x, y, z, u, v = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
     xx, xy, yy, det = _covariance(m)
     full = det + DILATION * (xx + yy) + DILATION * DILATION
     xx, yy = xx + DILATION, yy + DILATION
@@ -198,21 +200,20 @@ def _one_backward(
     # m = J (W R S), J rows (fx / z)(1, 0, -u) and (fy / z)(0, 1, -v)
     v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[3])
     v_z -= fx * x / (z * z) * v_u + fy * y / (z * z) * v_v
-    r = _rotation(quats[i])
     v_u_j, v_v_j = 0.0, 0.0  # by the clamped u and v inside J
     for k in range(3):
         s = np.float64(scales[i, k])
         n0 = 2.0 * (s_xx * m[0, k] + s_xy * m[1, k])
         n1 = 2.0 * (s_xy * m[0, k] + s_yy * m[1, k])
         v_z -= (n0 * m[0, k] + n1 * m[1, k]) / z
-        axis_z = s * (viewmat[2, 0] * r[0][k] + viewmat[2, 1] * r[1][k] + viewmat[2, 2] * r[2][k])
+        axis_z = s * (viewmat[2, 0] * r[0, k] + viewmat[2, 1] * r[1, k] + viewmat[2, 2] * r[2, k])
         v_u_j -= n0 * fx / z * axis_z
         v_v_j -= n1 * fy / z * axis_z
         d0, d1, d2 = fx / z * n0, fy / z * n1, -(fx / z * u * n0 + fy / z * v * n1)
         v_scale = 0.0
         for e in range(3):
             by_axis = viewmat[0, e] * d0 + viewmat[1, e] * d1 + viewmat[2, e] * d2
-            v_scale += by_axis * r[e][k]
+            v_scale += by_axis * r[e, k]
             v_r[e, k] = by_axis * s
         v_scales[i, k] += v_scale
     if u == x / z:  # not clamped

@@ -249,7 +249,7 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
 
 @njit(cache=True, parallel=True, nogil=True)
 def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out):
-    """Gradient sums of every (tile, splat) pair into out (P, 10) float32; see `blend_backward`.
+    """Gradient sums of every (tile, splat) pair into out (P, 12) float32; see `blend_backward`.
 
     `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth).
     """
@@ -288,10 +288,8 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
             start = max(stop - _BATCH, 0)
             _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
             for j in range(stop - start - 1, -1, -1):
-                sums = blend_backward(state, records, j, todo[j], np.float32(start + j))
-                row = out[pair_of[first + start + j]]
-                for e in range(10):
-                    row[e] = sums[e]
+                pair = np.int64(pair_of[first + start + j])
+                blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
 
 
 @njit(cache=True, parallel=True, nogil=True)

@@ -172,7 +172,7 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:
         view, (background, degree, antialiased, _), scene, colours, projected, features, *forward = ctx.saved
         by_image, by_alpha, by_depth = (np.ascontiguousarray(v.numpy(), np.float32) for v in by_outputs[:3])
-        pairs = np.empty((len(projected.members), 10), np.float32)
+        pairs = np.empty((len(projected.members), 12), np.float32)
         _kernels_tiles.blend_tiles_backward(
             projected.splats, features, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
             background, tuple(forward), (by_image, by_alpha, by_depth), pairs,
