@@ -335,14 +335,17 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def pack(offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):
-    """Copy padded rows into CSR arrays: row i holds ray rays[i]; rows too short for their ray are skipped."""
+def pack(owners, offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):
+    """Copy padded rows into CSR arrays, positions turned into Gaussians by `owners`.
+
+    Row i holds ray rays[i]; rows too short for their ray are skipped.
+    """
     capacity = ids.shape[1]
     for i in prange(len(rays)):
         start, stop = offsets[rays[i]], offsets[rays[i] + 1]
         if stop - start <= capacity:
             for k in range(stop - start):
-                out_ids[start + k] = ids[i, k]
+                out_ids[start + k] = owners[ids[i, k]]
                 out_alphas[start + k] = alphas[i, k]
                 out_weights[start + k] = weights[i, k]
                 out_depths[start + k] = depths[i, k]

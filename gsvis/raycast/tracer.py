@@ -74,6 +74,8 @@ class Contributions:
     @staticmethod
     def concatenate(parts: list[Contributions]) -> Contributions:
         """The contributions of several lots of rays as one."""
+        if len(parts) == 1:
+            return parts[0]
         counts = np.concatenate([np.diff(part.ray_offsets) for part in parts] or [np.zeros(0, np.int64)])
         offsets = np.concatenate([[0], np.cumsum(counts)])
         fields = [("gaussian_ids", np.int64), ("alphas", np.float32), ("weights", np.float32), ("depths", np.float32)]
@@ -202,17 +204,17 @@ class Tracer:
         arrays, counts = self.hierarchy.arrays, np.empty(len(rays_o), np.int64)
         _kernels.trace_rays(*arrays, rays_o, rays_d, self.limits, counts, *rows)
         offsets = np.concatenate([[0], np.cumsum(counts)])
-        packed = _columns((int(offsets[-1]),))
-        _kernels.pack(offsets, np.arange(len(rays_o)), *rows, *packed)
+        total = int(offsets[-1])
+        packed = np.empty(total, np.int64), *_columns((total,))[1:]
+        _kernels.pack(self.hierarchy.ids, offsets, np.arange(len(rays_o)), *rows, *packed)
         long = np.flatnonzero(counts > _ROW)
         while len(long):  # these found no room in their rows
             room = int(counts[long].max())
             some, long = np.split(long, [max(1, max_memory // (2 * room * _BYTES_A_HIT))])
             rows = _columns((len(some), room))
             _kernels.trace_rays(*arrays, rays_o[some], rays_d[some], self.limits, np.empty(len(some), np.int64), *rows)
-            _kernels.pack(offsets, some, *rows, *packed)
-        ids, alphas, weights, depths = packed
-        return Contributions(offsets, self.hierarchy.ids[ids], alphas, weights, depths)
+            _kernels.pack(self.hierarchy.ids, offsets, some, *rows, *packed)
+        return Contributions(offsets, *packed)
 
     def _trace_faces(self, rays_o: F64, rays_d: F64) -> Contributions:
         ray_ids, faces = self.embree.all_faces(rays_o, rays_d)
