@@ -1,0 +1,195 @@
+"""Pictures into files: a PNG, a numbered sequence or an animated GIF, with depth beside it; whole or not at all.
+
+Colours of trained scenes are display-referred already: clipped to [0, 1] and written in 8 bits.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from gsvis.cli.source import check_folder
+from gsvis.io.atomic import atomic_folder, atomic_path
+
+__all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
+
+_SEEN = 1.0 / 255.0  # alpha from which a pixel has a depth
+_RANGE = (0.01, 0.99)  # quantiles of the depths of a frame that the colours span
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one camera sees.
+
+    Attributes:
+        image: (H, W, 3) float32, 0 black, 1 white.
+        alpha: (H, W) float32.
+        depth: (H, W) float32, expected camera z.
+    """
+
+    image: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    depth: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where pictures go.
+
+    Attributes:
+        path: The file or the folder.
+        kind: One picture, an animation, or a folder of numbered pictures.
+        count: How many frames there will be.
+    """
+
+    path: Path
+    kind: Literal["png", "gif", "folder"]
+    count: int
+
+    @property
+    def files(self) -> list[Path]:
+        """The pictures, in order."""
+        if self.kind != "folder":
+            return [self.path]
+        return [self.path / f"{i:0{self._digits}d}.png" for i in range(self.count)]
+
+    @property
+    def depth_files(self) -> list[Path]:
+        """The depth pictures, in the same order."""
+        return [path.with_name(f"{path.stem}_depth{path.suffix}") for path in self.files]
+
+    def older(self) -> int:
+        """How many numbered pictures of an earlier, longer sequence the folder holds."""
+        if self.kind != "folder" or not self.path.is_dir():
+            return 0
+        numbers = (path.stem for path in self.path.glob("*.png") if len(path.stem) >= self._digits)
+        return sum(stem.isdecimal() and int(stem) >= self.count for stem in numbers)
+
+    @property
+    def _digits(self) -> int:
+        return max(4, len(str(self.count - 1)))
+
+
+def target_of(out: str, count: int) -> Target:
+    """Where `count` pictures go, checked before the work; leaves no trace.
+
+    Raises:
+        ValueError: If the name fits neither a picture, an animation nor a folder, or several cameras would go into
+            one picture.
+        OSError: If nothing may be written there.
+    """
+    path = Path(out)
+    suffix = path.suffix.lower()
+    if path.is_dir() or out.endswith(("/", "\\")) or not suffix:
+        check_folder(path)
+        return Target(path, "folder", count)
+    if suffix not in (".png", ".gif"):
+        raise ValueError(
+            f"OUT: expected a name that ends in .png or .gif, or a folder such as {path.stem}/, got {out!r}"
+        )
+    if suffix == ".png" and count > 1:
+        raise ValueError(f"OUT: expected a folder, such as {path.stem}/, or a .gif for {count} cameras, got {out!r}")
+    check_folder(path.parent)
+    return Target(path, "png" if suffix == ".png" else "gif", count)
+
+
+def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: float) -> tuple[float, float] | None:
+    """Write frames as they come; they appear at their place together, when the last one is done.
+
+    Args:
+        target: Where to.
+        frames: As many as `target` counts; one at a time is held in full.
+        depth: Whether to write depth too.
+        fps: Frames a second of an animation.
+
+    Returns:
+        Depths, in scene units, of the first and the last colour in the depth pictures, the same in all of them; None
+        without them or where nothing is seen.
+    """
+    animation: list[Image.Image] = []
+    with ExitStack() as stack:
+        place = stack.enter_context(_placed(target, depth))
+        kept = Path(stack.enter_context(tempfile.TemporaryDirectory())) if depth else Path()
+        near, far = np.inf, -np.inf
+        for i, frame in enumerate(frames):
+            picture = Image.fromarray(eight_bit(frame.image))
+            if target.kind == "gif":
+                animation.append(picture.quantize(256))
+            else:
+                picture.save(place(target.files[i]))
+            if depth:
+                z = np.where(frame.alpha >= _SEEN, frame.depth, 0.0).astype(np.float32)
+                np.save(kept / f"{i}.npy", z)  # colours span all frames: they are known after the last
+                if z.any():
+                    low, high = np.quantile(z[z > 0.0], _RANGE).tolist()
+                    near, far = min(near, low), max(far, high)
+        if animation:
+            _save_animation(place(target.path), animation, fps, "")
+        if not depth:
+            return None
+        span = (near, far) if far > 0.0 else None
+        _write_depths(target, [kept / f"{i}.npy" for i in range(target.count)], place, span, fps)
+    return span
+
+
+@contextmanager
+def _placed(target: Target, depth: bool) -> Iterator[Callable[[Path], Path]]:
+    """Where to write each file until all are there."""
+    if target.kind == "folder":
+        with atomic_folder(target.path) as folder:
+            yield lambda path: folder / path.name
+        return
+    with ExitStack() as stack:
+        paths = [target.path, *(target.depth_files if depth else [])]
+        partial = {path: stack.enter_context(atomic_path(path)) for path in paths}
+        yield lambda path: partial[path]
+
+
+def _write_depths(
+    target: Target, kept: list[Path], place: Callable[[Path], Path], span: tuple[float, float] | None, fps: float
+) -> None:
+    near, far = span or (0.0, 0.0)
+    said = (
+        f"expected depth (camera z, scene units) in viridis, linear from near={near:.9g} to far={far:.9g}; black: none"
+    )
+    info = PngInfo()
+    info.add_text("gsvis:near", f"{near:.9g}")
+    info.add_text("gsvis:far", f"{far:.9g}")
+    info.add_text("Description", said)
+    pictures = (Image.fromarray(_coloured(np.load(path), near, far)) for path in kept)
+    if target.kind == "gif":
+        _save_animation(place(target.depth_files[0]), [each.quantize(256) for each in pictures], fps, said)
+        return
+    for path, picture in zip(target.depth_files, pictures, strict=True):
+        picture.save(place(path), pnginfo=info)
+
+
+def _save_animation(path: Path, frames: list[Image.Image], fps: float, comment: str) -> None:
+    hundredths = max(2, round(100.0 / fps))  # the format counts in these, and browsers slow down what is shorter than 2
+    frames[0].save(
+        path, save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0, comment=comment.encode()
+    )
+
+
+def eight_bit(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(..., 3) values of [0, 1] as 0 to 255; what lies outside is clipped."""
+    return np.asarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0), np.uint8)
+
+
+def _coloured(depth: NDArray[np.float32], near: float, far: float) -> NDArray[np.uint8]:
+    """(H, W, 3) viridis from near to far; black where the depth is 0."""
+    from matplotlib import colormaps
+
+    colours = np.asarray(colormaps["viridis"](np.arange(256), bytes=True)[:, :3], np.uint8)
+    share = np.clip((depth - near) / max(far - near, 1e-12), 0.0, 1.0)
+    colours = colours[np.rint(share * 255.0).astype(np.intp)]
+    return np.asarray(colours * (depth > 0.0)[..., None], np.uint8)

@@ -1,0 +1,241 @@
+"""`gsvis render`: what cameras see, as pictures, depth, an animation, or the list of who contributes to a pixel."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gsvis.cli.arguments import Render
+from gsvis.cli.pictures import Frame, Target, target_of, write_frames
+from gsvis.cli.source import Source, check_source, load_source
+from gsvis.cli.terminal import Status, facts, print_json, show
+from gsvis.cli.views import camera_count, check_views, given_cameras, placed_cameras
+from gsvis.errors import BackendError, SceneError
+from gsvis.render import GaussianTensors, PixelContributors, contributors, rasterize
+from gsvis.render.cuda import is_available
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["run_render"]
+
+_FPS = 12.0
+_ROWS = 40  # of the table of contributors
+
+
+@dataclass(frozen=True, eq=False)
+class _Done:
+    """What came of it."""
+
+    source: Source
+    cameras: Cameras
+    remarks: list[str]
+    backend: str
+    seconds: float
+    depth_range: tuple[float, float] | None
+    found: PixelContributors | None
+
+
+def run_render(command: Render) -> None:
+    """Read, place cameras, draw, write, say what became of it.
+
+    Raises:
+        GsvisError: If a file cannot be read, the scene cannot serve, or the backend cannot run here.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If a file is missing.
+        OSError: If the pictures cannot be written.
+    """
+    check_source(command.scene, command.lod)
+    check_views(command)
+    backend = _backend(command.backend)
+    given = given_cameras(command)
+    target = _target(command, camera_count(command, given))
+    older = target.older() if target else 0
+    with Status() as status:
+        done = _rendered(command, given, target, backend, status)
+    if command.json:
+        print_json(_document(command, target, done))
+        return
+    parts: list[Any] = []
+    if target:
+        parts += _lines(command, target, done)
+        if older:
+            parts.append(f" {target.path} also holds {older:,} later frames of an earlier run.")
+    show(*parts, *done.remarks, *(_table(command, done.found) if done.found is not None else []))
+
+
+def _rendered(command: Render, given: Cameras | None, target: Target | None, backend: str, status: Status) -> _Done:
+    """Everything between reading the scene and written pictures."""
+    status("reading", 0, 1)
+    source = load_source(command.scene, command.lod)
+    if len(source.gaussians) == 0:
+        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+    status("reading", 1, 1)
+    status("space", 0, 1)
+    cameras, remarks = (given, []) if given is not None else placed_cameras(command, source)
+    status("space", 1, 1)
+    if command.contributors is not None:
+        _check_pixel(command.contributors, cameras)
+    status("kernels", 0, 1)
+    _warm_up(backend)
+    status("kernels", 1, 1)
+    start, depth_range = time.perf_counter(), None
+    if target:
+        frames = _frames(command, source.gaussians, cameras, backend, status)
+        depth_range = write_frames(target, frames, depth=command.depth, fps=command.fps or _FPS)
+    seconds = time.perf_counter() - start
+    found = None
+    if command.contributors is not None:
+        found = contributors(source.gaussians, cameras, command.contributors, antialiased=command.antialiased)
+    return _Done(source, cameras, remarks, backend, seconds, depth_range, found)
+
+
+def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, status: Status) -> Iterator[Frame]:
+    """What each camera sees, one at a time."""
+    import torch
+
+    tensors = GaussianTensors.from_gaussians(g, device="cuda" if backend == "cuda" else "cpu")
+    status("rendering", 0, len(cameras))
+    for i in range(len(cameras)):
+        with torch.no_grad():
+            seen = rasterize(
+                tensors,
+                cameras[i],
+                backend=backend,
+                background=command.background,
+                sh_degree=command.sh_degree,
+                antialiased=command.antialiased,
+            )
+        yield Frame(*(part[0].cpu().numpy() for part in (seen.images, seen.alphas, seen.depths)))
+        status("rendering", i + 1, len(cameras))
+
+
+def _backend(asked: str) -> str:
+    """The backend that will draw.
+
+    Raises:
+        BackendError: If it cannot run here.
+    """
+    missing = is_available() if asked in ("auto", "cuda") else ""
+    if asked == "cuda" and missing:
+        raise BackendError(missing)
+    return ("cpu" if missing else "cuda") if asked == "auto" else asked
+
+
+def _warm_up(backend: str) -> None:
+    """Compile the kernels, or load them, on a scene of one Gaussian, so that the first run tells what it waits for."""
+    if backend == "cpu":
+        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
+        rasterize(one, Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1), backend="cpu")
+
+
+def _target(command: Render, count: int) -> Target | None:
+    """Where pictures go, checked; None if only contributors are asked for."""
+    if command.contributors is not None and count > 1:
+        raise ValueError(f"--contributors: expected one camera, got {count}; choose one, as with --index 0")
+    if command.out is None:
+        if command.contributors is None or command.depth or command.fps is not None:
+            raise ValueError("-o: expected where to write, such as image.png, orbit.gif or frames/, got nothing")
+        return None
+    target = target_of(command.out, count)
+    if command.fps is not None and target.kind != "gif":
+        raise ValueError(f"--fps: expected OUT to be a .gif with it, got {command.out!r}; leave it out")
+    return target
+
+
+def _check_pixel(pixel: tuple[int, int], cameras: Cameras) -> None:
+    if pixel[0] >= cameras.width or pixel[1] >= cameras.height:
+        raise ValueError(
+            f"--contributors: expected a pixel of {cameras.width} x {cameras.height}, counted from 0,0 at the top left,"
+            f" got {pixel[0]},{pixel[1]}"
+        )
+
+
+def _lines(command: Render, target: Target, done: _Done) -> list[str]:
+    """What was written, in words."""
+    count, size = target.count, f"{done.cameras.width} x {done.cameras.height}"
+    took = f"{len(done.source.gaussians):,} Gaussians, {done.seconds / count:.2f} s"
+    if count == 1:
+        lines = [f"{target.files[0]}: {size}, {took}"]
+    else:
+        where = f"{target.files[0]} to {target.files[-1].name}" if target.kind == "folder" else str(target.path)
+        lines = [f"{where}: {count} frames of {size}, {took} a frame"]
+    if command.depth:
+        more = " and on" if target.kind == "folder" and count > 1 else ""
+        told = "nothing is seen"
+        if done.depth_range:
+            told = "violet {:.4g} to yellow {:.4g}, black where empty".format(*done.depth_range)
+        lines.append(f"{target.depth_files[0]}{more}: {told}")
+    return lines
+
+
+def _table(command: Render, found: PixelContributors) -> list[Any]:
+    """The contributors to a pixel, the weightiest if there are too many, front to back."""
+    x, y = command.contributors or (0, 0)
+    total = float(found.weights.sum(dtype=np.float64))
+    if len(found) == 0:
+        return [f" No Gaussian contributes to pixel {x},{y}."]
+    shown = np.sort(np.argsort(-found.weights, kind="stable")[:_ROWS])
+    rows = [
+        (
+            str(i + 1),
+            str(found.gaussian_ids[i]),
+            f"{found.alphas[i]:.4f}",
+            f"{found.weights[i]:.5f}",
+            f"{found.depths[i]:.4f}",
+        )
+        for i in shown
+    ]
+    parts: list[Any] = [
+        facts(f"Contributors to pixel {x},{y}, front to back", rows, ("rank", "Gaussian", "alpha", "weight", "depth"))
+    ]
+    if len(found) > len(shown):
+        rest = total - float(found.weights[shown].sum(dtype=np.float64))
+        parts.append(
+            f" These are the {_ROWS} that weigh most; the other {len(found) - _ROWS:,} weigh {rest:.5f} together."
+        )
+    return [*parts, f" Sum of the weights of all {len(found):,}: {total:.5f}"]
+
+
+def _document(command: Render, target: Target | None, done: _Done) -> dict[str, Any]:
+    cameras, found = done.cameras, done.found
+    files = target.files if target else []
+    document: dict[str, Any] = {
+        "format": "gsvis-rendering",
+        "version": 1,
+        "scene": done.source.name,
+        "lod": done.source.lod,
+        "gaussians": len(done.source.gaussians),
+        "backend": done.backend,
+        "width": cameras.width,
+        "height": cameras.height,
+        "seconds": round(done.seconds, 3),
+        "files": [str(path) for path in files],
+        "depth": None,
+        "cameras": [
+            {
+                "name": cameras.names[i],
+                "eye": cameras.viewpoints[i].tolist(),
+                "viewmat": cameras.viewmats[i].tolist(),
+                "K": cameras.Ks[i].tolist(),
+            }
+            for i in range(len(cameras))
+        ],
+        "contributors": None,
+    }
+    if target and command.depth:
+        near, far = done.depth_range or (None, None)
+        document["depth"] = {"files": [str(path) for path in target.depth_files], "near": near, "far": far}
+    if found is not None:
+        document["contributors"] = {
+            "pixel": command.contributors,
+            "sum_of_weights": float(found.weights.sum(dtype=np.float64)),
+            "gaussian_ids": found.gaussian_ids.tolist(),
+            "alphas": found.alphas.tolist(),
+            "weights": found.weights.tolist(),
+            "depths": found.depths.tolist(),
+        }
+    return document

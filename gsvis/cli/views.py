@@ -1,0 +1,124 @@
+"""The cameras that `gsvis render` is asked for: of a file, around a scene, at a point, or where a visitor may stand."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.cli.arguments import Render
+from gsvis.cli.source import Source, file_cameras, navigable_space
+from gsvis.errors import SceneError
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import AXES, axis_vector, guess_up
+
+__all__ = ["camera_count", "check_views", "given_cameras", "placed_cameras"]
+
+F64 = NDArray[np.float64]
+
+_WIDTH, _HEIGHT, _FOV, _ELEVATION = 640, 480, 60.0, 20.0
+_SHOWN = 0.9  # share of the centres that an orbit shows
+_SURE = 0.6  # confidence from which an up axis is not doubted, as in inspection
+
+
+def check_views(command: Render) -> None:
+    """Say at once which arguments about cameras contradict each other.
+
+    Raises:
+        ValueError: If they do.
+    """
+    ways = [way for way in ("camera", "orbit", "eye") if getattr(command, way) is not None]
+    if len(ways) > 1:
+        raise ValueError(f"--{ways[1]}: expected none with --{ways[0]}, got both; leave one out")
+    way = ways[0] if ways else ""
+    needs = {"index": ("camera",), "radius": ("orbit",), "elevation": ("orbit",), "target": ("orbit", "eye")}
+    for name, wanted in needs.items():
+        if getattr(command, name) is not None and way not in wanted:
+            raise ValueError(f"--{name}: expected {' or '.join('--' + each for each in wanted)} with it, got it alone")
+    for name in ("fov", "up"):
+        if getattr(command, name) is not None and way == "camera":
+            raise ValueError(f"--{name}: expected none with --camera, whose file states it; leave it out")
+    if command.up is not None and command.up.strip() not in AXES:
+        raise ValueError(f"--up: expected one of {', '.join(AXES)}, got {command.up.strip()!r}")
+    if command.eye is not None and command.eye == command.target:
+        raise ValueError("--target: expected another point than --eye, got the same")
+
+
+def given_cameras(command: Render) -> Cameras | None:
+    """The cameras of a file, those of --index and at the size that is asked for; None without a file.
+
+    Raises:
+        GsvisError: If the file cannot be read.
+        FileNotFoundError: If there is none.
+        ValueError: If an index is too large.
+    """
+    if command.camera is None:
+        return None
+    cameras = file_cameras(command.camera, command.width, command.height)
+    if command.index is None:
+        return cameras
+    if max(command.index) >= len(cameras):
+        raise ValueError(
+            f"--index: expected 0 to {len(cameras) - 1}, as {command.camera} holds {len(cameras)} cameras,"
+            f" got {max(command.index)}"
+        )
+    return cameras[np.array(command.index)]
+
+
+def camera_count(command: Render, given: Cameras | None) -> int:
+    """How many cameras it will be."""
+    return len(given) if given is not None else command.orbit or 1
+
+
+def placed_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
+    """Cameras for a scene that come from no file, and what the user should know about them.
+
+    Raises:
+        SceneError: If there is no place for a sampled camera.
+    """
+    size = {"width": command.width or _WIDTH, "height": command.height or _HEIGHT}
+    fov = command.fov or _FOV
+    up, remarks = _up(command, source)
+    g = source.gaussians
+    if command.eye is None and command.orbit is None:
+        space, no_space = navigable_space(source, up=up)
+        if space is None:
+            raise SceneError(f"{command.scene}: {no_space}; name a place with --eye X Y Z, or --orbit N")
+        cameras = space.sample_cameras(1, np.random.default_rng(command.seed), fov=fov, **size)
+        return cameras, [*remarks, f" Again: {_spelled(cameras)}"]
+    middle, reach = _extent(g)
+    target = middle if command.target is None else np.array(command.target)
+    if command.eye is not None:
+        return Cameras.look_at([command.eye], target, up=up, fov=fov, **size), remarks
+    half = np.tan(np.radians(fov) / 2.0) * min(1.0, size["height"] / size["width"])
+    radius = command.radius or reach / np.sin(np.arctan(half))
+    elevation = _ELEVATION if command.elevation is None else command.elevation
+    return Cameras.orbit(target, radius, command.orbit or 1, up=up, elevation=elevation, fov=fov, **size), remarks
+
+
+def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
+    """The up axis: the user's, the built-in scene's, or the likely one and a word where it is doubtful."""
+    if command.up is not None:
+        return axis_vector(command.up.strip()), []
+    if source.navigable is not None:
+        return source.navigable.up, []
+    axis, confidence = guess_up(source.gaussians)
+    doubt = f" The up axis is uncertain ({axis} with a confidence of {confidence:.0%}); --up AXIS sets it."
+    return axis_vector(axis), [doubt] if confidence < _SURE else []
+
+
+def _extent(g: Gaussians) -> tuple[F64, float]:
+    """(3,) the middle of the scene without what lies far out, and the radius of the ball that holds it."""
+    low, high = g.bounds(_SHOWN)
+    return 0.5 * (low + high), max(
+        0.5 * float(np.linalg.norm(high - low)), 3.0 * float(np.median(g.scales.max(axis=1)))
+    )
+
+
+def _spelled(camera: Cameras) -> str:
+    """--eye and --target that give one camera again."""
+    eye = camera.viewpoints[0]
+    return " ".join(
+        f"{name} {' '.join(f'{value:.5g}' for value in point)}"
+        for name, point in (("--eye", eye), ("--target", eye + camera.forwards[0]))
+    )
