@@ -21,7 +21,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 def test_help_and_version() -> None:
     done = run("--help")
     assert (done.returncode, done.stderr) == (0, "")
-    for command in ("inspect", "analyze", "convert"):
+    for command in ("inspect", "analyze", "render", "convert"):
         assert command in done.stdout
     assert run().stdout == done.stdout
     assert run("--version").stdout.startswith("gsvis 0.")
