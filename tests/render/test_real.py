@@ -1,0 +1,37 @@
+"""The rasterizer on a real scene: against the reference, and against exact rays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsvis.io import load_scene
+from gsvis.raycast import TAU, EllipsoidProxies, Tracer, visible_in
+from gsvis.render import GaussianTensors, rasterize, view_weights
+from gsvis.scene.navigable import NavigableSpace
+
+pytestmark = pytest.mark.realdata
+
+
+def test_a_real_scene_equals_the_reference(realdata: Path) -> None:
+    g = load_scene(realdata / "scenes/flowers_sh2/lod-meta.json", lod=3)
+    space = NavigableSpace.from_scene(g)
+    cameras = space.sample_cameras(2, np.random.default_rng(0), width=33, height=25, fov=60)
+    for c in range(len(cameras)):
+        fast = rasterize(g, cameras[c])
+        slow = rasterize(GaussianTensors.from_gaussians(g, torch.float64), cameras[c], backend="reference")
+        torch.testing.assert_close(fast.images.double(), slow.images, atol=1e-3, rtol=0)
+        torch.testing.assert_close(fast.alphas.double(), slow.alphas, atol=1e-3, rtol=0)
+
+
+def test_rasterized_and_ray_traced_sets_nearly_agree(realdata: Path) -> None:
+    g = load_scene(realdata / "scenes/flowers_sh2/lod-meta.json", lod=1)
+    space = NavigableSpace.from_scene(g)
+    cameras = space.sample_cameras(3, np.random.default_rng(0), width=160, height=120, fov=60)
+    by_rays = visible_in(Tracer(EllipsoidProxies.from_scene(g)), cameras)
+    by_raster = view_weights(g, cameras).largest
+    for a, b in ((by_rays, by_raster), (by_raster, by_rays)):
+        assert a[b >= TAU].sum() > 0.9 * a.sum()
