@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+_BLOCK = 512
 _C0 = 0.28209479177387814
 _C1 = 0.4886025119029199
 _C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -82,41 +83,47 @@ def _direction(mean, eye):
 @njit(cache=True, parallel=True, nogil=True)
 def colours_from_sh(ids, means, sh0, higher, degree, eye, features):
     """Colours of the Gaussians ids (M,) into features[:, :3]; `higher` is shN."""
-    for j in prange(len(ids)):
-        i = ids[j]
+    for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
         values = np.empty(16)
-        x, y, z, _ = _direction(means[i], eye)
-        basis(x, y, z, degree, values)
-        for c in range(3):
-            colour = 0.5 + values[0] * sh0[i, 0, c]
-            for k in range(1, (degree + 1) ** 2):
-                colour += values[k] * higher[i, k - 1, c]
-            features[j, c] = max(colour, 0.0)
+        for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
+            i = ids[j]
+            x, y, z, _ = _direction(means[i], eye)
+            basis(x, y, z, degree, values)
+            for c in range(3):
+                colour = 0.5 + values[0] * sh0[i, 0, c]
+                for k in range(1, (degree + 1) ** 2):
+                    colour += values[k] * higher[i, k - 1, c]
+                features[j, c] = max(colour, 0.0)
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def colours_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means):
     """Gradients by sh0, shN and means (through the direction), added into the last three."""
-    for j in prange(len(ids)):
-        i = ids[j]
-        values, slopes = np.empty(16), np.empty((16, 3))
-        x, y, z, length = _direction(means[i], eye)
-        basis(x, y, z, degree, values)
-        if degree > 0:
-            basis_slopes(x, y, z, degree, slopes)
-        dx, dy, dz = 0.0, 0.0, 0.0
-        for c in range(3):
-            if features[j, c] <= 0.0:  # clipped
+    for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
+        values, slopes = np.empty(16), np.zeros((16, 3))
+        for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
+            i = ids[j]
+            if degree == 0:  # no direction matters
+                for c in range(3):
+                    if features[j, c] > 0.0:
+                        v_sh0[i, 0, c] += v_features[j, c] * _C0
                 continue
-            v = v_features[j, c]
-            v_sh0[i, 0, c] += v * values[0]
-            for k in range(1, (degree + 1) ** 2):
-                v_higher[i, k - 1, c] += v * values[k]
-                s = v * higher[i, k - 1, c]
-                dx += s * slopes[k, 0]
-                dy += s * slopes[k, 1]
-                dz += s * slopes[k, 2]
-        along = dx * x + dy * y + dz * z  # the direction keeps its length
-        v_means[i, 0] += (dx - along * x) / length
-        v_means[i, 1] += (dy - along * y) / length
-        v_means[i, 2] += (dz - along * z) / length
+            x, y, z, length = _direction(means[i], eye)
+            basis(x, y, z, degree, values)
+            basis_slopes(x, y, z, degree, slopes)
+            dx, dy, dz = 0.0, 0.0, 0.0
+            for c in range(3):
+                if features[j, c] <= 0.0:  # clipped
+                    continue
+                v = v_features[j, c]
+                v_sh0[i, 0, c] += v * values[0]
+                for k in range(1, (degree + 1) ** 2):
+                    v_higher[i, k - 1, c] += v * values[k]
+                    s = v * higher[i, k - 1, c]
+                    dx += s * slopes[k, 0]
+                    dy += s * slopes[k, 1]
+                    dz += s * slopes[k, 2]
+            along = dx * x + dy * y + dz * z  # the direction keeps its length
+            v_means[i, 0] += (dx - along * x) / length
+            v_means[i, 1] += (dy - along * y) / length
+            v_means[i, 2] += (dz - along * z) / length

@@ -166,12 +166,17 @@ class _Rasterize(torch.autograd.Function):
         ctx.dtypes = [None if t is None else t.dtype for t in tensors]
         outputs = tuple(torch.from_numpy(a) for a in (image, np.float32(1.0) - transmittance, depth, median))
         ctx.mark_non_differentiable(outputs[3])
+        ctx.set_materialize_grads(False)
         return outputs
 
     @staticmethod
-    def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *by_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
         view, (background, degree, antialiased, _), scene, colours, projected, features, *forward = ctx.saved
-        by_image, by_alpha, by_depth = (np.ascontiguousarray(v.numpy(), np.float32) for v in by_outputs[:3])
+        shape = (view.height, view.width)
+        by_image, by_alpha, by_depth = (
+            np.zeros((*shape, *extra), np.float32) if v is None else np.ascontiguousarray(v.numpy(), np.float32)
+            for v, extra in zip(by_outputs[:3], ((3,), (), ()), strict=True)
+        )
         pairs = np.empty((len(projected.members), 12), np.float32)
         _kernels_tiles.blend_tiles_backward(
             projected.splats, features, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
@@ -205,14 +210,16 @@ class _Rasterize(torch.autograd.Function):
         else:
             v_colours = np.zeros_like(colours)
             v_colours[projected.ids] = sums[:, :3]
-        v_probe = np.zeros((len(scene.means), 2), np.float32)
-        v_probe[projected.ids] = v_means2d
+        v_probe = None
+        if ctx.needs_input_grad[2]:
+            v_probe = torch.zeros((len(scene.means), 2))
+            v_probe[torch.from_numpy(projected.ids)] = torch.from_numpy(v_means2d).float()
         results = [v_means, v_quats, v_scales, v_opacities, v_sh0, v_shN, v_colours]
         gradients = [
             None if v is None or dtype is None else torch.from_numpy(v).to(dtype)
             for v, dtype in zip(results, ctx.dtypes, strict=True)
         ]
-        return None, None, torch.from_numpy(v_probe), *gradients
+        return None, None, v_probe, *gradients
 
 
 def _array(tensor: Tensor) -> F32:
