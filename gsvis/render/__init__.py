@@ -1,5 +1,6 @@
 """Rendering: images, weights and gradients of Gaussians, on the CPU and elsewhere."""
 
+from gsvis.render.metrics import flip, lpips, psnr, ssim
 from gsvis.render.rasterizer import Rendering, rasterize
 from gsvis.render.tensors import GaussianTensors
 from gsvis.render.weights import PixelContributors, ViewWeights, contributors, view_weights
@@ -10,6 +11,10 @@ __all__ = [
     "Rendering",
     "ViewWeights",
     "contributors",
+    "flip",
+    "lpips",
+    "psnr",
     "rasterize",
+    "ssim",
     "view_weights",
 ]
