@@ -16,11 +16,12 @@ from numba import njit, prange
 NEAR = 0.01
 DILATION = 0.3
 LOG2E = 1.4426950408889634
+FUSED = {"contract"}  # multiply-adds in one rounding; nothing else is relaxed
 _BLOCK = 2048
 _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below 1/255
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FUSED)
 def _rotation(quat, r):
     """Rotation matrix of a quaternion of any length into r (3, 3)."""
     w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
@@ -33,7 +34,7 @@ def _rotation(quat, r):
     r[2, 0], r[2, 1], r[2, 2] = xz - wy, yz + wx, 1.0 - xx - yy
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FUSED)
 def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m, r):
     """Camera point, and m (2, 3) = J W R S, whose m m^T is the covariance in the image before dilation.
 
@@ -60,7 +61,7 @@ def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m, r):
     return x, y, z, u, v
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FUSED)
 def _misses(mean, scale, viewmat, intrinsics, width, height):
     """Whether a bound on the footprint, without the rotation, already lies outside the image."""
     fx, fy, cx, cy = intrinsics
@@ -78,7 +79,7 @@ def _misses(mean, scale, viewmat, intrinsics, width, height):
     return x + half_x < 0.0 or x - half_x > width or y + half_y < 0.0 or y - half_y > height
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FUSED)
 def _covariance(m):
     """xx, xy, yy of m m^T, and its determinant without cancellation."""
     xx = m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1] + m[0, 2] * m[0, 2]
@@ -90,7 +91,7 @@ def _covariance(m):
     return xx, xy, yy, p * p + q * q + r * r
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)
 def project(
     means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts
 ):
@@ -131,7 +132,7 @@ def project(
         counts[block] = at - block * _BLOCK
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)
 def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
     """Close the gaps that `project` leaves between blocks."""
     for block in prange(len(counts)):
@@ -142,7 +143,7 @@ def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_
                 out_splats[target, c] = splats[source, c]
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)
 def project_backward(
     means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d, v_opacities, outs
 ):
@@ -161,7 +162,7 @@ def project_backward(
             )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FUSED)
 def _one_backward(
     i, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums, v_mean2d,
     v_opacities, v_means, v_quats, v_scales, m, r, v_r,
@@ -227,7 +228,7 @@ def _one_backward(
     _add_quat_gradient(quats[i], v_r, v_quats[i])
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FUSED)
 def _add_quat_gradient(quat, v_r, out):
     """Chain rule through the rotation matrix of a quaternion of any length."""
     w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])

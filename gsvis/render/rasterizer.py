@@ -62,7 +62,8 @@ def rasterize(
     """Draw Gaussians as the cameras see them; differentiable where the inputs are tensors that ask for gradients.
 
     Args:
-        gaussians: N Gaussians; values are checked for `Gaussians`, shapes alone for `GaussianTensors`.
+        gaussians: N Gaussians. Of tensors that gather gradients shapes alone are checked, since a training step should
+            not pay for more; a Gaussian with values that are not finite is then not drawn.
         cameras: C cameras of one size, without skew.
         backend: "cpu", "cuda", "reference", or "auto": cuda for tensors on a GPU, else cpu.
         background: (3,) RGB behind everything.
@@ -92,6 +93,8 @@ def rasterize(
     takes_gradient = torch.is_grad_enabled() and any(
         t is not None and t.requires_grad for t in (*vars(tensors).values(), colours)
     )
+    if tensors is gaussians and not takes_gradient:
+        tensors.check_values()
     shape = (len(cameras), len(tensors), 2)
     means2d = torch.zeros(shape, dtype=tensors.means.dtype, device=tensors.means.device, requires_grad=takes_gradient)
     outputs = []

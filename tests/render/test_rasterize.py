@@ -176,6 +176,19 @@ def test_behind_and_at_the_near_plane() -> None:
         assert (drawn > 0.5) == (k >= 3)
 
 
+def test_a_broken_gaussian_in_training_spoils_nothing_else() -> None:
+    g = scene("blobs")
+    for name, bad in (("means", float("nan")), ("scales", float("inf")), ("quats", float("nan"))):
+        tensors = GaussianTensors.from_gaussians(g)
+        getattr(tensors, name)[7] = bad
+        tensors.means.requires_grad_()
+        without = rasterize(g[np.arange(len(g)) != 7], camera())
+        drawn = rasterize(tensors, camera())
+        torch.testing.assert_close(drawn.images.detach(), without.images, atol=0, rtol=0)
+        drawn.images.sum().backward()  # type: ignore[no-untyped-call]
+        assert torch.isfinite(tensors.means.grad).all()
+
+
 def test_images_of_several_cameras_are_those_of_each() -> None:
     g, views = scene("mixed"), Cameras.orbit([0, 0, 0], 3.0, 3, width=33, height=17)
     together = rasterize(g, views)
@@ -202,6 +215,10 @@ def test_refusals_name_the_argument() -> None:
         rasterize({}, camera())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^cameras: expected Ks without skew"):
         rasterize(g, Cameras(np.eye(4)[None], [[[20, 1, 10], [0, 20, 10], [0, 0, 1]]], 20, 20))
+    broken = GaussianTensors.from_gaussians(scene("blobs"))
+    broken.means[3, 1] = float("nan")
+    with pytest.raises(ValueError, match=r"^means: expected finite values, got nan at index \(3, 1\)"):
+        rasterize(broken, camera())
     if not torch.cuda.is_available():
         with pytest.raises(BackendError, match=r"backend 'cuda': expected a CUDA GPU"):
             rasterize(g, camera(), backend="cuda")
