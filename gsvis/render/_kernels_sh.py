@@ -9,39 +9,29 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
+
 _BLOCK = 512
-_C0 = 0.28209479177387814
-_C1 = 0.4886025119029199
-_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
-_C3 = (
-    -0.5900435899266435,
-    2.890611442640554,
-    -0.4570457994644658,
-    0.3731763325901154,
-    -0.4570457994644658,
-    1.445305721320277,
-    -0.5900435899266435,
-)
 
 
 @njit(cache=True)
 def basis(x, y, z, degree, out):
     """SH basis at a unit vector into out (16,)."""
-    out[0] = _C0
+    out[0] = SH_C0
     if degree < 1:
         return
-    out[1], out[2], out[3] = -_C1 * y, _C1 * z, -_C1 * x
+    out[1], out[2], out[3] = -SH_C1 * y, SH_C1 * z, -SH_C1 * x
     if degree < 2:
         return
     xx, yy, zz = x * x, y * y, z * z
-    out[4], out[5] = _C2[0] * x * y, _C2[1] * y * z
-    out[6], out[7], out[8] = _C2[2] * (2 * zz - xx - yy), _C2[3] * x * z, _C2[4] * (xx - yy)
+    out[4], out[5] = SH_C2[0] * x * y, SH_C2[1] * y * z
+    out[6], out[7], out[8] = SH_C2[2] * (2 * zz - xx - yy), SH_C2[3] * x * z, SH_C2[4] * (xx - yy)
     if degree < 3:
         return
-    out[9], out[10] = _C3[0] * y * (3 * xx - yy), _C3[1] * x * y * z
-    out[11], out[12] = _C3[2] * y * (4 * zz - xx - yy), _C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
-    out[13], out[14] = _C3[4] * x * (4 * zz - xx - yy), _C3[5] * z * (xx - yy)
-    out[15] = _C3[6] * x * (xx - 3 * yy)
+    out[9], out[10] = SH_C3[0] * y * (3 * xx - yy), SH_C3[1] * x * y * z
+    out[11], out[12] = SH_C3[2] * y * (4 * zz - xx - yy), SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
+    out[13], out[14] = SH_C3[4] * x * (4 * zz - xx - yy), SH_C3[5] * z * (xx - yy)
+    out[15] = SH_C3[6] * x * (xx - 3 * yy)
 
 
 @njit(cache=True)
@@ -50,25 +40,25 @@ def basis_slopes(x, y, z, degree, out):
     out[:] = 0.0
     if degree < 1:
         return
-    out[1, 1], out[2, 2], out[3, 0] = -_C1, _C1, -_C1
+    out[1, 1], out[2, 2], out[3, 0] = -SH_C1, SH_C1, -SH_C1
     if degree < 2:
         return
-    out[4, 0], out[4, 1] = _C2[0] * y, _C2[0] * x
-    out[5, 1], out[5, 2] = _C2[1] * z, _C2[1] * y
-    out[6, 0], out[6, 1], out[6, 2] = -2 * _C2[2] * x, -2 * _C2[2] * y, 4 * _C2[2] * z
-    out[7, 0], out[7, 2] = _C2[3] * z, _C2[3] * x
-    out[8, 0], out[8, 1] = 2 * _C2[4] * x, -2 * _C2[4] * y
+    out[4, 0], out[4, 1] = SH_C2[0] * y, SH_C2[0] * x
+    out[5, 1], out[5, 2] = SH_C2[1] * z, SH_C2[1] * y
+    out[6, 0], out[6, 1], out[6, 2] = -2 * SH_C2[2] * x, -2 * SH_C2[2] * y, 4 * SH_C2[2] * z
+    out[7, 0], out[7, 2] = SH_C2[3] * z, SH_C2[3] * x
+    out[8, 0], out[8, 1] = 2 * SH_C2[4] * x, -2 * SH_C2[4] * y
     if degree < 3:
         return
     xx, yy, zz = x * x, y * y, z * z
-    out[9, 0], out[9, 1] = 6 * _C3[0] * x * y, 3 * _C3[0] * (xx - yy)
-    out[10, 0], out[10, 1], out[10, 2] = _C3[1] * y * z, _C3[1] * x * z, _C3[1] * x * y
-    out[11, 0], out[11, 1], out[11, 2] = -2 * _C3[2] * x * y, _C3[2] * (4 * zz - xx - 3 * yy), 8 * _C3[2] * y * z
-    out[12, 0], out[12, 1] = -6 * _C3[3] * x * z, -6 * _C3[3] * y * z
-    out[12, 2] = _C3[3] * (6 * zz - 3 * xx - 3 * yy)
-    out[13, 0], out[13, 1], out[13, 2] = _C3[4] * (4 * zz - 3 * xx - yy), -2 * _C3[4] * x * y, 8 * _C3[4] * x * z
-    out[14, 0], out[14, 1], out[14, 2] = 2 * _C3[5] * x * z, -2 * _C3[5] * y * z, _C3[5] * (xx - yy)
-    out[15, 0], out[15, 1] = 3 * _C3[6] * (xx - yy), -6 * _C3[6] * x * y
+    out[9, 0], out[9, 1] = 6 * SH_C3[0] * x * y, 3 * SH_C3[0] * (xx - yy)
+    out[10, 0], out[10, 1], out[10, 2] = SH_C3[1] * y * z, SH_C3[1] * x * z, SH_C3[1] * x * y
+    out[11, 0], out[11, 1], out[11, 2] = -2 * SH_C3[2] * x * y, SH_C3[2] * (4 * zz - xx - 3 * yy), 8 * SH_C3[2] * y * z
+    out[12, 0], out[12, 1] = -6 * SH_C3[3] * x * z, -6 * SH_C3[3] * y * z
+    out[12, 2] = SH_C3[3] * (6 * zz - 3 * xx - 3 * yy)
+    out[13, 0], out[13, 1], out[13, 2] = SH_C3[4] * (4 * zz - 3 * xx - yy), -2 * SH_C3[4] * x * y, 8 * SH_C3[4] * x * z
+    out[14, 0], out[14, 1], out[14, 2] = 2 * SH_C3[5] * x * z, -2 * SH_C3[5] * y * z, SH_C3[5] * (xx - yy)
+    out[15, 0], out[15, 1] = 3 * SH_C3[6] * (xx - yy), -6 * SH_C3[6] * x * y
 
 
 @njit(cache=True)
@@ -106,7 +96,7 @@ def colours_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_f
             if degree == 0:  # no direction matters
                 for c in range(3):
                     if features[j, c] > 0.0:
-                        v_sh0[i, 0, c] += v_features[j, c] * _C0
+                        v_sh0[i, 0, c] += v_features[j, c] * SH_C0
                 continue
             x, y, z, length = _direction(means[i], eye)
             basis(x, y, z, degree, values)

@@ -39,12 +39,15 @@ def _less(i, j, ids, means, scales, quats, opacities, sh0):
 
 @njit(cache=True)
 def order_ties(order, depths, ids, means, scales, quats, opacities, sh0):
-    """Put runs of equal depth in a depth order into content order (merge sort). All content is (N, columns)."""
+    """Put runs of equal depth in a depth order into content order (merge sort).
+
+    `depths` are in that order already; all content is (N, columns).
+    """
     scratch = np.empty_like(order)
     start = 0
     while start < len(order):
         stop = start + 1
-        while stop < len(order) and depths[order[stop]] == depths[order[start]]:
+        while stop < len(order) and depths[stop] == depths[start]:
             stop += 1
         width = 1
         while width < stop - start:

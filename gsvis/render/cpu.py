@@ -121,7 +121,7 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     ids, splats, depths = packed
     order = np.argsort(depths).astype(np.int32)
     content = scene.means, scene.scales, scene.quats, scene.opacities[:, None], scene.sh0[:, 0]
-    _kernels_tiles.order_ties(order, depths, ids, *content)
+    _kernels_tiles.order_ties(order, depths[order], ids, *content)
     tiles_x, tiles_y = view.tiles
     room = np.empty(m, np.int64)
     _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room)
@@ -212,8 +212,9 @@ class _Rasterize(torch.autograd.Function):
             v_colours[projected.ids] = sums[:, :3]
         v_probe = None
         if ctx.needs_input_grad[2]:
-            v_probe = torch.zeros((len(scene.means), 2))
-            v_probe[torch.from_numpy(projected.ids)] = torch.from_numpy(v_means2d).float()
+            by_centre = np.zeros((len(scene.means), 2), np.float32)
+            by_centre[projected.ids] = v_means2d
+            v_probe = torch.from_numpy(by_centre)
         results = [v_means, v_quats, v_scales, v_opacities, v_sh0, v_shN, v_colours]
         gradients = [
             None if v is None or dtype is None else torch.from_numpy(v).to(dtype)

@@ -14,11 +14,11 @@ from gsvis import _check
 __all__ = ["SH_C0", "rotation_of_sh", "sh_basis", "sh_degree_of"]
 
 SH_C0 = 0.28209479177387814
-"""Value of the constant harmonic: base colour = 0.5 + SH_C0 * sh0."""
+"""Value of the constant harmonic: base colour = 0.5 + SH_C0 * sh0. The factors of the higher degrees follow."""
 
-_C1 = 0.4886025119029199
-_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
-_C3 = (
+SH_C1 = 0.4886025119029199
+SH_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+SH_C3 = (
     -0.5900435899266435,
     2.890611442640554,
     -0.4570457994644658,
@@ -67,24 +67,24 @@ def sh_basis(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
     x, y, z = d.T
     columns = [np.full(len(d), SH_C0)]
     if degree >= 1:
-        columns += [-_C1 * y, _C1 * z, -_C1 * x]
+        columns += [-SH_C1 * y, SH_C1 * z, -SH_C1 * x]
     if degree >= 2:
         columns += [
-            _C2[0] * x * y,
-            _C2[1] * y * z,
-            _C2[2] * (2 * z * z - x * x - y * y),
-            _C2[3] * x * z,
-            _C2[4] * (x * x - y * y),
+            SH_C2[0] * x * y,
+            SH_C2[1] * y * z,
+            SH_C2[2] * (2 * z * z - x * x - y * y),
+            SH_C2[3] * x * z,
+            SH_C2[4] * (x * x - y * y),
         ]
     if degree >= 3:
         columns += [
-            _C3[0] * y * (3 * x * x - y * y),
-            _C3[1] * x * y * z,
-            _C3[2] * y * (4 * z * z - x * x - y * y),
-            _C3[3] * z * (2 * z * z - 3 * x * x - 3 * y * y),
-            _C3[4] * x * (4 * z * z - x * x - y * y),
-            _C3[5] * z * (x * x - y * y),
-            _C3[6] * x * (x * x - 3 * y * y),
+            SH_C3[0] * y * (3 * x * x - y * y),
+            SH_C3[1] * x * y * z,
+            SH_C3[2] * y * (4 * z * z - x * x - y * y),
+            SH_C3[3] * z * (2 * z * z - 3 * x * x - 3 * y * y),
+            SH_C3[4] * x * (4 * z * z - x * x - y * y),
+            SH_C3[5] * z * (x * x - y * y),
+            SH_C3[6] * x * (x * x - 3 * y * y),
         ]
     return np.stack(columns, axis=1)
 
