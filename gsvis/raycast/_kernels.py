@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import get_thread_id, njit, prange
 
-from gsvis.raycast._kernels_bvh import WIDTH
+from gsvis.raycast._kernels_bvh import MOST_LEVELS, WIDTH
 from gsvis.raycast._kernels_simd import meets_eight
 
-STACK = 512  # deeper than any hierarchy: 8 children a level, below 64 levels
+STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a walk leaves at most seven children waiting on each level
 _PRUNE_EVERY = 16
 TINY = 1e-300
 

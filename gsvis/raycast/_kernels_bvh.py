@@ -11,6 +11,8 @@ from numba import njit
 
 WIDTH = 8
 _BINS = 16
+MOST_LEVELS = 56  # what `build` promises: _DEEP by area, then at most log2 of 2^31 boxes by halving
+_DEEP = 24
 
 
 @njit(cache=True)
@@ -106,6 +108,9 @@ def build(lo, hi):
         order: (N,) int64; position in the hierarchy -> box.
         boxes: (M, 6, 8) float32; lowest x y z and highest x y z of the eight children of each node.
         children: (M, 8) int64; a node if >= 0, else box number -1 - position; empty children have +inf in all six.
+
+    No path is longer than MOST_LEVELS: below _DEEP levels ranges are halved, so that no input can outgrow the stack of
+    those who walk the hierarchy.
     """
     n = len(lo)
     order = np.arange(n)
@@ -118,7 +123,8 @@ def build(lo, hi):
     todo_node = np.empty(n + 1, np.int64)
     todo_start = np.empty(n + 1, np.int64)
     todo_stop = np.empty(n + 1, np.int64)
-    todo_node[0], todo_start[0], todo_stop[0] = 0, 0, n
+    todo_level = np.empty(n + 1, np.int64)
+    todo_node[0], todo_start[0], todo_stop[0], todo_level[0] = 0, 0, n, 1
     todo, nodes = 1, 1
     starts = np.empty(WIDTH, np.int64)
     stops = np.empty(WIDTH, np.int64)
@@ -126,7 +132,7 @@ def build(lo, hi):
     part_hi = np.empty((WIDTH, 3), np.float32)
     while todo > 0:
         todo -= 1
-        node = todo_node[todo]
+        node, level = todo_node[todo], todo_level[todo]
         starts[0], stops[0] = todo_start[todo], todo_stop[todo]
         _bounds(order, starts[0], stops[0], lo, hi, part_lo[0], part_hi[0])
         parts = 1
@@ -139,7 +145,9 @@ def build(lo, hi):
                         pick, largest = p, size
             if pick < 0:
                 break
-            middle = _split(order, starts[pick], stops[pick], lo, hi)
+            middle = (starts[pick] + stops[pick]) // 2
+            if level <= _DEEP:
+                middle = _split(order, starts[pick], stops[pick], lo, hi)
             starts[parts], stops[parts] = middle, stops[pick]
             stops[pick] = middle
             _bounds(order, starts[pick], stops[pick], lo, hi, part_lo[pick], part_hi[pick])
@@ -155,6 +163,7 @@ def build(lo, hi):
             else:
                 children[node, p] = nodes
                 todo_node[todo], todo_start[todo], todo_stop[todo] = nodes, starts[p], stops[p]
+                todo_level[todo] = level + 1
                 todo += 1
                 nodes += 1
     return order, boxes[:nodes].copy(), children[:nodes].copy()

@@ -7,7 +7,8 @@ import pytest
 from numba import njit
 
 from gsvis.raycast import EllipsoidProxies, Tracer
-from gsvis.raycast._kernels_bvh import WIDTH, build
+from gsvis.raycast._kernels import STACK
+from gsvis.raycast._kernels_bvh import MOST_LEVELS, WIDTH, build
 from gsvis.raycast._kernels_simd import meets_eight
 from tests.raycast.scenes import KINDS, scene
 
@@ -73,6 +74,29 @@ def test_every_box_is_reached_once_through_boxes_that_hold_it(n: int, same: bool
 
     walk(0, np.full(3, -np.inf), np.full(3, np.inf))
     assert sorted(seen) == list(range(n))
+
+
+def levels(children: np.ndarray) -> int:
+    """Longest path of a hierarchy; a node comes after its parent."""
+    depth = np.ones(len(children), int)
+    for node, row in enumerate(children):
+        inner = row[row >= 0]
+        depth[inner] = depth[node] + 1
+    return int(depth.max())
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.9, 0.95, 0.97])
+def test_no_chain_of_boxes_outgrows_the_stack(ratio: float) -> None:
+    # Each axis shrinks in turn, so that the area heuristic peels off one box after the other.
+    steps = ratio ** np.arange(int(80 / -np.log(ratio)))
+    low = np.zeros((3 * len(steps), 3), np.float32)
+    for axis in range(3):
+        low[axis::3, axis] = steps
+    high = (low * 1.001).astype(np.float32)
+    order, _, children = build(low, high)
+    assert sorted(order) == list(range(len(low)))
+    assert levels(children) <= MOST_LEVELS
+    assert STACK > (WIDTH - 1) * MOST_LEVELS
 
 
 @pytest.mark.parametrize("kind", KINDS)
