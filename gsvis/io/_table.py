@@ -1,0 +1,137 @@
+"""Comma-separated tables that name their faults: every number is checked where it stands, by line and column.
+
+Plain or gzipped (told from the first bytes), UTF-8 with or without a byte-order mark, quoted cells. Knows no format.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import os
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._limits import Budget, read_whole
+
+__all__ = ["Table", "read_table"]
+
+_CHUNK = 1 << 20
+
+
+class Table:
+    """The rows of a comma-separated file under a header.
+
+    Args:
+        path: The file, for messages.
+        header: Names of the columns, stripped.
+        rows: Cells, as many in each row as the header has.
+        lines: Line of the file on which the header and then each row ends, from 1.
+    """
+
+    def __init__(self, path: Path, header: list[str], rows: list[list[str]], lines: list[int]) -> None:
+        self.path, self.header, self.rows, self.lines = path, header, rows, lines
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def where(self, row: int, column: str) -> str:
+        """Line and column of a cell, for messages."""
+        return f"line {self.lines[row + 1]}, column {column}"
+
+    def column(self, name: str) -> int:
+        """Index of a column.
+
+        Raises:
+            FormatError: If there is none of that name, or more than one.
+        """
+        if self.header.count(name) != 1:
+            found = "two or more" if name in self.header else ", ".join(self.header)[:120]
+            raise FormatError(self.path, f"line {self.lines[0]}, column {name}", f"one column {name}", found)
+        return self.header.index(name)
+
+    def numbers(self, names: tuple[str, ...]) -> NDArray[np.float64]:
+        """(rows, len(names)) finite numbers of the given columns.
+
+        Raises:
+            FormatError: At the first cell that is none.
+        """
+        places = [self.column(name) for name in names]
+        cells = [[row[place] for place in places] for row in self.rows]
+        try:
+            values = np.array(cells, np.float64).reshape(len(cells), len(names))
+        except ValueError:
+            values = np.array([[_number(cell) for cell in row] for row in cells])
+        bad = ~(np.abs(values) < 1e300)  # NaN and infinity fail, too
+        if bad.any():
+            row, column = (int(i) for i in np.argwhere(bad)[0])
+            got = repr(cells[row][column][:40])
+            raise FormatError(self.path, self.where(row, names[column]), "a finite number", got)
+        return values
+
+
+def read_table(path: str | os.PathLike[str]) -> Table:
+    """Read a comma-separated file whose first line names its columns; blank lines are passed over.
+
+    Raises:
+        FileNotFoundError: If there is no file.
+        FormatError: If it is no text, damaged, without header, or a row has another number of cells than the header.
+    """
+    path = Path(path)
+    text = _text(path)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    header: list[str] | None = None
+    try:
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if header is None:
+                header = [cell.strip() for cell in cells]
+                lines.append(reader.line_num)
+                continue
+            if len(cells) != len(header):
+                where, remedy = f"line {reader.line_num}", "is the file cut short?"
+                raise FormatError(path, where, f"{len(header)} cells, as in the header", f"{len(cells)}", remedy)
+            rows.append(cells)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise FormatError(path, f"line {reader.line_num}", "comma-separated cells", str(error)) from error
+    if header is None:
+        raise FormatError(path, "line 1", "a header that names the columns", "an empty file")
+    return Table(path, header, rows, lines)
+
+
+def _text(path: Path) -> str:
+    data = read_whole(path, path.stat().st_size)
+    if data[:2] == b"\x1f\x8b":
+        data = _unzip(path, data)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise FormatError(path, f"line {line}", "UTF-8 text", f"byte 0x{data[error.start]:02x}") from error
+
+
+def _unzip(path: Path, data: bytes) -> bytes:
+    budget, parts = Budget(path, len(data)), []
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
+            while part := stream.read(_CHUNK):
+                budget.claim(len(part), "gzip")
+                parts.append(part)
+    except (OSError, EOFError, zlib.error) as error:
+        raise FormatError(path, "gzip", "a whole gzip file", str(error), "download it again") from error
+    return b"".join(parts)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan

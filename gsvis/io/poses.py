@@ -1,0 +1,109 @@
+"""Plain pose files: a CSV with the header `t,x,y,z,qw,qx,qy,qz`, and the door to every pose format that gsvis reads.
+
+Seconds, scene units, world from camera in OpenCV axes, quaternions wxyz. A file may be gzipped. Further columns are
+passed over, and the order of columns is free.
+"""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._table import Table, read_table
+from gsvis.io.atomic import atomic_path
+from gsvis.io.eyenav import is_eyenav, path_of_recording
+from gsvis.scene.paths import HeadPath
+
+__all__ = ["load_path", "read_poses", "write_poses"]
+
+COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
+
+_ROUNDING = 0.1  # by which the length of a quaternion may differ from 1
+
+
+def load_path(path: str | os.PathLike[str]) -> HeadPath:
+    """Read a head path of any format that gsvis knows, told from its header.
+
+    Args:
+        path: A plain pose file (`read_poses`) or an EyeNavGS recording (`read_eyenav`), gzipped or not.
+
+    Returns:
+        The path; `up` and `metres_per_unit` are set where the format states them.
+
+    Raises:
+        FileNotFoundError: If there is no file.
+        FormatError: If it is none of the formats, or malformed.
+    """
+    table = _open(path)
+    if is_eyenav(table):
+        return path_of_recording(table)
+    if not set(COLUMNS) & set(table.header):
+        known = f"{','.join(COLUMNS)} or the columns of EyeNavGS"
+        raise FormatError(path, f"line {table.lines[0]}", known, ",".join(table.header)[:120])
+    return _path_of(table)
+
+
+def read_poses(path: str | os.PathLike[str]) -> HeadPath:
+    """Read a plain pose file; the first time becomes 0.
+
+    Raises:
+        FileNotFoundError: If there is no file.
+        FormatError: If a column is missing, a cell is no finite number, times do not rise, or a quaternion's length
+            is not 1 within 0.1.
+    """
+    return _path_of(_open(path))
+
+
+def write_poses(poses: HeadPath, path: str | os.PathLike[str]) -> None:
+    """Write a path as a plain pose file, whole or not at all; reading it gives the same numbers back.
+
+    Args:
+        poses: The path. Its `up` and `metres_per_unit` have no place in the file.
+        path: The file; gzipped where its name ends in `.gz`.
+    """
+    values = np.column_stack([poses.times, poses.positions, poses.quats])
+    lines = [",".join(COLUMNS), *(",".join(repr(float(v)) for v in row) for row in values), ""]
+    data = "\n".join(lines).encode("ascii")
+    if Path(path).suffix == ".gz":
+        data = gzip.compress(data, mtime=0)
+    with atomic_path(path) as partial:
+        partial.write_bytes(data)
+
+
+def _open(path: str | os.PathLike[str]) -> Table:
+    if Path(path).is_dir():
+        raise FormatError(path, "", "a file of poses", "a folder", "name one of the files in it")
+    if not Path(path).exists():
+        raise FileNotFoundError(errno.ENOENT, "no pose file here", str(path))
+    return read_table(path)
+
+
+def _path_of(table: Table) -> HeadPath:
+    values = table.numbers(COLUMNS)
+    if len(values) == 0:
+        raise FormatError(table.path, f"line {table.lines[0] + 1}", "at least one pose", "the end of the file")
+    times, quats = values[:, 0] - values[0, 0], values[:, 4:]
+    _check_times(table, times)
+    lengths = np.linalg.norm(quats, axis=1)
+    bad = np.flatnonzero(np.abs(lengths - 1.0) > _ROUNDING)
+    if len(bad):
+        remedy = "are these quaternions, in the order wxyz?"
+        where = table.where(int(bad[0]), "qw to qz")
+        raise FormatError(table.path, where, "a quaternion of length 1", f"length {lengths[bad[0]]:.3g}", remedy)
+    return HeadPath(times, values[:, 1:4], quats)
+
+
+def _check_times(table: Table, times: NDArray[np.float64]) -> None:
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        cell = table.column("t")
+        before, after = (table.rows[i][cell].strip()[:40] for i in (row - 1, row))
+        remedy = "sort the poses by time and drop repeats"
+        raise FormatError(table.path, table.where(row, "t"), f"a time after {before}", after, remedy)

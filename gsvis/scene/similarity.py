@@ -1,0 +1,100 @@
+"""A similarity transform: one scale, one rotation, one translation; how a recorded path is moved into a scene.
+
+Takes points of one frame to another, `x -> scale * R(quat) x + translation`. Angles and ratios of lengths stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
+
+__all__ = ["Similarity"]
+
+F64 = NDArray[np.float64]
+
+
+def _still() -> F64:
+    return np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Similarity:
+    """Points x of one frame lie at `scale * R(quat) x + translation` in another.
+
+    Args:
+        scale: Units of the new frame for one of the old, > 0.
+        quat: (4,) wxyz rotation; scaled to unit length.
+        translation: (3,) in the new frame.
+
+    Raises:
+        ValueError: If the scale is not a finite number > 0, or the quaternion is zero.
+
+    Examples:
+        >>> Similarity(2.0, translation=(0, 0, 1)).apply([[1, 2, 3]]).tolist()
+        [[2.0, 4.0, 7.0]]
+    """
+
+    scale: float = 1.0
+    quat: F64 = field(default_factory=_still)
+    translation: F64 = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise ValueError(f"scale: expected a finite number > 0, got {self.scale!r}")
+        quat = _check.floats("quat", self.quat, (4,), np.float64)
+        norm = float(np.linalg.norm(quat))
+        if not 1e-150 < norm < 1e150:
+            raise ValueError(f"quat: expected a rotation, got a quaternion of length {norm:g}")
+        arrays = {"quat": quat / norm, "translation": _check.floats("translation", self.translation, (3,), np.float64)}
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+        object.__setattr__(self, "scale", float(self.scale))
+
+    @classmethod
+    def from_rotation(cls, scale: float, rotation: ArrayLike, translation: ArrayLike) -> Similarity:
+        """The similarity with a rotation given as a (3, 3) matrix."""
+        matrix = _check.floats("rotation", rotation, (3, 3), np.float64)
+        shift = _check.floats("translation", translation, (3,), np.float64)
+        return cls(scale, quats_from_rotations(matrix[None])[0], shift)
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> Similarity:
+        """The inverse of `as_dict`."""
+        return cls(float(value["scale"]), np.array(value["quat"]), np.array(value["translation"]))
+
+    def __repr__(self) -> str:
+        quat, shift = (" ".join(f"{v:.4g}" for v in array) for array in (self.quat, self.translation))
+        return f"Similarity(scale {self.scale:.4g}, quat {quat}, translation {shift})"
+
+    @property
+    def rotation(self) -> F64:
+        """(3, 3) rotation matrix."""
+        return np.asarray(rotations_from_quats(self.quat[None])[0])
+
+    def apply(self, points: ArrayLike) -> F64:
+        """(M, 3) where the (M, 3) points of the old frame lie in the new one."""
+        array = _check.floats("points", points, ("M", 3), np.float64)
+        return np.asarray(self.scale * array @ self.rotation.T + self.translation)
+
+    def rotate(self, quats: ArrayLike) -> F64:
+        """(M, 4) orientations wxyz, old frame from body, taken to new frame from body."""
+        array = _check.floats("quats", quats, ("M", 4), np.float64)
+        return quats_from_rotations(self.rotation @ rotations_from_quats(array))
+
+    def inverse(self) -> Similarity:
+        """The way back."""
+        back = self.quat * np.array([1.0, -1.0, -1.0, -1.0])
+        return Similarity(1.0 / self.scale, back, -(self.rotation.T @ self.translation) / self.scale)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, ready for JSON."""
+        return {"scale": self.scale, "quat": self.quat.tolist(), "translation": self.translation.tolist()}
