@@ -1,0 +1,179 @@
+"""Cells: the boxes of a regular grid over navigable space, each small enough to share one potentially visible set.
+
+Cells are cubes of whole voxels of the navigable space, in the scene's frame and units; those without a free voxel do
+not exist. They are numbered along x, then y, then z. Knows nothing of what can be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["MAX_CELLS", "CellGrid"]
+
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+
+MAX_CELLS = 100_000
+"""More cells than this are refused: a grid that fine is a mistake of units."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CellGrid:
+    """C cells of a regular grid.
+
+    Args:
+        origin: (3,) lowest corner of box (0, 0, 0), scene frame.
+        cell_size: Side of a cell, scene units.
+        shape: Boxes along each axis.
+        coords: (C, 3) int32, the box of each cell; in lexicographic order, each once.
+        up: (3,) unit up axis.
+
+    Raises:
+        ValueError: If a shape or a value is wrong.
+        SceneError: If there is no cell.
+    """
+
+    origin: F64
+    cell_size: float
+    shape: tuple[int, int, int]
+    coords: I32
+    up: F64
+
+    def __post_init__(self) -> None:
+        coords = _check.integers("coords", self.coords, ("C", 3), np.int32)
+        shape = tuple(int(n) for n in _check.integers("shape", self.shape, (3,)))
+        if len(coords) == 0:
+            raise SceneError("no cell: no part of the grid is navigable")
+        if len(coords) > MAX_CELLS:
+            raise ValueError(f"coords: expected at most {MAX_CELLS:,} cells, got {len(coords):,}; make them larger")
+        if not (np.isfinite(self.cell_size) and self.cell_size > 0):
+            raise ValueError(f"cell_size: expected a finite number > 0, got {self.cell_size!r}")
+        if min(shape) < 1 or coords.min() < 0 or (coords >= np.array(shape)).any():
+            raise ValueError(f"coords: expected boxes inside a grid of {shape}, got one outside")
+        flat = np.ravel_multi_index(tuple(coords.T.astype(np.int64)), shape)
+        if (np.diff(flat) <= 0).any():
+            raise ValueError("coords: expected each box once and in lexicographic order; sort them with np.unique")
+        arrays = {
+            "origin": _check.floats("origin", self.origin, (3,), np.float64),
+            "coords": coords,
+            "up": _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0],
+            "_flat": flat,
+        }
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "cell_size", float(self.cell_size))
+
+    @classmethod
+    def over(cls, space: NavigableSpace, *, max_cells: int = 512, cell_size: float | None = None) -> CellGrid:
+        """The cells that cover a navigable space.
+
+        Args:
+            space: Where eyes may be.
+            max_cells: The cells are the smallest cubes of whole voxels of which there are at most this many.
+            cell_size: Side wanted instead, scene units; rounded to whole voxels, at least one.
+
+        Raises:
+            ValueError: If an argument is out of range, or `cell_size` needs more than `max_cells` cells.
+        """
+        _check.positive_int("max_cells", max_cells)
+        voxels = np.argwhere(space.free)
+        if cell_size is not None:
+            if not (np.isfinite(cell_size) and cell_size > 0):
+                raise ValueError(f"cell_size: expected a finite number > 0, got {cell_size!r}")
+            side = max(1, round(cell_size / space.voxel_size))
+            coords = np.unique(voxels // side, axis=0)
+            if len(coords) > max_cells:
+                raise ValueError(
+                    f"cell_size: expected at most {max_cells:,} cells, got {len(coords):,} of {side * space.voxel_size:.3g};"
+                    " make them larger or raise max_cells"
+                )
+        else:
+            low, high = 1, max(space.free.shape)  # the number of cells falls as they grow, but for odd borders
+            while low < high:
+                middle = (low + high) // 2
+                if len(np.unique(voxels // middle, axis=0)) <= max_cells:
+                    high = middle
+                else:
+                    low = middle + 1
+            side = low
+            coords = np.unique(voxels // side, axis=0)
+        shape = tuple(-(-n // side) for n in space.free.shape)
+        return cls(space.origin, side * space.voxel_size, shape, coords.astype(np.int32), space.up)  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        x, y, z = self.shape
+        return f"CellGrid({len(self):,} cells of {self.cell_size:.3g} in {x} x {y} x {z} boxes)"
+
+    def __len__(self) -> int:
+        return len(self.coords)
+
+    @property
+    def centres(self) -> F64:
+        """(C, 3) centres of the cells."""
+        return np.asarray(self.origin + self.cell_size * (self.coords + 0.5))
+
+    def bounds(self, cell: int) -> tuple[F64, F64]:
+        """Lowest and highest corner (3,) of a cell."""
+        low = self.origin + self.cell_size * self.coords[self.checked(cell)]
+        return low, low + self.cell_size
+
+    def checked(self, cell: int) -> int:
+        """The cell, if there is one of that number.
+
+        Raises:
+            ValueError: If there is not.
+        """
+        if isinstance(cell, bool) or not isinstance(cell, int | np.integer) or not 0 <= cell < len(self):
+            raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}; cell_at finds one")
+        return int(cell)
+
+    def cell_at(self, positions: ArrayLike) -> I64:
+        """(M,) number of the cell that holds each of the (M, 3) positions, -1 where there is none.
+
+        A position on a face between two cells belongs to the higher one.
+        """
+        points = _check.floats("positions", positions, ("M", 3), np.float64)
+        # Clipped first: positions far outside must not overflow the integers.
+        boxes = np.floor(np.clip((points - self.origin) / self.cell_size, -1.0, np.array(self.shape))).astype(np.int64)
+        return self._numbers(boxes)
+
+    def neighbours(self, cell: int) -> I64:
+        """Numbers of the up to 26 cells that touch a cell, rising."""
+        steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        steps = steps[np.any(steps != 0, axis=1)]
+        found = self._numbers(self.coords[self.checked(cell)] + steps.astype(np.int64))
+        return np.sort(found[found >= 0])
+
+    def gaps(self, cell: int) -> F64:
+        """(C,) distance between the box of this cell and that of every cell; 0 where they touch, scene units."""
+        apart = np.abs(self.coords.astype(np.int64) - self.coords[self.checked(cell)]) - 1
+        return np.asarray(self.cell_size * np.linalg.norm(np.maximum(apart, 0), axis=1))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, all but the boxes."""
+        return {
+            "cells": len(self),
+            "origin": self.origin.tolist(),
+            "cell_size": self.cell_size,
+            "shape": list(self.shape),
+            "up": self.up.tolist(),
+        }
+
+    def _numbers(self, boxes: I64) -> I64:
+        inside = np.all((boxes >= 0) & (boxes < np.array(self.shape)), axis=1)
+        flat = np.ravel_multi_index(tuple(np.where(inside[:, None], boxes, 0).T), self.shape)
+        flats: I64 = self._flat  # type: ignore[attr-defined]
+        at = np.minimum(np.searchsorted(flats, flat), len(flats) - 1)
+        return np.where(inside & (flats[at] == flat), at, -1)
