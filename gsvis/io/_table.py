@@ -10,6 +10,7 @@ import gzip
 import io
 import os
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from gsvis.io._limits import Budget, read_whole
 __all__ = ["Table", "read_table"]
 
 _CHUNK = 1 << 20
+_LONGEST_LINE = 1 << 16
 
 
 class Table:
@@ -83,7 +85,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     """
     path = Path(path)
     text = _text(path)
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    reader = csv.reader(_lines(path, text), strict=True)
     rows: list[list[str]] = []
     lines: list[int] = []
     header: list[str] | None = None
@@ -105,6 +107,14 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     if header is None:
         raise FormatError(path, "line 1", "a header that names the columns", "an empty file")
     return Table(path, header, rows, lines)
+
+
+def _lines(path: Path, text: str) -> Iterator[str]:
+    """The lines of a text, refusing absurd ones before they are taken apart."""
+    for number, line in enumerate(io.StringIO(text, newline=""), 1):
+        if len(line) > _LONGEST_LINE:
+            raise FormatError(path, f"line {number}", f"at most {_LONGEST_LINE:,} characters", f"{len(line):,}")
+        yield line
 
 
 def _text(path: Path) -> str:

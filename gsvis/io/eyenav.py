@@ -7,7 +7,7 @@ The axes, which the data set does not state, follow from the 44 recordings of th
 
 - Positions and quaternions (xyzw) are world from head, in a right-handed frame. The right eye lies at +x of the left
   in the head's axes, by 120 to 138 mm in room (scale 2) and 45 to 53 mm in truck (scale 0.76), constant to a
-  millimetre within a recording: +x is right, and metres are `position / Scale`, as pupils are 60 to 69 mm apart.
+  millimetre within a recording: +x is right, and metres are `position / Scale`, as pupils are 59 to 70 mm apart.
 - Turned by the scene's quaternion, the head's +y is up: its mean lies within 20 degrees of world +y in every recording.
 - People walk forwards and look ahead: -z of the head agrees with the direction of walking (mean cosine 0.4) and with
   -z of the gaze, where that was recorded (median cosine above 0.9). These are the axes of OpenXR.
