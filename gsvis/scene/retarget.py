@@ -37,7 +37,8 @@ _BLOCK = 64  # placements screened at a time
 _FINALISTS = 16
 _STEP = 2.0**-0.25  # from one scale to the next
 _TOLERANCE = 0.1  # of the eye height, and at least one voxel
-_UNEVEN = 0.25  # of the eye height, by which a floor may rise or fall
+_UNEVEN = 0.1  # of the eye height, and at least one voxel, by which a floor may rise or fall
+_TIE = 1e-9  # of the walk's size: the first of poses that are equal but for rounding is taken
 _UPRIGHT = np.cos(np.radians(1.0))
 
 
@@ -212,9 +213,11 @@ class _Walk:
         heights = spread @ up
         # The pose nearest to the mean, on the ground plan; its height is the usual one, whatever that pose's is.
         flat = spread - heights[:, None] * up
-        middle = path.positions[np.linalg.norm(flat, axis=1).argmin()]
+        far = np.linalg.norm(flat, axis=1)
+        size = float(np.linalg.norm(spread, axis=1).max())
+        middle = path.positions[(far <= far.min() + _TIE * size).argmax()]
         middle = middle + (np.median(path.positions @ up) - middle @ up) * up
-        ahead = flat[np.linalg.norm(flat, axis=1).argmax()]
+        ahead = flat[(far >= far.max() - _TIE * size).argmax()]
         if np.linalg.norm(ahead) <= 1e-9 * (1.0 + np.abs(path.positions).max()):  # it never leaves its place
             ahead = path.forwards[0] - (path.forwards[0] @ up) * up
             if np.linalg.norm(ahead) < 1e-6:
@@ -272,7 +275,7 @@ class _Floors:
         if stand is None:
             return None
         height = stand * scale
-        slack = max(_UNEVEN * height, 2.0 * self.voxel_size)
+        slack = max(_UNEVEN * height, self.voxel_size)
         levels = np.sort(self.levels[np.isfinite(self.levels)])
         if len(levels) == 0:
             return np.zeros(len(self.levels), bool)
