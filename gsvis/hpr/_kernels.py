@@ -1,8 +1,8 @@
 """Kernels of hidden point removal: the spherical flip, extremes per direction, and the place of points under a hull.
 
 All arrays are checked and contiguous float64, the eye is the origin. A *cell* is one square of a cubemap of `size` x
-`size` cells a face. `facets` holds one row of 16 per triangle of a convex hull that has the eye inside or on it: the
-three inward normals of the sides of the cone over it (9), its outward plane (4), and three unused numbers.
+`size` cells a face. A hull is `corners` (F, 3), positions in `points`, anticlockwise seen from outside, and `neighbors`
+(F, 3), the facet across the side opposite each corner.
 """
 
 from __future__ import annotations
@@ -49,18 +49,12 @@ def cell_of(x, y, z, size):
     return (face * size + row) * size + column
 
 
-@njit(cache=True, inline="always")
-def direction_of(cell, size):
-    """Direction of a cell's centre, not of unit length."""
-    face, rest = cell // (size * size), cell % (size * size)
-    u = (rest % size + 0.5) * 2.0 / size - 1.0
-    v = (rest // size + 0.5) * 2.0 / size - 1.0
-    sign = 1.0 if face % 2 == 0 else -1.0
-    if face < 2:
-        return sign, u, v
-    if face < 4:
-        return u, sign, v
-    return u, v, sign
+@njit(cache=True, nogil=True, parallel=True)
+def cells_of(flipped, chosen, size, out):
+    """Cell of each of the flipped points chosen (M,), into out (M,)."""
+    for k in prange(len(chosen)):
+        i = chosen[k]
+        out[k] = cell_of(flipped[i, 0], flipped[i, 1], flipped[i, 2], size)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -87,44 +81,50 @@ def farthest_in_cells(flipped, chosen, size, parts):
                 squared[0, cell], best[0, cell] = squared[part, cell], best[part, cell]
     return best[0]
 
+@njit(cache=True, inline="always")
+def _above(points, a, b, c, x, y, z, band):
+    """On which side of the plane of a, b, c (anticlockwise from outside) a place lies: 1 above, -1 below, 0 within.
 
-@njit(cache=True, nogil=True)
-def cones(vertices, simplices, equations, out):
-    """Rows of `facets` (F, 16); a triangle whose plane passes through the eye is given a plane of zeros."""
-    reach = 0.0
-    for i in range(len(vertices)):
-        for k in range(3):
-            reach = max(reach, abs(vertices[i, k]))
-    for f in range(len(simplices)):
-        a, b, c = vertices[simplices[f, 0]], vertices[simplices[f, 1]], vertices[simplices[f, 2]]
-        row = out[f]
-        row[:] = 0.0
-        row[0], row[1], row[2] = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-        row[3], row[4], row[5] = c[1] * a[2] - c[2] * a[1], c[2] * a[0] - c[0] * a[2], c[0] * a[1] - c[1] * a[0]
-        row[6], row[7], row[8] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-        volume = row[0] * a[0] + row[1] * a[1] + row[2] * a[2]
-        if volume < 0.0:
-            row[:9] *= -1.0
-        if abs(volume) > 1e-12 * reach**3 * 1e-6 and equations[f, 3] < -1e-12 * reach:
-            row[9:13] = equations[f]
+    `band` is a distance; a plane without a direction (a sliver) says 0.
+    """
+    ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    side = nx * (x - points[a, 0]) + ny * (y - points[a, 1]) + nz * (z - points[a, 2])
+    if side * side <= band * band * (nx * nx + ny * ny + nz * nz):
+        return 0
+    return 1 if side > 0.0 else -1
 
 
 @njit(cache=True, inline="always")
-def _walk(facets, neighbors, start, most, x, y, z):
-    """The facet whose cone holds the direction, or -1 where a walk of at most `most` steps ends at none."""
+def _outside_cone(points, a, b, inner, x, y, z):
+    """How far (x, y, z) - inner lies on the outer side of the plane through inner, a and b; not to scale."""
+    ax, ay, az = points[a, 0] - inner[0], points[a, 1] - inner[1], points[a, 2] - inner[2]
+    bx, by, bz = points[b, 0] - inner[0], points[b, 1] - inner[1], points[b, 2] - inner[2]
+    return -(
+        (ay * bz - az * by) * (x - inner[0])
+        + (az * bx - ax * bz) * (y - inner[1])
+        + (ax * by - ay * bx) * (z - inner[2])
+    )
+
+
+@njit(cache=True)
+def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
+    """The facet through which the ray from `inner` towards a place leaves the hull; -1 after too many steps.
+
+    `slack` is what rounding does to a product of three lengths: without it a ray through a corner goes round for ever.
+    """
     f = start
     for _ in range(most):
-        row = facets[f]
-        if row[12] == 0.0:  # a plane through the eye: no distance along the direction
-            return -1
-        p = row[0] * x + row[1] * y + row[2] * z
-        q = row[3] * x + row[4] * y + row[5] * z
-        r = row[6] * x + row[7] * y + row[8] * z
-        if p >= 0.0 and q >= 0.0 and r >= 0.0:
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        across_a = _outside_cone(points, b, c, inner, x, y, z)
+        across_b = _outside_cone(points, c, a, inner, x, y, z)
+        across_c = _outside_cone(points, a, b, inner, x, y, z)
+        if across_a <= slack and across_b <= slack and across_c <= slack:
             return f
-        if p <= q and p <= r:
+        if across_a >= across_b and across_a >= across_c:
             f = neighbors[f, 0]
-        elif q <= r:
+        elif across_b >= across_c:
             f = neighbors[f, 1]
         else:
             f = neighbors[f, 2]
@@ -132,29 +132,172 @@ def _walk(facets, neighbors, start, most, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def facet_table(facets, neighbors, size, first):
-    """(6 size^2,) the facet in the direction of each cell's centre, `first` where none was found: starts of walks."""
-    table = np.empty(6 * size * size, np.int32)
-    last = first
-    for cell in range(len(table)):
-        x, y, z = direction_of(cell, size)
-        f = _walk(facets, neighbors, last, len(facets), x, y, z)
+def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtful):
+    """Add the points chosen (M,) to a convex hull, one after the other, in place.
+
+    corners (F, 3) are positions in `points`, anticlockwise seen from outside; neighbors[f, k] lies across the side
+    opposite corner k. `state` is [facets, facet to start from, doubtful]: the first facets rows are in use. A point
+    within `band` of the hull's boundary is left out and noted in `doubtful`, unless it coincides with a corner.
+    Returns 0, or 1 where rounding has spoiled the topology.
+    """
+    facets, last, doubts = state[0], state[1], state[2]
+    visited = np.zeros(len(corners), np.int32)  # stamp, negative: seen and not visible
+    first_at = np.zeros(len(points), np.int32)  # new facet that starts at a point, where stamped
+    next_at = np.zeros(len(points), np.int32)
+    stamp_at = np.full(len(points), -1, np.int32)
+    visible = np.empty(64, np.int32)
+    rim = np.empty((64, 3), np.int32)
+    holes, free = np.empty(64, np.int32), 0
+    for step in range(len(chosen)):
+        p, stamp = chosen[step], step + 1
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        f = locate(points, corners, neighbors, last, facets + 16, inner, slack, x, y, z)
         if f < 0:
-            f = _walk(facets, neighbors, first, len(facets), x, y, z)
-        last = f if f >= 0 else first
-        table[cell] = last
-    return table
+            return 1
+        last = f
+        side = _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band)
+        if side < 0:
+            continue
+        if side == 0:
+            twin = False
+            for k in range(3):
+                v = corners[f, k]
+                twin = twin or (points[v, 0] == x and points[v, 1] == y and points[v, 2] == z)
+            if not twin:
+                if doubts < len(doubtful):
+                    doubtful[doubts] = p
+                doubts += 1
+            continue
+        visited[f], visible[0] = stamp, f
+        found, edges, k = 1, 0, 0
+        while k < found:
+            f = visible[k]
+            k += 1
+            for corner in range(3):
+                g = neighbors[f, corner]
+                if visited[g] == stamp:
+                    continue
+                if visited[g] != -stamp:
+                    side = _above(points, corners[g, 0], corners[g, 1], corners[g, 2], x, y, z, 0.0)
+                    if side > 0:
+                        if found == len(visible):
+                            visible = np.concatenate((visible, np.empty_like(visible)))
+                        visited[g], visible[found] = stamp, g
+                        found += 1
+                        continue
+                    visited[g] = -stamp
+                if edges == len(rim):
+                    rim = np.concatenate((rim, np.empty_like(rim)))
+                rim[edges, 0], rim[edges, 1] = corners[f, (corner + 1) % 3], corners[f, (corner + 2) % 3]
+                rim[edges, 2] = g
+                edges += 1
+        while free + found < edges:  # facets that died earlier come first, then new rows
+            if facets == len(corners):
+                return 1
+            if free == len(holes):
+                holes = np.concatenate((holes, np.empty_like(holes)))
+            holes[free] = facets
+            facets, free = facets + 1, free + 1
+        for k in range(found):
+            if free == len(holes):
+                holes = np.concatenate((holes, np.empty_like(holes)))
+            holes[free], corners[visible[k], 0] = visible[k], -1
+            free += 1
+        for e in range(edges):
+            u = rim[e, 0]
+            if stamp_at[u] == stamp:
+                return 1
+            free -= 1
+            stamp_at[u], first_at[u], next_at[u] = stamp, holes[free], rim[e, 1]
+        u = rim[0, 0]
+        for e in range(edges):  # the rim is one closed line
+            if stamp_at[u] != stamp or (e > 0 and u == rim[0, 0]):
+                return 1
+            u = next_at[u]
+        if u != rim[0, 0]:
+            return 1
+        for e in range(edges):
+            u, w, g = rim[e, 0], rim[e, 1], rim[e, 2]
+            f, following = first_at[u], first_at[w]
+            for k in range(3):  # the side of g whose ends are w and u
+                if corners[g, (k + 1) % 3] == w and corners[g, (k + 2) % 3] == u:
+                    neighbors[g, k] = f
+            neighbors[f, 0], neighbors[f, 2], neighbors[following, 1] = following, g, f
+        for e in range(edges):
+            f = first_at[rim[e, 0]]
+            corners[f, 0], corners[f, 1], corners[f, 2] = rim[e, 0], rim[e, 1], p
+            visited[f] = 0
+        last = first_at[rim[0, 0]]
+    if free > 0:
+        facets, last = _close_up(corners, neighbors, facets, last)
+    state[0], state[1], state[2] = facets, last, doubts
+    return 0
+
+
+@njit(cache=True)
+def _close_up(corners, neighbors, facets, last):
+    """Move the facets that live (first corner not -1) together; their number, and where facet `last` is now."""
+    place = np.empty(facets, np.int32)
+    count = 0
+    for f in range(facets):
+        place[f] = count
+        if corners[f, 0] >= 0:
+            corners[count], neighbors[count] = corners[f], neighbors[f]
+            count += 1
+    for f in range(count):
+        for k in range(3):
+            neighbors[f, k] = place[neighbors[f, k]]
+    return count, place[last]
+
+
+@njit(cache=True, nogil=True)
+def count_creases(points, corners, neighbors, band, out):
+    """Sides of facets at which the hull bends by more than `band`, counted at both their ends into out (N,).
+
+    Fewer than three at a corner: it lies within about the band of the hull of the others. Returns 1 where the hull
+    bends inwards by more than the band, that is where rounding has spoiled it.
+    """
+    for f in range(len(corners)):
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        for k in range(3):
+            g = neighbors[f, k]
+            if g < f:
+                continue
+            v = corners[g, 0]
+            if v == a or v == b or v == c:
+                v = corners[g, 1]
+            if v == a or v == b or v == c:
+                v = corners[g, 2]
+            side = _above(points, a, b, c, points[v, 0], points[v, 1], points[v, 2], band)
+            if side > 0:
+                return 1
+            if side < 0:
+                out[corners[f, (k + 1) % 3]] += 1
+                out[corners[f, (k + 2) % 3]] += 1
+    return 0
+
+
+@njit(cache=True, nogil=True)
+def facets_of_cells(points, corners, size, out):
+    """A facet near the direction of each cell, into out (6 size^2,): one that ends there, or that of the cell before."""
+    out[:] = -1
+    for f in range(len(corners)):
+        for k in range(3):
+            v = corners[f, k]
+            out[cell_of(points[v, 0], points[v, 1], points[v, 2], size)] = f
+    last = 0
+    for cell in range(len(out)):
+        if out[cell] < 0:
+            out[cell] = last
+        last = out[cell]
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def not_inside(flipped, chosen, facets, neighbors, table, size, margin, out):
-    """Whether each flipped point chosen (M,) may lie outside the hull, into out (M,); False is certain by the margin."""
+def not_inside(points, chosen, corners, neighbors, starts, size, inner, slack, band, out):
+    """Whether each of the points chosen (M,) may lie outside the hull, into out (M,); False is certain by the band."""
     for block in prange((len(chosen) + _BLOCK - 1) // _BLOCK):
         for k in range(block * _BLOCK, min(len(chosen), (block + 1) * _BLOCK)):
             i = chosen[k]
-            x, y, z = flipped[i, 0], flipped[i, 1], flipped[i, 2]
-            f = _walk(facets, neighbors, table[cell_of(x, y, z, size)], _MOST_STEPS, x, y, z)
-            out[k] = True
-            if f >= 0:
-                row = facets[f]
-                out[k] = row[9] * x + row[10] * y + row[11] * z + row[12] >= -margin
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            f = locate(points, corners, neighbors, starts[cell_of(x, y, z, size)], _MOST_STEPS, inner, slack, x, y, z)
+            out[k] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0
