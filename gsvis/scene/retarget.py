@@ -8,7 +8,7 @@ The walk is stood upright, turned, scaled and moved, all of it alike, so that it
 
 With 2 and 3, and a recording in metres, people stand: the middle of the walk is put at eye height above what lies below
 it, on the storey with the most room, not on roofs. Of the placements tried, in an order drawn from the seed, the first
-with `enough` inside is taken, else the best.
+with `enough` inside is taken, else the best; of the headings that do there, the one that looks at the scene most often.
 What the recording's own frame was (its origin, its heading, with rule 3 its unit) has no influence.
 """
 
@@ -198,12 +198,14 @@ class _Walk:
         rotations: (Y, 3, 3) scene from recorded axes, one for each heading.
         middle: (3,) recorded position that goes to the placement.
         probes: (P,) indices of the poses that screen placements.
+        forwards: (P, 3) their directions of view, recorded axes.
     """
 
     offsets: F64
     rotations: F64
     middle: F64
     probes: NDArray[np.int64]
+    forwards: F64
 
     @classmethod
     def of(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> _Walk:
@@ -231,7 +233,7 @@ class _Walk:
         yawed[:, 1, 0], yawed[:, 0, 1] = np.sin(turns), -np.sin(turns)
         yawed[:, 2, 2] = 1.0
         probes = np.unique(np.linspace(0, len(path) - 1, _PROBES).round().astype(np.int64))
-        return cls(path.positions - middle, scene @ yawed @ recorded.T, middle, probes)
+        return cls(path.positions - middle, scene @ yawed @ recorded.T, middle, probes, path.forwards[probes])
 
     def scales(self, navigable: NavigableSpace) -> Iterator[float]:
         """From one at which the walk spans the grid down to one at which it fits into a voxel."""
@@ -267,7 +269,7 @@ class _Floors:
 
     @classmethod
     def below(cls, places: F64, navigable: NavigableSpace) -> _Floors:
-        heights = _heights(navigable, places)
+        heights = _free_ahead(navigable, places, np.tile(-navigable.up, (len(places), 1)))
         return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
 
     def at_height(self, stand: float | None, scale: float) -> Mask | None:
@@ -300,11 +302,15 @@ def _place(
         block = places[first : first + _BLOCK]
         inside = navigable.contains((block[:, None, None, :] + probes[None]).reshape(-1, 3))
         shares = inside.reshape(len(block), len(probes), -1).mean(axis=2)
-        for flat in np.flatnonzero(shares >= config.enough - 1.5 / len(walk.probes))[:_FINALISTS]:
-            place, yaw = divmod(int(flat), len(probes))
-            share = _share(walk, navigable, scale, yaw, block[place])
-            if share >= config.enough:
-                return share, walk.similarity(scale, yaw, block[place])
+        likely = shares >= config.enough - 1.5 / len(walk.probes)
+        for index in np.flatnonzero(likely.any(axis=1))[:_FINALISTS]:
+            headings = [int(yaw) for yaw in np.flatnonzero(likely[index])]
+            share_of = {yaw: _share(walk, navigable, scale, yaw, block[index]) for yaw in headings}
+            good = [yaw for yaw, share in share_of.items() if share >= config.enough]
+            if good:
+                looks = [_looking(walk, navigable, yaw, block[index] + probes[yaw]) for yaw in good]
+                yaw = good[int(np.argmax(looks))]
+                return share_of[yaw], walk.similarity(scale, yaw, block[index])
         for flat in np.argsort(-shares, axis=None, kind="stable")[:_FINALISTS]:
             place, yaw = divmod(int(flat), len(probes))
             tried.append((-float(shares[place, yaw]), first + place, yaw))
@@ -319,22 +325,27 @@ def _share(walk: _Walk, navigable: NavigableSpace, scale: float, yaw: int, place
     return float(navigable.contains(place + scale * walk.offsets @ walk.rotations[yaw].T).mean())
 
 
-def _heights(navigable: NavigableSpace, points: F64) -> F64:
-    """(M,) how far straight below each point the first occupied voxel is; infinite without one."""
+def _looking(walk: _Walk, navigable: NavigableSpace, yaw: int, eyes: F64) -> float:
+    """Share of the probes that have something of the scene straight ahead, eyes (P, 3) in the scene."""
+    return float(np.isfinite(_free_ahead(navigable, eyes, walk.forwards @ walk.rotations[yaw].T)).mean())
+
+
+def _free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
+    """(M,) how far in its unit direction each point has the first occupied voxel; infinite without one."""
     shape = np.array(navigable.free.shape)
-    heights = np.full(len(points), np.inf)
+    found = np.full(len(points), np.inf)
     going = np.arange(len(points))
     step = 0.5 * navigable.voxel_size
     for count in range(1, 4 * int(shape.sum())):
-        cells = np.floor((points[going] - count * step * navigable.up - navigable.origin) / navigable.voxel_size)
+        cells = np.floor((points[going] + count * step * directions[going] - navigable.origin) / navigable.voxel_size)
         within = np.all((cells >= 0) & (cells < shape), axis=1)
         going, cells = going[within], cells[within].astype(np.int64)
         if len(going) == 0:
             break
         hit = navigable.occupied[tuple(cells.T)]
-        heights[going[hit]] = count * step
+        found[going[hit]] = count * step
         going = going[~hit]
-    return heights
+    return found
 
 
 def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
