@@ -1,0 +1,214 @@
+"""A hierarchical z-buffer for Gaussians: how deep an eye sees in every direction, and what it sees on the way.
+
+Gaussians are splatted front to back onto a cube around the eye (EWA, as the rasterizer does, but ordered by distance,
+so that no direction is special). What comes behind spent light costs one look at a bound over its footprint; where
+light is spent stands the depth, and pyramids of least and largest depths test anything else. World frame, scene units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.hpr import _kernels_sphere as kernels
+from gsvis.hpr._kernels_row import LANES
+from gsvis.raycast.proxies import MIN_ALPHA
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["Seen", "Splats", "ZBuffer", "look_around"]
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_MAX_SIZE = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """The M Gaussians of a scene that can be seen at all, laid out for splatting; made once, used from every eye.
+
+    Attributes:
+        ids: (M,) int64, the Gaussian of each row.
+        near: (M, 8) float32: mean, largest scale, reach in standard deviations, opacity, two unused.
+        covars: (M, 6) float32, upper triangle of the covariance.
+        total: N, all Gaussians of the scene.
+    """
+
+    ids: I64
+    near: F32
+    covars: F32
+    total: int
+
+    @classmethod
+    def of(cls, g: Gaussians) -> Splats:
+        """Lay out a scene. Rows lie in an order of content, so that no result depends on the order of the scene."""
+        ids = _in_order(g, np.flatnonzero(g.opacities >= MIN_ALPHA))
+        near = np.zeros((len(ids), 8), np.float32)
+        near[:, :3], near[:, 3], near[:, 5] = g.means[ids], g.scales[ids].max(axis=1, initial=0.0), g.opacities[ids]
+        near[:, 4] = np.sqrt(2.0 * np.log(np.maximum(near[:, 5].astype(np.float64) / MIN_ALPHA, 1.0)))
+        covars = np.empty((len(ids), 6), np.float32)
+        step = 1 << 16
+        for start in range(0, len(ids), step):
+            full = g[ids[start : start + step]].covars()
+            covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        return cls(ids, near, covars, len(g))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held."""
+        return self.ids.nbytes + self.near.nbytes + self.covars.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class ZBuffer:
+    """Depths around an eye at which its light is spent.
+
+    Attributes:
+        viewpoint: (3,) float64, world frame.
+        spent: Transmittance below which light counts as spent.
+        depths: (6, S, S) float32, distance from the eye; inf where light is left. Faces look along +x, -x, +y, -y, +z,
+            -z; on the face of axis w, columns run along axis w + 1 and rows along axis w + 2 (mod 3).
+        light: (6, S, S) float32, transmittance behind everything that was splatted.
+    """
+
+    viewpoint: NDArray[np.float64]
+    spent: float
+    depths: F32
+    light: F32
+
+    @property
+    def size(self) -> int:
+        """Pixels along a side of a face."""
+        return self.depths.shape[1]
+
+    def pyramid(self, *, largest: bool = True) -> list[F32]:
+        """Levels (6, S_k, S_k) of the largest or least depths over 2^k x 2^k pixels, from the finest to one pixel."""
+        fold = np.maximum if largest else np.minimum
+        levels = [self.depths]
+        while levels[-1].shape[1] > 1:
+            finer = levels[-1]
+            if finer.shape[1] % 2:
+                finer = np.pad(finer, ((0, 0), (0, 1), (0, 1)), mode="edge")
+            rows = fold(finer[:, ::2], finer[:, 1::2])
+            levels.append(fold(rows[:, :, ::2], rows[:, :, 1::2]))
+        return levels
+
+    def hides(self, splats: Splats) -> Mask:
+        """Which Gaussians lie wholly behind the depths, by a conservative test.
+
+        The ball around each is hidden where its nearest distance lies behind the largest depth under its footprint,
+        widened by a pixel. What is hidden has no pixel with `spent` of the light in front; the converse is not claimed.
+
+        Args:
+            splats: Of any scene, M rows.
+
+        Returns:
+            (M,) mask over the rows of `splats`.
+
+        References:
+            Greene, Kass and Miller 1993, "Hierarchical Z-buffer visibility".
+        """
+        levels = self.pyramid()
+        first = np.concatenate([[0], np.cumsum([level.shape[1] for level in levels])]).astype(np.int64)
+        stacked = np.full((6, int(first[-1]), self.size), np.inf, np.float32)
+        for start, level in zip(first, levels, strict=False):
+            stacked[:, start : start + level.shape[1], : level.shape[2]] = level
+        hidden = np.zeros(len(splats.near), bool)
+        kernels.hidden_behind(splats.near, self.viewpoint, stacked, first[:-1], self.size, hidden)
+        return hidden
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What an eye sees around it.
+
+    Attributes:
+        ids: (K,) int64, rising: the Gaussians that some light reaches.
+        weights: (K,) float32, largest weight of each over the pixel centres.
+        light: (K,) float32, largest transmittance in front of each, over the pixels it covers; opacity times this is
+            the weight its peak would have there.
+        zbuffer: Where the light ends.
+    """
+
+    ids: I64
+    weights: F32
+    light: F32
+    zbuffer: ZBuffer
+
+
+def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent: float = MIN_ALPHA) -> Seen:
+    """Splat a scene around an eye, front to back, and keep what light reaches.
+
+    Args:
+        splats: The scene.
+        viewpoint: (3,) world frame.
+        size: Pixels along a side of the six faces, 4 to 4096.
+        spent: Transmittance in (0, 1) below which light counts as spent; Gaussians without a brighter pixel in front
+            are left out. At most tau, if weights of tau are to be found.
+
+    Raises:
+        ValueError: If an argument is out of range.
+    """
+    eye = _check.floats("viewpoint", viewpoint, (3,), np.float64)
+    if not 4 <= _check.positive_int("size", size) <= _MAX_SIZE:
+        raise ValueError(f"size: expected 4 to {_MAX_SIZE} pixels, got {size}")
+    if not 0.0 < spent < 1.0:
+        raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
+    rows = len(splats.near)
+    masks, distances = np.empty(rows, np.uint8), np.empty(rows, np.float32)
+    at = eye.astype(np.float32)
+    kernels.sort_out(splats.near, at, np.float32(size / 2), masks, distances)
+    light = np.ones((6, size, size + LANES), np.float32)
+    light[:, :, size:] = 0.0
+    depths = np.full((6, size, size), np.inf, np.float32)
+    ids, values, counts = np.empty((6, rows), np.int32), np.empty((6, rows, 2), np.float32), np.zeros(6, np.int64)
+    keys = distances.view(np.uint32)
+    kernels.splat_faces(
+        splats.near, splats.covars, at, size, masks, keys, spent, light, depths, ids, values, counts
+    )
+    joined, found = np.zeros((rows, 2), np.float32), np.empty(rows, np.int64)
+    found = found[: kernels.join_faces(ids, values, counts, joined, found)]
+    seen = splats.ids[found]
+    order = np.argsort(seen)
+    kept = joined[found[order]]
+    zbuffer = ZBuffer(eye, spent, depths, np.ascontiguousarray(light[:, :, :size]))
+    return Seen(seen[order], kept[:, 0].copy(), kept[:, 1].copy(), zbuffer)
+
+
+def _in_order(g: Gaussians, ids: I64) -> I64:
+    """The ids along a Morton curve through the means, and where that does not tell them apart, by content."""
+    if len(ids) == 0:
+        return ids
+    means = g.means[ids].astype(np.float64)
+    low, high = means.min(axis=0), means.max(axis=0)
+    steps = ((means - low) / np.maximum(high - low, 1e-300) * ((1 << 21) - 1)).astype(np.uint64)
+    code = np.zeros(len(ids), np.uint64)
+    for axis in range(3):
+        code |= _spread(steps[:, axis]) << np.uint64(axis)
+    order = np.argsort(code, kind="stable")
+    same = np.flatnonzero(np.diff(code[order]) == 0)
+    if len(same):
+        alike = np.unique(np.concatenate([same, same + 1]))
+        some = ids[order[alike]]
+        content = np.concatenate(
+            [g.means[some], g.scales[some], g.quats[some], g.opacities[some, None], g.sh0[some, 0]], axis=1
+        )
+        order[alike] = order[alike][np.lexsort((*content.T[::-1], code[order[alike]]))]
+    return np.asarray(ids[order])
+
+
+def _spread(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """The 21 bits of each value, two zeros between neighbours."""
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        values = (values | (values << np.uint64(shift))) & np.uint64(mask)
+    return values
