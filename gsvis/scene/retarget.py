@@ -4,11 +4,12 @@ The walk is stood upright, turned, scaled and moved, all of it alike, so that it
 
 1. the one that is given;
 2. else, where the sizes of both are known in metres, the natural one;
-3. else the largest at which a share `enough` of the positions is inside.
+3. else about the largest at which a share `enough` of the positions is inside.
 
 With 2 and 3, and a recording in metres, people stand: the middle of the walk is put at eye height above what lies below
-it, on the storey with the most room, not on roofs. Of the placements tried, in an order drawn from the seed, the first
-with `enough` inside is taken, else the best; of the headings that do there, the one that looks at the scene most often.
+it, on the storey with the most room, not on roofs. Placements are tried in an order drawn from the seed; of the first
+few with `enough` inside, the place and heading are taken with which the walk looks at the scene most often, not into the
+void around it (with 3, also at scales somewhat below the largest). If none has enough, it is the one with the most.
 What the recording's own frame was (its origin, its heading, with rule 3 its unit) has no influence.
 """
 
@@ -53,6 +54,8 @@ class RetargetConfig:
         enough: Share of the positions, in (0, 1], that is to lie inside.
         yaws: Headings tried.
         placements: Voxels tried for the middle of the walk.
+        choices: Placements with enough inside among which the one that looks at the scene most often is taken.
+        shrink: Smallest share of the largest scale that rule 3 may take for the sake of looking; 1 takes the largest.
         project: Move positions that still lie outside into the nearest navigable voxel.
         keep: Leave a walk alone that is upright and inside as it is.
         seed: Of the order in which placements are tried: another seed, another place.
@@ -64,6 +67,8 @@ class RetargetConfig:
     enough: float = 0.99
     yaws: int = 16
     placements: int = 1024
+    choices: int = 8
+    shrink: float = 0.7
     project: bool = False
     keep: bool = True
     seed: int = 0
@@ -73,10 +78,11 @@ class RetargetConfig:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: expected a finite number > 0 or None, got {value!r}")
-        if not 0.0 < self.enough <= 1.0:
-            raise ValueError(f"enough: expected a share in (0, 1], got {self.enough!r}")
-        _check.positive_int("yaws", self.yaws)
-        _check.positive_int("placements", self.placements)
+        for name in ("enough", "shrink"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: expected a share in (0, 1], got {getattr(self, name)!r}")
+        for name in ("yaws", "placements", "choices"):
+            _check.positive_int(name, getattr(self, name))
         _check.positive_int("seed", self.seed, at_least=0)
 
 
@@ -88,6 +94,7 @@ class RetargetedPath:
         path: The walk, in the scene's frame and units.
         similarity: Takes the recorded frame to the scene's.
         inside: Share of the positions in navigable space, before any was moved.
+        looking: Share of the poses that have something of the scene straight ahead, of up to 64 along the walk.
         moved: Number of positions that were moved into the nearest navigable voxel; 0 unless that was asked for.
         farthest_move: Longest of these moves, scene units.
         rule: Which rule chose the scale and the place.
@@ -96,6 +103,7 @@ class RetargetedPath:
     path: HeadPath
     similarity: Similarity
     inside: float
+    looking: float
     moved: int
     farthest_move: float
     rule: str
@@ -108,6 +116,7 @@ class RetargetedPath:
             "duration_s": self.path.duration,
             "length": self.path.length,
             "inside": self.inside,
+            "looking": self.looking,
             "moved": self.moved,
             "farthest_move": self.farthest_move,
             "rule": self.rule,
@@ -151,7 +160,9 @@ def _finished(
         there = replace(there, positions=positions)
         moved, farthest = len(outside), float(moves.max())
         rule += "; positions outside moved into the nearest navigable voxel"
-    return RetargetedPath(there, similarity, share, moved, farthest, rule)
+    some = _probes(len(there))
+    looking = float(np.isfinite(_free_ahead(navigable, there.positions[some], there.forwards[some])).mean())
+    return RetargetedPath(there, similarity, share, looking, moved, farthest, rule)
 
 
 def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -> tuple[Similarity, str]:
@@ -176,17 +187,46 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
             told += f", floating: no place {config.eye_height:g} m above a floor"
         found = found or _place(walk, navigable, config, scale, places, None)
         assert found is not None
-        return found[1], told
-    told = f"largest scale with {config.enough:g} of the positions inside"
+        return found.similarity, told
     for height in (stand, None) if stand is not None else (None,):
-        for scale in walk.scales(navigable):
-            standing = floors.at_height(height, scale) if floors is not None else None
-            found = _place(walk, navigable, config, scale, places, standing)
-            if found is not None and found[0] >= config.enough:
-                if height is not None:
-                    return found[1], f"{told}, standing as if {config.eye_height:g} m above what lies below"
-                return found[1], told + (", floating: no floor" if stand is not None else "")
-    raise AssertionError("a walk within one voxel is always inside")
+        found = _largest(walk, navigable, config, places, floors, height)
+        if found is not None:
+            break
+    assert found is not None  # a walk within one voxel is always inside
+    told = f"largest scale with {config.enough:g} of the positions inside, or {config.shrink:g} of it to see more"
+    if stand is None:
+        return found.similarity, told
+    standing_as = f"standing as if {config.eye_height:g} m above what lies below"
+    return found.similarity, f"{told}, {'floating: no floor' if height is None else standing_as}"
+
+
+def _largest(
+    walk: _Walk,
+    navigable: NavigableSpace,
+    config: RetargetConfig,
+    places: F64,
+    floors: _Floors | None,
+    stand: float | None,
+) -> _Found | None:
+    """About the largest scale with `enough` inside; None if there is none at that eye height."""
+    best, largest = None, 0.0
+    for scale in walk.scales(navigable):
+        if best is not None and (best.look == 1.0 or scale < config.shrink * largest):
+            break
+        standing = floors.at_height(stand, scale) if floors is not None else None
+        found = _place(walk, navigable, config, scale, places, standing)
+        if found is not None and found.share >= config.enough and (best is None or found.look > best.look):
+            best, largest = found, largest or scale
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A placement: its share of positions inside, the share of poses that look at the scene, its transform."""
+
+    share: float
+    look: float
+    similarity: Similarity
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +272,7 @@ class _Walk:
         yawed[:, 0, 0] = yawed[:, 1, 1] = np.cos(turns)
         yawed[:, 1, 0], yawed[:, 0, 1] = np.sin(turns), -np.sin(turns)
         yawed[:, 2, 2] = 1.0
-        probes = np.unique(np.linspace(0, len(path) - 1, _PROBES).round().astype(np.int64))
+        probes = _probes(len(path))
         return cls(path.positions - middle, scene @ yawed @ recorded.T, middle, probes, path.forwards[probes])
 
     def scales(self, navigable: NavigableSpace) -> Iterator[float]:
@@ -289,45 +329,57 @@ class _Floors:
 
 def _place(
     walk: _Walk, navigable: NavigableSpace, config: RetargetConfig, scale: float, places: F64, standing: Mask | None
-) -> tuple[float, Similarity] | None:
-    """The first placement with `enough` inside, else the best: its share and transform; None without any place."""
+) -> _Found | None:
+    """Of the first `choices` placements with `enough` inside the one that looks at the scene most often.
+
+    If none has enough inside it is the one with the most; None if there is no placement at all.
+    """
     if standing is not None:
         places = places[standing]
     places = places[: config.placements]
-    if len(places) == 0:
-        return None
     probes = scale * np.einsum("yij,tj->yti", walk.rotations, walk.offsets[walk.probes])
+    best, chosen = None, 0
     tried: list[tuple[float, int, int]] = []
     for first in range(0, len(places), _BLOCK):
         block = places[first : first + _BLOCK]
         inside = navigable.contains((block[:, None, None, :] + probes[None]).reshape(-1, 3))
         shares = inside.reshape(len(block), len(probes), -1).mean(axis=2)
         likely = shares >= config.enough - 1.5 / len(walk.probes)
-        for index in np.flatnonzero(likely.any(axis=1))[:_FINALISTS]:
-            headings = [int(yaw) for yaw in np.flatnonzero(likely[index])]
-            share_of = {yaw: _share(walk, navigable, scale, yaw, block[index]) for yaw in headings}
-            good = [yaw for yaw, share in share_of.items() if share >= config.enough]
-            if good:
-                looks = [_looking(walk, navigable, yaw, block[index] + probes[yaw]) for yaw in good]
-                yaw = good[int(np.argmax(looks))]
-                return share_of[yaw], walk.similarity(scale, yaw, block[index])
+        for index in np.flatnonzero(likely.any(axis=1)):
+            found = _head(walk, navigable, scale, block[index], np.flatnonzero(likely[index]), config.enough)
+            if found is not None:
+                best, chosen = found if best is None or found.look > best.look else best, chosen + 1
+                if chosen == config.choices or best.look == 1.0:
+                    return best
         for flat in np.argsort(-shares, axis=None, kind="stable")[:_FINALISTS]:
             place, yaw = divmod(int(flat), len(probes))
             tried.append((-float(shares[place, yaw]), first + place, yaw))
-    best = max(
-        ((_share(walk, navigable, scale, yaw, places[place]), -rank, place, yaw)
-         for rank, (_, place, yaw) in enumerate(sorted(tried)[:_FINALISTS])),
-    )  # fmt: skip
-    return best[0], walk.similarity(scale, best[3], places[best[2]])
+    if best is not None or not tried:
+        return best
+    finalists = [(places[place], yaw) for _, place, yaw in sorted(tried)[:_FINALISTS]]
+    final = [_share(walk, navigable, scale, yaw, place) for place, yaw in finalists]
+    place, yaw = finalists[int(np.argmax(final))]
+    return _Found(max(final), 0.0, walk.similarity(scale, yaw, place))
+
+
+def _head(
+    walk: _Walk, navigable: NavigableSpace, scale: float, place: F64, headings: NDArray[np.intp], enough: float
+) -> _Found | None:
+    """Of the headings with enough inside at a place the one that looks at the scene most often; None without any."""
+    best = None
+    for yaw in headings.tolist():
+        share = _share(walk, navigable, scale, yaw, place)
+        if share >= enough:
+            eyes = place + scale * walk.offsets[walk.probes] @ walk.rotations[yaw].T
+            ahead = _free_ahead(navigable, eyes, walk.forwards @ walk.rotations[yaw].T)
+            look = float(np.isfinite(ahead).mean())
+            if best is None or look > best.look:
+                best = _Found(share, look, walk.similarity(scale, yaw, place))
+    return best
 
 
 def _share(walk: _Walk, navigable: NavigableSpace, scale: float, yaw: int, place: F64) -> float:
     return float(navigable.contains(place + scale * walk.offsets @ walk.rotations[yaw].T).mean())
-
-
-def _looking(walk: _Walk, navigable: NavigableSpace, yaw: int, eyes: F64) -> float:
-    """Share of the probes that have something of the scene straight ahead, eyes (P, 3) in the scene."""
-    return float(np.isfinite(_free_ahead(navigable, eyes, walk.forwards @ walk.rotations[yaw].T)).mean())
 
 
 def _free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
@@ -357,6 +409,11 @@ def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
     low = navigable.origin + navigable.voxel_size * target
     margin = 1e-3 * navigable.voxel_size  # off the faces, so that rounding never puts a point into the next one
     return np.asarray(np.clip(points, low + margin, low + navigable.voxel_size - margin))
+
+
+def _probes(count: int) -> NDArray[np.int64]:
+    """Indices of up to 64 of so many poses, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, _PROBES).round().astype(np.int64))
 
 
 def _frame(up: F64, ahead: F64) -> F64:

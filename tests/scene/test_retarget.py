@@ -90,9 +90,11 @@ def test_the_largest_scale_fills_the_space_and_is_the_largest() -> None:
     assert found.rule.startswith("largest scale")
     extent = np.sort(np.ptp(found.path.positions, axis=0))
     assert 4.0 < extent[-1] <= np.hypot(6.0, 5.0)
-    much_larger = retarget(path, space, RetargetConfig(scale=1.5 * found.similarity.scale))
+    much_larger = retarget(path, space, RetargetConfig(scale=2.0 * found.similarity.scale))
     assert much_larger.inside < 0.99
-    assert retarget(path, space, RetargetConfig(enough=0.7)).similarity.scale >= found.similarity.scale
+    largest = retarget(path, space, RetargetConfig(shrink=1.0)).similarity.scale
+    assert 0.7 * largest <= found.similarity.scale <= largest
+    assert retarget(path, space, RetargetConfig(enough=0.7, shrink=1.0)).similarity.scale >= largest
 
 
 def test_with_metres_the_largest_scale_still_stands() -> None:
@@ -197,6 +199,7 @@ def test_of_all_headings_it_takes_one_that_looks_at_the_scene() -> None:
         found = retarget(staring, space, RetargetConfig(scale=0.3, seed=seed))
         assert found.inside >= 0.99
         assert np.all(found.path.forwards[:, 1] < -0.3)
+        assert found.looking == 1.0
 
 
 def test_without_floor_or_room_it_floats_or_shrinks_but_comes_to_an_end() -> None:
@@ -204,6 +207,7 @@ def test_without_floor_or_room_it_floats_or_shrinks_but_comes_to_an_end() -> Non
     found = retarget(stroll(), air)
     assert found.inside >= 0.99
     assert "floating" in found.rule
+    assert found.looking == 0.0  # there is nothing to look at
     assert "floating" in retarget(stroll(), air, RetargetConfig(metres_per_unit=1.0)).rule
     one = NavigableSpace(np.zeros(3), 1.0, np.ones((1, 1, 1), bool), np.array([0.0, 0.0, 1.0]))
     assert retarget(stroll(size=100.0), one).inside == 1.0
@@ -215,7 +219,15 @@ def test_without_floor_or_room_it_floats_or_shrinks_but_comes_to_an_end() -> Non
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"scale": 0.0}, {"metres_per_unit": np.inf}, {"eye_height": -1.0}, {"enough": 0.0}, {"yaws": 0}, {"seed": -1}],
+    [
+        {"scale": 0.0},
+        {"metres_per_unit": np.inf},
+        {"eye_height": -1.0},
+        {"enough": 0.0},
+        {"shrink": 2.0},
+        {"yaws": 0},
+        {"seed": -1},
+    ],
 )
 def test_nonsense_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
