@@ -20,8 +20,8 @@ __all__ = ["KEY_CELLS", "MAX_DEPTH", "choose_labels", "key_cells", "order_of", "
 
 KEY_CELLS = 128
 """Cells whose sets make the signatures; more gain little and cost memory, N / 8 bytes each."""
-MAX_DEPTH = 3
-"""Longest chain of parents, so that no query for classes decodes more than four cells."""
+MAX_DEPTH = 4
+"""Longest chain of parents, so that no query for classes decodes more than five cells."""
 
 _CLUSTERS = (0, 256, 1024)  # labels tried; 0 leaves scene order as it is
 _SAMPLE = 65_536  # signatures that centres are found from
