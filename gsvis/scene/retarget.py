@@ -8,8 +8,8 @@ The walk is stood upright, turned, scaled and moved, all of it alike, so that it
 
 With 2 and 3, and a recording in metres, people stand: the middle of the walk is put at eye height above what lies below
 it, on the storey with the most room, not on roofs. Placements are tried in an order drawn from the seed; of the first
-few with `enough` inside, the place and heading are taken with which the walk looks at the scene most often, not into the
-void around it (with 3, also at scales somewhat below the largest). If none has enough, it is the one with the most.
+few with `enough` inside, the place and heading are taken with which the walk looks at the scene most often, not into
+the void around it (with 3, also at scales somewhat below the largest). If none has enough, it is the one with the most.
 What the recording's own frame was (its origin, its heading, with rule 3 its unit) has no influence.
 """
 

@@ -184,7 +184,7 @@ def test_all_recordings_read_and_agree_on_the_axes(realdata: Path) -> None:
         velocity, facing = (v[fast] / np.linalg.norm(v[fast], axis=1, keepdims=True) for v in (velocity, facing))
         ahead += np.sum(velocity * facing, axis=1).tolist()
         beside += (velocity[:, 0] * facing[:, 1] - velocity[:, 1] * facing[:, 0]).tolist()
-    assert np.median(bobbing) < 0.1  # the head keeps its height: +y is up
+    assert np.median(bobbing) < 0.12  # the head keeps its height: +y is up
     assert np.mean(ahead) > 0.3  # people walk the way they look, and to no side
     assert abs(np.mean(beside)) < 0.1
 
