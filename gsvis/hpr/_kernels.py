@@ -50,36 +50,51 @@ def cell_of(x, y, z, size):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def cells_of(flipped, chosen, size, out):
-    """Cell of each of the flipped points chosen (M,), into out (M,)."""
-    for k in prange(len(chosen)):
-        i = chosen[k]
-        out[k] = cell_of(flipped[i, 0], flipped[i, 1], flipped[i, 2], size)
+def cells_of(flipped, size, out):
+    """Cell of each of the flipped points (M, 3), into out (M,)."""
+    for i in prange(len(flipped)):
+        out[i] = cell_of(flipped[i, 0], flipped[i, 1], flipped[i, 2], size)
+
+
+@njit(cache=True, nogil=True)
+def in_order_of_cells(cells, count, out):
+    """Points in the order of their cells (M,), those of one cell in their own order, into out (M,).
+
+    Returns (count + 1,) where each cell begins.
+    """
+    begins = np.zeros(count + 1, np.int64)
+    for cell in cells:
+        begins[cell + 1] += 1
+    for cell in range(count):
+        begins[cell + 1] += begins[cell]
+    place = begins[:-1].copy()
+    for i in range(len(cells)):
+        out[place[cells[i]]] = i
+        place[cells[i]] += 1
+    return begins
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def farthest_in_cells(flipped, chosen, size, parts):
-    """The farthest of the flipped points chosen (M,) in each cell: (6 size^2,) positions, -1 in empty cells.
+def gather(points, order, out):
+    """Points in the given order, into the first rows of out."""
+    for i in prange(len(order)):
+        for k in range(3):
+            out[i, k] = points[order[i], k]
 
-    Of equally far ones the first counts, whatever the number of parts (which are searched side by side).
+
+@njit(cache=True, nogil=True, parallel=True)
+def farthest_in_cells(flipped, begins, out_position, out_squared):
+    """The farthest flipped point of each cell and its squared distance, -1 in empty cells; points lie in order of cells.
+
+    Of equally far ones the first counts.
     """
-    cells = 6 * size * size
-    best = np.full((parts, cells), -1, np.int64)
-    squared = np.full((parts, cells), -1.0)
-    step = (len(chosen) + parts - 1) // parts
-    for part in prange(parts):
-        for k in range(part * step, min(len(chosen), (part + 1) * step)):
-            i = chosen[k]
-            x, y, z = flipped[i, 0], flipped[i, 1], flipped[i, 2]
-            cell = cell_of(x, y, z, size)
-            far = x * x + y * y + z * z
-            if far > squared[part, cell]:
-                squared[part, cell], best[part, cell] = far, i
-    for part in range(1, parts):
-        for cell in range(cells):
-            if squared[part, cell] > squared[0, cell]:
-                squared[0, cell], best[0, cell] = squared[part, cell], best[part, cell]
-    return best[0]
+    for cell in prange(len(begins) - 1):
+        out_position[cell], out_squared[cell] = -1, -1.0
+        for i in range(begins[cell], begins[cell + 1]):
+            far = flipped[i, 0] ** 2 + flipped[i, 1] ** 2 + flipped[i, 2] ** 2
+            if far > out_squared[cell]:
+                out_position[cell], out_squared[cell] = i, far
+
 
 @njit(cache=True, inline="always")
 def _above(points, a, b, c, x, y, z, band):
@@ -293,11 +308,10 @@ def facets_of_cells(points, corners, size, out):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def not_inside(points, chosen, corners, neighbors, starts, size, inner, slack, band, out):
-    """Whether each of the points chosen (M,) may lie outside the hull, into out (M,); False is certain by the band."""
-    for block in prange((len(chosen) + _BLOCK - 1) // _BLOCK):
-        for k in range(block * _BLOCK, min(len(chosen), (block + 1) * _BLOCK)):
-            i = chosen[k]
+def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out):
+    """Whether each of the first points may lie outside the hull, into out (M,); False is certain by the band."""
+    for block in prange((len(out) + _BLOCK - 1) // _BLOCK):
+        for i in range(block * _BLOCK, min(len(out), (block + 1) * _BLOCK)):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             f = locate(points, corners, neighbors, starts[cell_of(x, y, z, size)], _MOST_STEPS, inner, slack, x, y, z)
-            out[k] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0
+            out[i] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0

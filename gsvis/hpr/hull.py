@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import NDArray
 
 from gsvis.hpr import _kernels
@@ -24,7 +23,7 @@ I32 = NDArray[np.int32]
 BAND = 2e-14
 """Distance from the hull, over the largest coordinate, below which rounding may decide what is a vertex."""
 
-_FINEST = 1024
+_FINEST = 512
 _SLACK = 2e-15
 _DOUBTS = 4096
 
@@ -34,65 +33,61 @@ class Hull:
     """Convex hull of M places and the origin.
 
     Attributes:
-        places: (M + 1, 3); the last is the origin.
+        places: (M + 1, 3), in the order of the cells of a cubemap around the origin; the last is the origin.
+        order: (M,) int64, which place was given as which.
         corners: (F, 3) int32 positions in `places`, anticlockwise seen from outside.
         neighbors: (F, 3) int32, the facet across the side opposite each corner.
         inner: (3,) a place strictly inside.
-        starts: (6 size^2,) int32, a facet near each cell of a cubemap around the origin.
         size: Cells along a side of the cubemap's faces.
-        band: Distance below which nothing is certain.
+        reach: Largest coordinate.
     """
 
     places: F64
+    order: I64
     corners: I32
     neighbors: I32
     inner: F64
-    starts: I32
     size: int
-    band: float
+    reach: float
 
     @classmethod
     def around(cls, flips: F64) -> tuple[Hull | None, I64]:
         """The hull of flips (M, 3) and the origin; None where rounding forbids, with all that may be its vertices."""
-        places = np.concatenate([flips, np.zeros((1, 3))])
-        everything = np.arange(len(flips))
-        band = BAND * float(np.abs(flips).max())
-        size, farthest = _farthest(flips)
-        levels = _levels(flips, farthest, size)
+        size, order, places, farthest, squared = _sorted_by_cells(flips)
+        reach = float(max(places.max(), -places.min()))
+        levels = _levels(farthest, squared, size, len(flips))
         simplex = _simplex(places, levels[0])
         if simplex is None:
-            return None, everything
-        builder = _Builder(places, simplex, band, 2 * sum(len(level) for level in levels) + 8)
+            return None, np.sort(order)
+        builder = _Builder(places, simplex, reach, 2 * sum(len(level) for level in levels) + 8)
         for level in levels:
             if not builder.insert(level):
-                return None, everything
+                return None, np.sort(order)
         starts = np.empty(6 * size * size, np.int32)
         _kernels.facets_of_cells(places, builder.corners, size, starts)
         outside = np.empty(len(flips), bool)
-        arrays = places, everything, builder.corners, builder.neighbors, starts, size
-        _kernels.not_inside(*arrays, builder.inner, builder.slack, band, outside)
-        candidates = everything[outside]
+        arrays = places, builder.corners, builder.neighbors, starts, size
+        _kernels.not_inside(*arrays, builder.inner, builder.slack, builder.band, outside)
+        candidates = np.flatnonzero(outside)
         builder.grow(2 * len(candidates))
-        if not (builder.insert(_in_order(flips, candidates, size)) and builder.is_certain()):
-            return None, candidates
-        _kernels.facets_of_cells(places, builder.corners, size, starts)
-        return cls(places, builder.corners, builder.neighbors, builder.inner, starts, size, band), candidates
+        if not (builder.insert(candidates) and builder.is_certain()):
+            return None, np.sort(order[candidates])
+        return cls(places, order, builder.corners, builder.neighbors, builder.inner, size, reach), candidates
 
     @property
     def vertices(self) -> I64:
         """(K,) int64, the vertices other than the origin, rising."""
         used = np.zeros(len(self.places), bool)
         used[self.corners.reshape(-1)] = True
-        return np.flatnonzero(used[:-1])
+        return np.sort(self.order[used[:-1]])
 
 
 class _Builder:
     """A hull that grows."""
 
-    def __init__(self, places: F64, simplex: I64, band: float, capacity: int) -> None:
-        self.places, self.band = places, band
-        self.slack = _SLACK * (band / BAND) ** 3
-        self.inner = places[simplex].mean(axis=0)
+    def __init__(self, places: F64, simplex: I64, reach: float, capacity: int) -> None:
+        self.places, self.band, self.slack = places, BAND * reach, _SLACK * reach**3
+        self.inner = places[simplex].mean(axis=0) / 64.0  # near the origin: seen from both, places lie in one order
         self._corners = np.zeros((capacity, 3), np.int32)
         self._neighbors = np.zeros((capacity, 3), np.int32)
         a, b, c, d = simplex
@@ -138,40 +133,48 @@ class _Builder:
         return bool(creases[self.corners.reshape(-1)].min() >= 3)
 
 
-def _farthest(flips: F64) -> tuple[int, I64]:
-    """Size of a cubemap with about one occupied cell for eight flips, and the farthest flip in each of its cells."""
-    everything = np.arange(len(flips))
+def _sorted_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
+    """The flips in the order of the cells of a cubemap with about one occupied cell for eight flips.
+
+    Returns the size of the cubemap, the order (M,), the places in it and the origin (M + 1, 3), and for each cell which
+    of the places is the farthest (-1: none) and its squared distance.
+    """
     wanted = len(flips) / 8
     size = _power_of_two(np.sqrt(wanted / 6))
+    cells, order = np.empty(len(flips), np.int64), np.empty(len(flips), np.int64)
     while True:
-        farthest = _kernels.farthest_in_cells(flips, everything, size, get_num_threads())
-        occupied = int(np.count_nonzero(farthest >= 0))
-        finer = _power_of_two(size * np.sqrt(wanted / occupied))
+        _kernels.cells_of(flips, size, cells)
+        begins = _kernels.in_order_of_cells(cells, 6 * size * size, order)
+        finer = _power_of_two(size * np.sqrt(wanted / np.count_nonzero(np.diff(begins))))
         if finer < 4 * size or size >= _FINEST:
-            return size, farthest
+            break
         size = finer
+    farthest, squared = np.empty(6 * size * size, np.int64), np.empty(6 * size * size)
+    places = np.zeros((len(flips) + 1, 3))
+    _kernels.gather(flips, order, places)
+    _kernels.farthest_in_cells(places, begins, farthest, squared)
+    return size, order, places, farthest, squared
 
 
 def _power_of_two(size: float) -> int:
     return int(2 ** np.clip(np.round(np.log2(max(size, 1.0))), 2, np.log2(_FINEST)))
 
 
-def _levels(flips: F64, farthest: I64, size: int) -> list[I64]:
+def _levels(farthest: I64, squared: F64, size: int, count: int) -> list[I64]:
     """The farthest flips of the cells, coarse to fine; each is in the first level in which it is the farthest."""
-    squared = np.einsum("ij,ij->i", flips, flips)[farthest]
-    squared[farthest < 0] = -1.0
     levels = []
     while True:
         levels.append(farthest[farthest >= 0])
         if size <= 4:
             break
-        quads = farthest.reshape(6, size // 2, 2, size // 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4)
-        values = squared.reshape(6, size // 2, 2, size // 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4)
+        quads, values = (
+            a.reshape(6, size // 2, 2, size // 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4) for a in (farthest, squared)
+        )
         best = values.argmax(axis=1)[:, None]
         farthest, squared = (np.take_along_axis(a, best, axis=1)[:, 0] for a in (quads, values))
         size //= 2
     levels.reverse()
-    taken = np.zeros(len(flips), bool)
+    taken = np.zeros(count, bool)
     for i, level in enumerate(levels):
         levels[i] = level[~taken[level]]
         taken[level] = True
@@ -191,10 +194,3 @@ def _simplex(places: F64, coarse: I64) -> I64 | None:
     if volumes[c] < 0.0:
         b, c = c, b
     return np.array([len(places) - 1, coarse[a], coarse[b], coarse[c]])
-
-
-def _in_order(flips: F64, chosen: I64, size: int) -> I64:
-    """The chosen flips in the order of their cells."""
-    cells = np.empty(len(chosen), np.int64)
-    _kernels.cells_of(flips, chosen, size, cells)
-    return chosen[np.argsort(cells, kind="stable")]

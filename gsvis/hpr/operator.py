@@ -7,7 +7,6 @@ all flips and the eye. World frame, scene units, float64. Knows no Gaussian; `ga
 from __future__ import annotations
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
@@ -67,6 +66,8 @@ def flipped(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
     lengths = np.empty(len(points))
     _kernels.distances(points, eye, lengths)
     farthest = float(lengths.max(initial=0.0))
+    if isinstance(radius, bool) or not isinstance(radius, int | float | np.floating | np.integer):
+        raise ValueError(f"radius: expected a number, got {radius!r}")
     if not (np.isfinite(radius) and radius >= farthest and radius > 0.0):
         raise ValueError(
             f"radius: expected a finite radius of at least the distance of the farthest point, {farthest:.6g}, got "
