@@ -89,17 +89,31 @@ def scatter(words, order, out):
 
 
 @njit(**_OPTIONS)
-def reach(words, waiting, order, value, out):
-    """Write `value` at order[i] for the positions i of `words` that still wait and now wait no more; how many did."""
-    reached = 0
-    for w in range(len(words)):
+def reach(words, waiting, alive, order, value, out):
+    """Write `value` at order[i] for the positions i of `words` that still wait, which then wait no more.
+
+    Args:
+        words: the set.
+        waiting: what waits; changed.
+        alive: (L,) int64, numbers of the words of `waiting` that are not 0; those that stay so move to its front.
+        order: (N,) int32.
+        value: what to write.
+        out: (N,) receives it.
+
+    Returns:
+        How many words are alive after it.
+    """
+    kept = 0
+    for k in range(len(alive)):
+        w = alive[k]
         fresh = words[w] & waiting[w]
         waiting[w] ^= fresh
         while fresh:
             out[order[64 * w + np.int64(_lowest(fresh))]] = value
-            reached += 1
             fresh &= fresh - np.uint64(1)
-    return reached
+        alive[kept] = w
+        kept += waiting[w] != 0
+    return kept
 
 
 @njit(**_OPTIONS)

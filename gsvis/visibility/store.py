@@ -214,11 +214,12 @@ class VisibilityStore:
         nearest, distances = self._by_distance(self.check_cell(cell))
         out = np.full(self.gaussians, np.inf, np.float32)
         waiting = self._ever.copy()
-        left = kernels.count(waiting)
+        alive = np.flatnonzero(waiting)
         for other, distance in zip(nearest.tolist(), distances.tolist(), strict=True):
-            if left == 0 or distance > within:
+            if len(alive) == 0 or distance > within:
                 break
-            left -= kernels.reach(self._words(other), waiting, self._order, np.float32(distance), out)
+            kept = kernels.reach(self._words(other), waiting, alive, self._order, np.float32(distance), out)
+            alive = alive[:kept]
         return out
 
     def nearest_seer(self, gaussian: int, cell: int) -> tuple[int, float]:

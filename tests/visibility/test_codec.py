@@ -43,8 +43,9 @@ def test_kernels_agree_with_numpy_sets(n: int, share: float, other: float, seed:
     kernels.scatter(_codec.pack(a, n), order, moved)
     assert np.array_equal(_codec.ids_of(moved), np.sort(order[a]))
     out, waiting = np.full(n, -1.0, np.float32), _codec.pack(b, n)
-    reached = kernels.reach(_codec.pack(a, n), waiting, order, np.float32(7.0), out)
-    assert reached == len(np.intersect1d(a, b))
+    alive = np.flatnonzero(waiting)
+    kept = kernels.reach(_codec.pack(a, n), waiting, alive, order, np.float32(7.0), out)
+    assert np.array_equal(alive[:kept], np.flatnonzero(waiting))
     assert np.array_equal(np.flatnonzero(out == 7.0), np.sort(order[np.intersect1d(a, b)]))
     assert np.array_equal(_codec.ids_of(waiting), np.setdiff1d(b, a))
 
