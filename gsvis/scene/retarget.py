@@ -15,7 +15,6 @@ What the recording's own frame was (its origin, its heading, with rule 3 its uni
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gsvis import _check
+from gsvis.scene._placement import Floors, Found, Search, Walk, best_placement, free_ahead, probe_indices
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.similarity import Similarity
@@ -31,15 +31,7 @@ from gsvis.scene.similarity import Similarity
 __all__ = ["RetargetConfig", "RetargetedPath", "retarget"]
 
 F64 = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-_PROBES = 64  # poses of the walk by which placements are screened
-_BLOCK = 64  # placements screened at a time
-_FINALISTS = 16
-_STEP = 2.0**-0.25  # from one scale to the next
-_TOLERANCE = 0.1  # of the eye height, and at least one voxel
-_UNEVEN = 0.1  # of the eye height, and at least one voxel, by which a floor may rise or fall
-_TIE = 1e-9  # of the walk's size: the first of poses that are equal but for rounding is taken
 _UPRIGHT = np.cos(np.radians(1.0))
 
 
@@ -160,13 +152,14 @@ def _finished(
         there = replace(there, positions=positions)
         moved, farthest = len(outside), float(moves.max())
         rule += "; positions outside moved into the nearest navigable voxel"
-    some = _probes(len(there))
-    looking = float(np.isfinite(_free_ahead(navigable, there.positions[some], there.forwards[some])).mean())
+    some = probe_indices(len(there))
+    looking = float(np.isfinite(free_ahead(navigable, there.positions[some], there.forwards[some])).mean())
     return RetargetedPath(there, similarity, share, looking, moved, farthest, rule)
 
 
 def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -> tuple[Similarity, str]:
-    walk = _Walk.of(path, navigable, config.yaws)
+    walk = Walk.of(path, navigable, config.yaws)
+    search = Search(navigable, config.enough, config.placements, config.choices)
     voxels = np.flatnonzero(navigable.free)
     order = np.random.default_rng(config.seed).permutation(len(voxels))[: 8 * config.placements]
     cells = np.stack(np.unravel_index(voxels[order], navigable.free.shape), axis=1)
@@ -177,19 +170,19 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
     stand = None  # eye height in units of the walk
     if config.eye_height is not None and path.metres_per_unit is not None and config.scale is None:
         stand = config.eye_height / path.metres_per_unit
-    floors = _Floors.below(places, navigable) if stand is not None else None
+    floors = Floors.below(places, navigable) if stand is not None else None
     if scale is not None:
         standing = floors.at_height(stand, scale) if floors is not None else None
-        found = _place(walk, navigable, config, scale, places, standing)
+        found = best_placement(walk, search, scale, places, standing)
         if found is not None and stand is not None:
             told += f", standing with the eyes at {config.eye_height:g} m"
         elif stand is not None:
             told += f", floating: no place {config.eye_height:g} m above a floor"
-        found = found or _place(walk, navigable, config, scale, places, None)
+        found = found or best_placement(walk, search, scale, places, None)
         assert found is not None
         return found.similarity, told
     for height in (stand, None) if stand is not None else (None,):
-        found = _largest(walk, navigable, config, places, floors, height)
+        found = _largest(walk, search, config.shrink, places, floors, height)
         if found is not None:
             break
     assert found is not None  # a walk within one voxel is always inside
@@ -201,203 +194,18 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
 
 
 def _largest(
-    walk: _Walk,
-    navigable: NavigableSpace,
-    config: RetargetConfig,
-    places: F64,
-    floors: _Floors | None,
-    stand: float | None,
-) -> _Found | None:
+    walk: Walk, search: Search, shrink: float, places: F64, floors: Floors | None, stand: float | None
+) -> Found | None:
     """About the largest scale with `enough` inside; None if there is none at that eye height."""
     best, largest = None, 0.0
-    for scale in walk.scales(navigable):
-        if best is not None and (best.look == 1.0 or scale < config.shrink * largest):
+    for scale in walk.scales(search.navigable):
+        if best is not None and (best.look == 1.0 or scale < shrink * largest):
             break
         standing = floors.at_height(stand, scale) if floors is not None else None
-        found = _place(walk, navigable, config, scale, places, standing)
-        if found is not None and found.share >= config.enough and (best is None or found.look > best.look):
+        found = best_placement(walk, search, scale, places, standing)
+        if found is not None and found.share >= search.enough and (best is None or found.look > best.look):
             best, largest = found, largest or scale
     return best
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A placement: its share of positions inside, the share of poses that look at the scene, its transform."""
-
-    share: float
-    look: float
-    similarity: Similarity
-
-
-@dataclass(frozen=True, eq=False)
-class _Walk:
-    """A walk about its middle: (T, 3) offsets in its own unit with the scene's up, under each heading's rotation.
-
-    Attributes:
-        offsets: (T, 3) positions from the middle, recorded axes.
-        rotations: (Y, 3, 3) scene from recorded axes, one for each heading.
-        middle: (3,) recorded position that goes to the placement.
-        probes: (P,) indices of the poses that screen placements.
-        forwards: (P, 3) their directions of view, recorded axes.
-    """
-
-    offsets: F64
-    rotations: F64
-    middle: F64
-    probes: NDArray[np.int64]
-    forwards: F64
-
-    @classmethod
-    def of(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> _Walk:
-        up = path.upright
-        mean = path.positions.mean(axis=0)
-        spread = path.positions - mean
-        heights = spread @ up
-        # The pose nearest to the mean, on the ground plan; its height is the usual one, whatever that pose's is.
-        flat = spread - heights[:, None] * up
-        far = np.linalg.norm(flat, axis=1)
-        size = float(np.linalg.norm(spread, axis=1).max())
-        middle = path.positions[(far <= far.min() + _TIE * size).argmax()]
-        middle = middle + (np.median(path.positions @ up) - middle @ up) * up
-        ahead = flat[(far >= far.max() - _TIE * size).argmax()]
-        if np.linalg.norm(ahead) <= 1e-9 * (1.0 + np.abs(path.positions).max()):  # it never leaves its place
-            ahead = path.forwards[0] - (path.forwards[0] @ up) * up
-            if np.linalg.norm(ahead) < 1e-6:
-                ahead = np.eye(3)[np.abs(up).argmin()] - up[np.abs(up).argmin()] * up
-        recorded = _frame(up, ahead)
-        aim = np.eye(3)[np.abs(navigable.up).argmin()]
-        scene = _frame(navigable.up, aim - (aim @ navigable.up) * navigable.up)
-        turns = 2.0 * np.pi * np.arange(yaws) / yaws
-        yawed = np.zeros((yaws, 3, 3))
-        yawed[:, 0, 0] = yawed[:, 1, 1] = np.cos(turns)
-        yawed[:, 1, 0], yawed[:, 0, 1] = np.sin(turns), -np.sin(turns)
-        yawed[:, 2, 2] = 1.0
-        probes = _probes(len(path))
-        return cls(path.positions - middle, scene @ yawed @ recorded.T, middle, probes, path.forwards[probes])
-
-    def scales(self, navigable: NavigableSpace) -> Iterator[float]:
-        """From one at which the walk spans the grid down to one at which it fits into a voxel."""
-        size = float(np.linalg.norm(self.offsets, axis=1).max())
-        if size <= 1e-12:
-            yield 1.0
-            return
-        scale = float(np.linalg.norm(navigable.free.shape)) * navigable.voxel_size / size
-        while scale * size > 0.25 * navigable.voxel_size:
-            yield scale
-            scale *= _STEP
-        yield scale
-
-    def similarity(self, scale: float, yaw: int, place: F64) -> Similarity:
-        """The transform that takes the middle of the walk to a place of the scene."""
-        rotation = self.rotations[yaw]
-        return Similarity.from_rotation(scale, rotation, place - scale * rotation @ self.middle)
-
-
-@dataclass(frozen=True, eq=False)
-class _Floors:
-    """What M places stand on.
-
-    Attributes:
-        heights: (M,) how far straight below each the first occupied voxel is; infinite without one.
-        levels: (M,) how high that lies along the scene's up.
-        voxel_size: Side of a voxel.
-    """
-
-    heights: F64
-    levels: F64
-    voxel_size: float
-
-    @classmethod
-    def below(cls, places: F64, navigable: NavigableSpace) -> _Floors:
-        heights = _free_ahead(navigable, places, np.tile(-navigable.up, (len(places), 1)))
-        return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
-
-    def at_height(self, stand: float | None, scale: float) -> Mask | None:
-        """(M,) which places are at eye height over the main floor; None where nobody has to stand."""
-        if stand is None:
-            return None
-        height = stand * scale
-        slack = max(_UNEVEN * height, self.voxel_size)
-        levels = np.sort(self.levels[np.isfinite(self.levels)])
-        if len(levels) == 0:
-            return np.zeros(len(self.levels), bool)
-        held = np.searchsorted(levels, levels + 2.0 * slack, side="right") - np.arange(len(levels))
-        main = levels[held.argmax()] + slack  # the middle of the band that most places stand on
-        fits = np.abs(self.heights - height) <= max(_TOLERANCE * height, self.voxel_size)
-        return np.asarray(fits & (np.abs(self.levels - main) <= slack))
-
-
-def _place(
-    walk: _Walk, navigable: NavigableSpace, config: RetargetConfig, scale: float, places: F64, standing: Mask | None
-) -> _Found | None:
-    """Of the first `choices` placements with `enough` inside the one that looks at the scene most often.
-
-    If none has enough inside it is the one with the most; None if there is no placement at all.
-    """
-    if standing is not None:
-        places = places[standing]
-    places = places[: config.placements]
-    probes = scale * np.einsum("yij,tj->yti", walk.rotations, walk.offsets[walk.probes])
-    best, chosen = None, 0
-    tried: list[tuple[float, int, int]] = []
-    for first in range(0, len(places), _BLOCK):
-        block = places[first : first + _BLOCK]
-        inside = navigable.contains((block[:, None, None, :] + probes[None]).reshape(-1, 3))
-        shares = inside.reshape(len(block), len(probes), -1).mean(axis=2)
-        likely = shares >= config.enough - 1.5 / len(walk.probes)
-        for index in np.flatnonzero(likely.any(axis=1)):
-            found = _head(walk, navigable, scale, block[index], np.flatnonzero(likely[index]), config.enough)
-            if found is not None:
-                best, chosen = found if best is None or found.look > best.look else best, chosen + 1
-                if chosen == config.choices or best.look == 1.0:
-                    return best
-        for flat in np.argsort(-shares, axis=None, kind="stable")[:_FINALISTS]:
-            place, yaw = divmod(int(flat), len(probes))
-            tried.append((-float(shares[place, yaw]), first + place, yaw))
-    if best is not None or not tried:
-        return best
-    finalists = [(places[place], yaw) for _, place, yaw in sorted(tried)[:_FINALISTS]]
-    final = [_share(walk, navigable, scale, yaw, place) for place, yaw in finalists]
-    place, yaw = finalists[int(np.argmax(final))]
-    return _Found(max(final), 0.0, walk.similarity(scale, yaw, place))
-
-
-def _head(
-    walk: _Walk, navigable: NavigableSpace, scale: float, place: F64, headings: NDArray[np.intp], enough: float
-) -> _Found | None:
-    """Of the headings with enough inside at a place the one that looks at the scene most often; None without any."""
-    best = None
-    for yaw in headings.tolist():
-        share = _share(walk, navigable, scale, yaw, place)
-        if share >= enough:
-            eyes = place + scale * walk.offsets[walk.probes] @ walk.rotations[yaw].T
-            ahead = _free_ahead(navigable, eyes, walk.forwards @ walk.rotations[yaw].T)
-            look = float(np.isfinite(ahead).mean())
-            if best is None or look > best.look:
-                best = _Found(share, look, walk.similarity(scale, yaw, place))
-    return best
-
-
-def _share(walk: _Walk, navigable: NavigableSpace, scale: float, yaw: int, place: F64) -> float:
-    return float(navigable.contains(place + scale * walk.offsets @ walk.rotations[yaw].T).mean())
-
-
-def _free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
-    """(M,) how far in its unit direction each point has the first occupied voxel; infinite without one."""
-    shape = np.array(navigable.free.shape)
-    found = np.full(len(points), np.inf)
-    going = np.arange(len(points))
-    step = 0.5 * navigable.voxel_size
-    for count in range(1, 4 * int(shape.sum())):
-        cells = np.floor((points[going] + count * step * directions[going] - navigable.origin) / navigable.voxel_size)
-        within = np.all((cells >= 0) & (cells < shape), axis=1)
-        going, cells = going[within], cells[within].astype(np.int64)
-        if len(going) == 0:
-            break
-        hit = navigable.occupied[tuple(cells.T)]
-        found[going[hit]] = count * step
-        going = going[~hit]
-    return found
 
 
 def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
@@ -409,15 +217,3 @@ def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
     low = navigable.origin + navigable.voxel_size * target
     margin = 1e-3 * navigable.voxel_size  # off the faces, so that rounding never puts a point into the next one
     return np.asarray(np.clip(points, low + margin, low + navigable.voxel_size - margin))
-
-
-def _probes(count: int) -> NDArray[np.int64]:
-    """Indices of up to 64 of so many poses, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, _PROBES).round().astype(np.int64))
-
-
-def _frame(up: F64, ahead: F64) -> F64:
-    """(3, 3) right-handed axes as columns: ahead (made level), to its left, up."""
-    ahead = ahead - (ahead @ up) * up
-    ahead = ahead / np.linalg.norm(ahead)
-    return np.stack([ahead, np.cross(up, ahead), up], axis=1)

@@ -130,7 +130,7 @@ def seen_over_walk(
             cells with visible sets.
         path: The walk, in the scene's frame; one shorter than `config.seconds` is watched to its end.
         config: Time, rate, resolution and threshold; None means `WalkConfig()`.
-        gaussians: N, needed with cells: how many Gaussians the scene has in all.
+        gaussians: N, how many Gaussians the scene has in all; needed with cells that have no attribute `gaussians`.
         progress: Called with stage "walk".
 
     Returns:
@@ -196,7 +196,8 @@ def _watcher(
             kept[cell] = _ids(scene.visible(cell))
         return kept[cell]
 
-    return of_cell, None, "cells"
+    known = getattr(scene, "gaussians", None)  # a store knows
+    return of_cell, known if isinstance(known, int) else None, "cells"
 
 
 def _ids(found: Iterable[int]) -> NDArray[np.int64]:

@@ -123,6 +123,14 @@ def test_by_cells_it_is_the_union_of_their_sets(kind: Any, outside: Any) -> None
     assert np.all(found.visible[-found.outside :] == 0.0)
 
 
+def test_a_store_knows_how_many_gaussians_there_are() -> None:
+    cells = Strip()
+    cells.gaussians = 100  # type: ignore[attr-defined]
+    assert len(seen_over_walk(cells, along(1.0)).first_seen) == 100
+    with pytest.raises(ValueError, match="gaussians: expected 100"):
+        seen_over_walk(cells, along(1.0), gaussians=99)
+
+
 def test_a_short_walk_is_watched_to_its_end() -> None:
     found = seen_over_walk(Strip(), along(1.4), WalkConfig(30.0, 1.0), gaussians=45)
     assert found.times[-1] == 10.0

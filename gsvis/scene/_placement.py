@@ -1,0 +1,236 @@
+"""The search behind `retarget`: where in navigable space, how turned and how large a walk fits.
+
+A walk is screened by some of its poses and then checked by all of them. Scene frame and units; knows no rule of scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.similarity import Similarity
+
+__all__ = ["Floors", "Found", "Search", "Walk", "best_placement", "free_ahead", "probe_indices"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_PROBES = 64  # poses of the walk by which placements are screened
+_BLOCK = 64  # placements screened at a time
+_FINALISTS = 16
+_STEP = 2.0**-0.25  # from one scale to the next
+_TOLERANCE = 0.1  # of the eye height, and at least one voxel
+_UNEVEN = 0.1  # of the eye height, and at least one voxel, by which a floor may rise or fall
+_TIE = 1e-9  # of the walk's size: the first of poses that are equal but for rounding is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What a placement has to satisfy, and how many are tried.
+
+    Attributes:
+        navigable: Where eyes may be.
+        enough: Share of the positions that is to lie inside.
+        placements: Voxels tried for the middle of the walk.
+        choices: Placements with enough inside among which the one that looks at the scene most often is taken.
+    """
+
+    navigable: NavigableSpace
+    enough: float
+    placements: int
+    choices: int
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A placement: its share of positions inside, the share of poses that look at the scene, its transform."""
+
+    share: float
+    look: float
+    similarity: Similarity
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A walk about its middle: (T, 3) offsets in its own unit with the scene's up, under each heading's rotation.
+
+    Attributes:
+        offsets: (T, 3) positions from the middle, recorded axes.
+        rotations: (Y, 3, 3) scene from recorded axes, one for each heading.
+        middle: (3,) recorded position that goes to the placement.
+        probes: (P,) indices of the poses that screen placements.
+        forwards: (P, 3) their directions of view, recorded axes.
+    """
+
+    offsets: F64
+    rotations: F64
+    middle: F64
+    probes: NDArray[np.int64]
+    forwards: F64
+
+    @classmethod
+    def of(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> Walk:
+        up = path.upright
+        mean = path.positions.mean(axis=0)
+        spread = path.positions - mean
+        heights = spread @ up
+        # The pose nearest to the mean, on the ground plan; its height is the usual one, whatever that pose's is.
+        flat = spread - heights[:, None] * up
+        far = np.linalg.norm(flat, axis=1)
+        size = float(np.linalg.norm(spread, axis=1).max())
+        middle = path.positions[(far <= far.min() + _TIE * size).argmax()]
+        middle = middle + (np.median(path.positions @ up) - middle @ up) * up
+        ahead = flat[(far >= far.max() - _TIE * size).argmax()]
+        if np.linalg.norm(ahead) <= 1e-9 * (1.0 + np.abs(path.positions).max()):  # it never leaves its place
+            ahead = path.forwards[0] - (path.forwards[0] @ up) * up
+            if np.linalg.norm(ahead) < 1e-6:
+                ahead = np.eye(3)[np.abs(up).argmin()] - up[np.abs(up).argmin()] * up
+        recorded = _frame(up, ahead)
+        aim = np.eye(3)[np.abs(navigable.up).argmin()]
+        scene = _frame(navigable.up, aim - (aim @ navigable.up) * navigable.up)
+        turns = 2.0 * np.pi * np.arange(yaws) / yaws
+        yawed = np.zeros((yaws, 3, 3))
+        yawed[:, 0, 0] = yawed[:, 1, 1] = np.cos(turns)
+        yawed[:, 1, 0], yawed[:, 0, 1] = np.sin(turns), -np.sin(turns)
+        yawed[:, 2, 2] = 1.0
+        probes = probe_indices(len(path))
+        return cls(path.positions - middle, scene @ yawed @ recorded.T, middle, probes, path.forwards[probes])
+
+    def scales(self, navigable: NavigableSpace) -> Iterator[float]:
+        """From one at which the walk spans the grid down to one at which it fits into a voxel."""
+        size = float(np.linalg.norm(self.offsets, axis=1).max())
+        if size <= 1e-12:
+            yield 1.0
+            return
+        scale = float(np.linalg.norm(navigable.free.shape)) * navigable.voxel_size / size
+        while scale * size > 0.25 * navigable.voxel_size:
+            yield scale
+            scale *= _STEP
+        yield scale
+
+    def similarity(self, scale: float, yaw: int, place: F64) -> Similarity:
+        """The transform that takes the middle of the walk to a place of the scene."""
+        rotation = self.rotations[yaw]
+        return Similarity.from_rotation(scale, rotation, place - scale * rotation @ self.middle)
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """What M places stand on.
+
+    Attributes:
+        heights: (M,) how far straight below each the first occupied voxel is; infinite without one.
+        levels: (M,) how high that lies along the scene's up.
+        voxel_size: Side of a voxel.
+    """
+
+    heights: F64
+    levels: F64
+    voxel_size: float
+
+    @classmethod
+    def below(cls, places: F64, navigable: NavigableSpace) -> Floors:
+        heights = free_ahead(navigable, places, np.tile(-navigable.up, (len(places), 1)))
+        return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
+
+    def at_height(self, stand: float | None, scale: float) -> Mask | None:
+        """(M,) which places are at eye height over the main floor; None where nobody has to stand."""
+        if stand is None:
+            return None
+        height = stand * scale
+        slack = max(_UNEVEN * height, self.voxel_size)
+        levels = np.sort(self.levels[np.isfinite(self.levels)])
+        if len(levels) == 0:
+            return np.zeros(len(self.levels), bool)
+        held = np.searchsorted(levels, levels + 2.0 * slack, side="right") - np.arange(len(levels))
+        main = levels[held.argmax()] + slack  # the middle of the band that most places stand on
+        fits = np.abs(self.heights - height) <= max(_TOLERANCE * height, self.voxel_size)
+        return np.asarray(fits & (np.abs(self.levels - main) <= slack))
+
+
+def best_placement(walk: Walk, search: Search, scale: float, places: F64, standing: Mask | None) -> Found | None:
+    """Of the first `choices` placements with `enough` inside the one that looks at the scene most often.
+
+    If none has enough inside it is the one with the most; None if there is no placement at all.
+    """
+    if standing is not None:
+        places = places[standing]
+    places, navigable = places[: search.placements], search.navigable
+    probes = scale * np.einsum("yij,tj->yti", walk.rotations, walk.offsets[walk.probes])
+    best, chosen = None, 0
+    tried: list[tuple[float, int, int]] = []
+    for first in range(0, len(places), _BLOCK):
+        block = places[first : first + _BLOCK]
+        inside = navigable.contains((block[:, None, None, :] + probes[None]).reshape(-1, 3))
+        shares = inside.reshape(len(block), len(probes), -1).mean(axis=2)
+        likely = shares >= search.enough - 1.5 / len(walk.probes)
+        for index in np.flatnonzero(likely.any(axis=1)):
+            found = _head(walk, navigable, scale, block[index], np.flatnonzero(likely[index]), search.enough)
+            if found is not None:
+                best, chosen = found if best is None or found.look > best.look else best, chosen + 1
+                if chosen == search.choices or best.look == 1.0:
+                    return best
+        for flat in np.argsort(-shares, axis=None, kind="stable")[:_FINALISTS]:
+            place, yaw = divmod(int(flat), len(probes))
+            tried.append((-float(shares[place, yaw]), first + place, yaw))
+    if best is not None or not tried:
+        return best
+    finalists = [(places[place], yaw) for _, place, yaw in sorted(tried)[:_FINALISTS]]
+    final = [_share(walk, navigable, scale, yaw, place) for place, yaw in finalists]
+    place, yaw = finalists[int(np.argmax(final))]
+    return Found(max(final), 0.0, walk.similarity(scale, yaw, place))
+
+
+def _head(
+    walk: Walk, navigable: NavigableSpace, scale: float, place: F64, headings: NDArray[np.intp], enough: float
+) -> Found | None:
+    """Of the headings with enough inside at a place the one that looks at the scene most often; None without any."""
+    best = None
+    for yaw in headings.tolist():
+        share = _share(walk, navigable, scale, yaw, place)
+        if share >= enough:
+            eyes = place + scale * walk.offsets[walk.probes] @ walk.rotations[yaw].T
+            ahead = free_ahead(navigable, eyes, walk.forwards @ walk.rotations[yaw].T)
+            look = float(np.isfinite(ahead).mean())
+            if best is None or look > best.look:
+                best = Found(share, look, walk.similarity(scale, yaw, place))
+    return best
+
+
+def _share(walk: Walk, navigable: NavigableSpace, scale: float, yaw: int, place: F64) -> float:
+    return float(navigable.contains(place + scale * walk.offsets @ walk.rotations[yaw].T).mean())
+
+
+def free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
+    """(M,) how far in its unit direction each point has the first occupied voxel; infinite without one."""
+    shape = np.array(navigable.free.shape)
+    found = np.full(len(points), np.inf)
+    going = np.arange(len(points))
+    step = 0.5 * navigable.voxel_size
+    for count in range(1, 4 * int(shape.sum())):
+        cells = np.floor((points[going] + count * step * directions[going] - navigable.origin) / navigable.voxel_size)
+        within = np.all((cells >= 0) & (cells < shape), axis=1)
+        going, cells = going[within], cells[within].astype(np.int64)
+        if len(going) == 0:
+            break
+        hit = navigable.occupied[tuple(cells.T)]
+        found[going[hit]] = count * step
+        going = going[~hit]
+    return found
+
+
+def probe_indices(count: int) -> NDArray[np.int64]:
+    """Indices of up to 64 of so many poses, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, _PROBES).round().astype(np.int64))
+
+
+def _frame(up: F64, ahead: F64) -> F64:
+    """(3, 3) right-handed axes as columns: ahead (made level), to its left, up."""
+    ahead = ahead - (ahead @ up) * up
+    ahead = ahead / np.linalg.norm(ahead)
+    return np.stack([ahead, np.cross(up, ahead), up], axis=1)
