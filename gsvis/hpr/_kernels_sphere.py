@@ -133,8 +133,8 @@ def _bound(light, size, bx, by):
 def _pixels(centre, radius, size):
     """First and last pixel with its centre within the radius."""
     return (
-        max(int(math.ceil(centre - radius - np.float32(0.5))), 0),
-        min(int(math.floor(centre + radius - np.float32(0.5))), size - 1),
+        max(math.ceil(centre - radius - np.float32(0.5)), 0),
+        min(math.floor(centre + radius - np.float32(0.5)), size - 1),
     )
 
 

@@ -83,7 +83,7 @@ class ZBuffer:
     @property
     def size(self) -> int:
         """Pixels along a side of a face."""
-        return self.depths.shape[1]
+        return int(self.depths.shape[1])
 
     def pyramid(self, *, largest: bool = True) -> list[F32]:
         """Levels (6, S_k, S_k) of the largest or least depths over 2^k x 2^k pixels, from the finest to one pixel."""
@@ -167,9 +167,7 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     depths = np.full((6, size, size), np.inf, np.float32)
     ids, values, counts = np.empty((6, rows), np.int32), np.empty((6, rows, 2), np.float32), np.zeros(6, np.int64)
     keys = distances.view(np.uint32)
-    kernels.splat_faces(
-        splats.near, splats.covars, at, size, masks, keys, spent, light, depths, ids, values, counts
-    )
+    kernels.splat_faces(splats.near, splats.covars, at, size, masks, keys, spent, light, depths, ids, values, counts)
     joined, found = np.zeros((rows, 2), np.float32), np.empty(rows, np.int64)
     found = found[: kernels.join_faces(ids, values, counts, joined, found)]
     seen = splats.ids[found]

@@ -82,7 +82,7 @@ def face_of(directions: ArrayLike) -> NDArray[np.int64]:
     """
     unit = _check.unit_vectors("directions", directions)
     faces = np.empty(len(unit), np.int64)
-    _kernels_directions.faces_of(unit, *_face_planes(), faces)
+    _kernels_directions.faces_of(unit, *face_planes(), faces)
     return faces
 
 
@@ -109,7 +109,7 @@ def seen_directions(g: Gaussians, weights: ArrayLike, viewpoints: ArrayLike, tau
     points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
     seen = _check.floats("weights", weights, (len(points), len(g)))
     sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
-    _kernels_directions.gather(g.means, seen, points, np.float32(tau), *_face_planes(), sets)
+    _kernels_directions.gather(g.means, seen, points, np.float32(tau), *face_planes(), sets)
     return sets
 
 
@@ -302,7 +302,7 @@ def _counts(sets: U8) -> NDArray[np.int64]:
     return np.asarray(np.unpackbits(sets, axis=1).sum(axis=1, dtype=np.int64))
 
 
-def _face_planes() -> tuple[F64, F64]:
+def face_planes() -> tuple[F64, F64]:
     """Centres (20, 3) of the icosahedron's faces, and (20, 3, 3) planes that cut off their three corners."""
     vertices, faces = icosphere(0)
     centres = vertices[faces].sum(axis=1)

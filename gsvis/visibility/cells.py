@@ -96,8 +96,8 @@ class CellGrid:
             coords = np.unique(voxels // side, axis=0)
             if len(coords) > max_cells:
                 raise ValueError(
-                    f"cell_size: expected at most {max_cells:,} cells, got {len(coords):,} of {side * space.voxel_size:.3g};"
-                    " make them larger or raise max_cells"
+                    f"cell_size: expected at most {max_cells:,} cells, got {len(coords):,} of side"
+                    f" {side * space.voxel_size:.3g}; make them larger or raise max_cells"
                 )
         else:
             low, high = 1, max(space.free.shape)  # the number of cells falls as they grow, but for odd borders
@@ -110,7 +110,7 @@ class CellGrid:
             side = low
             coords = np.unique(voxels // side, axis=0)
         shape = tuple(-(-n // side) for n in space.free.shape)
-        return cls(space.origin, side * space.voxel_size, shape, coords.astype(np.int32), space.up)  # type: ignore[arg-type]
+        return cls(space.origin, side * space.voxel_size, shape, coords.astype(np.int32), space.up)
 
     def __repr__(self) -> str:
         x, y, z = self.shape

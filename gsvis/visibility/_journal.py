@@ -1,0 +1,92 @@
+"""The journal of a build: one small file for each finished cell, so that a killed build goes on where it stood.
+
+It is a folder beside the result, named after the plan, so that builds of different plans never meet in one. A file
+that is damaged or half-written counts as missing.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+
+from gsvis.io.atomic import atomic_path
+from gsvis.visibility.pvs import CellView
+
+__all__ = ["Journal", "pack_view", "unpack_view"]
+
+_HEAD = struct.Struct("<4sIIIf")
+_MAGIC = b"gvc1"
+
+
+def pack_view(view: CellView) -> bytes:
+    """What one cell sees, as bytes that `unpack_view` can check."""
+    deltas = np.diff(view.ids, prepend=np.int32(0)).astype("<i4")
+    body = deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + view.classes.tobytes() + view.directions.T.tobytes()
+    packed = zstandard.ZstdCompressor(level=1).compress(body)
+    head = _HEAD.pack(_MAGIC, zlib.crc32(packed), len(view.ids), view.viewpoints, view.growth)
+    return head + packed
+
+
+def unpack_view(data: bytes) -> CellView | None:
+    """What was packed; None if the bytes are damaged."""
+    if len(data) < _HEAD.size:
+        return None
+    magic, check, count, viewpoints, growth = _HEAD.unpack_from(data)
+    packed = data[_HEAD.size :]
+    if magic != _MAGIC or zlib.crc32(packed) != check:
+        return None
+    body = np.frombuffer(zstandard.ZstdDecompressor().decompress(packed, max_output_size=15 * count + 1), np.uint8)
+    if len(body) != 15 * count:
+        return None
+    deltas = np.ascontiguousarray(body[: 4 * count].reshape(4, count).T).view("<i4")[:, 0]
+    directions = np.ascontiguousarray(body[5 * count :].reshape(10, count).T)
+    return CellView(
+        np.cumsum(deltas, dtype=np.int32), body[4 * count : 5 * count].copy(), directions, viewpoints, growth
+    )
+
+
+class Journal:
+    """Finished cells of one plan.
+
+    Args:
+        folder: Where they are kept; made if it is missing.
+        plan: What is being built, written there for people to read.
+    """
+
+    def __init__(self, folder: Path, plan: dict[str, Any]) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / "plan.json").exists():
+            with atomic_path(folder / "plan.json") as partial:
+                partial.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
+
+    def keep(self, cell: int, data: bytes) -> None:
+        """Keep the packed view of a cell."""
+        with atomic_path(self._path(cell)) as partial:
+            partial.write_bytes(data)
+
+    def view(self, cell: int) -> CellView | None:
+        """The view of a cell, if it was kept and is whole."""
+        try:
+            return unpack_view(self._path(cell).read_bytes())
+        except FileNotFoundError:
+            return None
+
+    def finished(self, count: int) -> list[int]:
+        """Those of the first `count` cells that were kept and are whole."""
+        kept = {path.name for path in self.folder.glob("cell-*.bin")}
+        return [cell for cell in range(count) if self._path(cell).name in kept and self.view(cell) is not None]
+
+    def remove(self) -> None:
+        """Delete the journal."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, cell: int) -> Path:
+        return self.folder / f"cell-{cell:06d}.bin"
