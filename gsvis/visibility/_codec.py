@@ -22,9 +22,11 @@ __all__ = [
     "bitmap_of",
     "compress",
     "decode_classes",
+    "decode_labels",
     "decode_set",
     "decompress",
     "encode_classes",
+    "encode_labels",
     "encode_set",
     "ids_of",
     "pack",
@@ -179,6 +181,28 @@ def decode_classes(data: bytes, words: Words, n: int, parent: U8 | None, classes
     levels = np.zeros(n, np.uint8)
     kernels.place_classes(words, before, np.concatenate(parts), np.cumsum(counts) - counts, levels)
     return levels
+
+
+def encode_labels(labels: NDArray[np.uint16], level: int = LEVEL) -> bytes:
+    """Labels as bytes: pairs of them as they come, or all low ones and then all high ones; the shorter wins.
+
+    Neighbours that share a label suit the first; labels without order suit the second.
+    """
+    data = labels.astype("<u2").tobytes()
+    return min((b"\1" + compress(data, level), b"\2" + compress(data[::2] + data[1::2], level)), key=len)
+
+
+def decode_labels(data: bytes, n: int) -> NDArray[np.uint16]:
+    """The N labels of `encode_labels`.
+
+    Raises:
+        CodecError: If the bytes are no such labels.
+    """
+    if data[:1] not in (b"\1", b"\2"):
+        raise CodecError(f"expected labels in planes of 1 or 2, got {data[:1]!r}")
+    content = np.frombuffer(decompress(data[1:], 2 * n), np.uint8)
+    pairs = content.reshape(2, n).T if data[:1] == b"\2" else content.reshape(n, 2)
+    return pairs[:, 0] + (pairs[:, 1].astype(np.uint16) << np.uint16(8))
 
 
 def digits_a_byte(classes: int) -> int:

@@ -23,8 +23,8 @@ KEY_CELLS = 128
 MAX_DEPTH = 4
 """Longest chain of parents, so that no query for classes decodes more than five cells."""
 
-_CLUSTERS = (0, 256, 1024)  # labels tried; 0 leaves scene order as it is
-_SAMPLE = 65_536  # signatures that centres are found from
+_SIDES = (0, 16, 64, 128)  # numbers of labels tried, as square roots; 0 leaves scene order as it is
+_SAMPLE = 131_072  # signatures that centres are found from
 _ROUNDS = 8
 _TRIAL_CELLS = 12
 
@@ -60,11 +60,11 @@ def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
         kernels.add_signature(read(cell), bit, signatures)
     trials = [read(cell) for cell in keys[:: -(-len(keys) // _TRIAL_CELLS)].tolist()]
     best, least = np.zeros(n, np.uint16), np.inf
-    for clusters in _CLUSTERS:
-        if clusters and n < 64 * clusters:
-            continue
-        labels = _cluster(signatures, clusters) if clusters else np.zeros(n, np.uint16)
-        size = len(_codec.compress(labels.tobytes())) + cells / len(trials) * _trial_size(trials, labels)
+    for side in _SIDES:
+        if n < 16 * side * side:
+            break
+        labels = _cluster(signatures, side) if side else np.zeros(n, np.uint16)
+        size = len(_codec.encode_labels(labels)) + cells / len(trials) * _trial_size(trials, labels)
         if size < least:
             best, least = labels, size
     return best
@@ -81,24 +81,43 @@ def _trial_size(trials: list[U64], labels: U16) -> int:
     return total
 
 
-def _cluster(signatures: U64, clusters: int) -> U16:
-    """Labels (N,) by k-modes: centres are bitwise majorities, distances are counts of differing bits.
+def _cluster(signatures: U64, side: int) -> U16:
+    """Labels (N,), up to side x side of them: clusters of clusters, so that two short searches do for a long one.
 
-    Label 0 is the centre with the fewest bits; each further one is the nearest to the one before that is left.
+    Label 0 has the fewest bits; each further one is the nearest to the one before that is left, first among the
+    large clusters and then inside each.
     """
     seen = np.flatnonzero(signatures.any(axis=1))
-    if len(seen) < clusters:
-        return np.zeros(len(signatures), np.uint16)
     count = min(_SAMPLE, len(seen))
-    sample = np.ascontiguousarray(signatures[seen[np.arange(count) * len(seen) // count]])
-    centres = np.ascontiguousarray(sample[np.arange(clusters) * count // clusters])
-    labels = np.zeros(count, np.int64)
+    if count < side * side:
+        return np.zeros(len(signatures), np.uint16)
+    sample = signatures[seen[np.arange(count) * len(seen) // count]]
+    centres = _centres(sample, side)
+    of_sample, of_all = _nearest(sample, centres), _nearest(signatures, centres)
+    labels, used = np.zeros(len(signatures), np.uint16), 0
+    for cluster in range(side):
+        members, part = np.flatnonzero(of_all == cluster), sample[of_sample == cluster]
+        fine = round(side * side * len(part) / count)
+        if fine > 1:
+            labels[members] = used + _nearest(signatures[members], _centres(part, fine))
+        else:
+            labels[members] = used
+        used += max(1, fine)
+    return labels
+
+
+def _centres(sample: U64, count: int) -> U64:
+    """(K, W) centres by k-modes, in a chain: bitwise majorities, distances are counts of differing bits."""
+    centres = np.ascontiguousarray(sample[np.arange(count) * len(sample) // count])
     for _ in range(_ROUNDS):
-        kernels.nearest_centres(sample, centres, labels)
-        centres = _majorities(sample, labels, centres)
-    everywhere = np.zeros(len(signatures), np.int64)
-    kernels.nearest_centres(signatures, centres, everywhere)
-    return _rank_in_chain(centres)[everywhere]
+        centres = _majorities(sample, _nearest(sample, centres), centres)
+    return np.ascontiguousarray(centres[_chain(centres)])
+
+
+def _nearest(signatures: U64, centres: U64) -> NDArray[np.int64]:
+    labels = np.zeros(len(signatures), np.int64)
+    kernels.nearest_centres(np.ascontiguousarray(signatures), centres, labels)
+    return labels
 
 
 def _majorities(sample: U64, labels: NDArray[np.int64], centres: U64) -> U64:
@@ -110,18 +129,18 @@ def _majorities(sample: U64, labels: NDArray[np.int64], centres: U64) -> U64:
     return np.where(sizes[:, None] > 0, packed, centres)
 
 
-def _rank_in_chain(centres: U64) -> U16:
-    """(K,) place of each centre in a chain that steps to the nearest centre that is left."""
+def _chain(centres: U64) -> NDArray[np.int64]:
+    """(K,) the centres, from the one with the fewest bits always on to the nearest that is left."""
     bits = np.unpackbits(centres.astype("<u8").view(np.uint8), axis=1).astype(np.int32)
     counts = bits.sum(axis=1)
-    ranks = np.zeros(len(centres), np.uint16)
+    chain = np.empty(len(centres), np.int64)
     left = np.ones(len(centres), bool)
     at = int(counts.argmin())
-    for rank in range(len(centres)):
-        ranks[at], left[at] = rank, False
+    for place in range(len(centres)):
+        chain[place], left[at] = at, False
         apart = np.where(left, counts - 2 * (bits @ bits[at]), np.iinfo(np.int32).max)
         at = int(apart.argmin())
-    return ranks
+    return chain
 
 
 def parents_of(edges: list[tuple[int, int, int]], cells: int) -> NDArray[np.int32]:

@@ -223,7 +223,7 @@ class StoreWriter:
         container.close_section("ever")
 
     def _write_rest(self, container: ContainerWriter, labels: NDArray[np.uint16], sets: NDArray[np.uint8]) -> None:
-        container.append(_codec.compress(labels.astype("<u2").tobytes(), level=19))
+        container.append(_codec.encode_labels(labels, level=19))
         container.close_section("labels")
         container.append(_codec.compress(np.ascontiguousarray(sets.T).tobytes()))
         container.close_section("directions")

@@ -324,8 +324,11 @@ class VisibilityStore:
     @cached_property
     def _order(self) -> NDArray[np.int32]:
         """(N,) the Gaussian at each stored position."""
-        labels = np.frombuffer(self._unpacked("labels", 2 * self.gaussians), "<u2").astype(np.uint16, copy=False)
-        return _order.order_of(labels)
+        data = self._container.read("labels")
+        try:
+            return _order.order_of(_codec.decode_labels(data, self.gaussians))
+        except _codec.CodecError as error:
+            raise self._undecodable("section 'labels'", error) from error
 
     @cached_property
     def _places(self) -> NDArray[np.int32]:
