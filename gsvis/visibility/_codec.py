@@ -101,16 +101,26 @@ def decompress(data: bytes, length: int) -> bytes:
     Raises:
         CodecError: If it is no frame, or of another length.
     """
+    content = bytearray(length)
+    _decompress_into(data, content)
+    return bytes(content)
+
+
+def _decompress_into(data: bytes, content: Any) -> None:
+    """Fill a buffer of bytes with the content of one zstd frame of its length."""
     if not hasattr(_local, "decompressor"):
         _local.decompressor = zstandard.ZstdDecompressor()
+    length = len(content)
     try:
         stated = zstandard.frame_content_size(data)
         if stated != length:
             raise CodecError(f"expected a frame of {length} bytes, got one of {stated}")
-        content: bytes = _local.decompressor.decompress(data, max_output_size=length) if length else b""
+        with _local.decompressor.stream_reader(data) as reader:
+            found = reader.readinto(content) if length else 0
     except zstandard.ZstdError as error:
         raise CodecError(f"expected a zstd frame, got bytes that are none ({error})") from error
-    return content
+    if found != length:
+        raise CodecError(f"expected a zstd frame of {length} bytes, got {found}")
 
 
 def encode_set(words: Words) -> bytes:
@@ -125,7 +135,9 @@ def decode_set(data: bytes, n: int, visible: int | None = None) -> Words:
         CodecError: If the bytes are no such set.
     """
     length = word_count(n)
-    words = np.frombuffer(decompress(data, 8 * length), "<u8").astype(np.uint64)
+    stored = np.empty(length, "<u8")
+    _decompress_into(data, stored.view(np.uint8))
+    words = stored.astype(np.uint64, copy=False)
     found = kernels.count(words)
     if visible is not None and found != visible:
         raise CodecError(f"expected {visible} visible Gaussians, got {found}")
@@ -202,7 +214,7 @@ def decode_labels(data: bytes, n: int) -> NDArray[np.uint16]:
         raise CodecError(f"expected labels in planes of 1 or 2, got {data[:1]!r}")
     content = np.frombuffer(decompress(data[1:], 2 * n), np.uint8)
     pairs = content.reshape(2, n).T if data[:1] == b"\2" else content.reshape(n, 2)
-    return pairs[:, 0] + (pairs[:, 1].astype(np.uint16) << np.uint16(8))
+    return np.asarray(pairs[:, 0] + (pairs[:, 1].astype(np.uint16) << np.uint16(8)))
 
 
 def digits_a_byte(classes: int) -> int:
