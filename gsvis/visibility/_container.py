@@ -101,6 +101,11 @@ class Container:
         """Let go of the file."""
         self._map.close()
 
+    def _bytes(self, start: int, length: int) -> bytes:
+        if self._map.closed:
+            raise ValueError("store: expected an open one, got one that was closed; open it again")
+        return self._map[start : start + length]
+
     def _read_head(self, head: bytes, size: int) -> tuple[int, int, int]:
         if len(head) < HEAD_BYTES:
             if not _MAGIC.startswith(head[: len(_MAGIC)]) and not head.startswith(_MAGIC):
@@ -126,7 +131,7 @@ class Container:
         return FormatError(self.path, "byte 0", "a store of visible sets", f"a file that begins {head[:8]!r}", remedy)
 
     def _read_header(self, place: int, length: int, crc: int) -> Fields:
-        data = self._map[place : place + length]
+        data = self._bytes(place, length)
         if zlib.crc32(data) != crc:
             raise FormatError(self.path, f"byte {place}", "a header that fits its checksum", "another checksum", AGAIN)
         return parse_object(self.path, data)
@@ -152,7 +157,7 @@ class Container:
     def read(self, name: str) -> bytes:
         """A whole section, checked."""
         s = self.section(name)
-        data = self._map[s.offset : s.offset + s.length]
+        data = self._bytes(s.offset, s.length)
         if zlib.crc32(data) != s.crc:
             raise self.damaged(f"section {name!r}, byte {s.offset}")
         return data
@@ -163,7 +168,7 @@ class Container:
         if min(offset, length) < 0 or offset + length > s.length:
             raise FormatError(self.path, where, f"a place inside section {name!r}", f"byte {offset}", AGAIN)
         start = s.offset + offset
-        data = self._map[start : start + length]
+        data = self._bytes(start, length)
         if zlib.crc32(data) != crc:
             raise self.damaged(f"{where}, byte {start}")
         return data

@@ -313,6 +313,14 @@ def test_other_files_and_newer_versions_are_named_as_such(tmp_path: Path) -> Non
         VisibilityStore.open(tmp_path / "none.pvs")
 
 
+def test_a_closed_store_says_so(tmp_path: Path) -> None:
+    small_store(tmp_path / "x.pvs")
+    store = VisibilityStore.open(tmp_path / "x.pvs")
+    store.close()
+    with pytest.raises(ValueError, match="store: expected an open one, got one that was closed"):
+        store.visible(0)
+
+
 def test_a_store_knows_its_scene(tmp_path: Path) -> None:
     path = tmp_path / "x.pvs"
     scene = random_scene(np.random.default_rng(0), 90, 1)
