@@ -51,8 +51,11 @@ class Hull:
     reach: float
 
     @classmethod
-    def around(cls, flips: F64) -> tuple[Hull | None, I64]:
-        """The hull of flips (M, 3) and the origin; None where rounding forbids, with all that may be its vertices."""
+    def around(cls, flips: F64, *, exact: bool = True) -> tuple[Hull | None, I64]:
+        """The hull of flips (M, 3) and the origin; None where rounding forbids, with all that may be its vertices.
+
+        With `exact` False, flips so close to the hull of the others that rounding decides may be missed.
+        """
         size, order, places, farthest, squared = _sorted_by_cells(flips)
         reach = float(max(places.max(), -places.min()))
         levels = _levels(farthest, squared, size, len(flips))
@@ -70,7 +73,7 @@ class Hull:
         _kernels.not_inside(*arrays, builder.inner, builder.slack, builder.band, outside)
         candidates = np.flatnonzero(outside)
         builder.grow(2 * len(candidates))
-        if not (builder.insert(candidates) and builder.is_certain()):
+        if not builder.insert(candidates) or (exact and not builder.is_certain()):
             return None, np.sort(order[candidates])
         return cls(places, order, builder.corners, builder.neighbors, builder.inner, size, reach), candidates
 
@@ -80,6 +83,16 @@ class Hull:
         used = np.zeros(len(self.places), bool)
         used[self.corners.reshape(-1)] = True
         return np.sort(self.order[used[:-1]])
+
+
+    def radial(self, directions: F64) -> F64:
+        """Distance of the boundary from the origin along unit directions (D, 3); 0 where it is not known."""
+        starts = np.empty(6 * self.size * self.size, np.int32)
+        _kernels.facets_of_cells(self.places, self.corners, self.size, starts)
+        out = np.empty(len(directions))
+        arrays = self.places, self.corners, self.neighbors, starts, self.size
+        _kernels.radial(directions, *arrays, self.inner, _SLACK * self.reach**3, out)
+        return out
 
 
 class _Builder:
