@@ -201,6 +201,22 @@ class NavigableSpace:
             fov: Horizontal field of view, degrees.
         """
         eyes = self.sample_viewpoints(count, rng)
+        return self.cameras_at(eyes, rng, width=width, height=height, fov=fov)
+
+    def cameras_at(
+        self, eyes: ArrayLike, rng: np.random.Generator, *, width: int = 256, height: int = 192, fov: float = 60.0
+    ) -> Cameras:
+        """One camera at each of some eyes, directed as `sample_cameras` does.
+
+        Args:
+            eyes: (C, 3) viewpoints.
+            rng: Source of randomness.
+            width: Pixels.
+            height: Pixels.
+            fov: Horizontal field of view, degrees.
+        """
+        eyes = _check.floats("eyes", eyes, ("C", 3), np.float64)
+        count = len(eyes)
         shape = np.array(self.free.shape)
         if len(self.targets):
             aims = self.targets[rng.integers(len(self.targets), size=(count, _TRIES))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from gsvis.errors import SceneError
 from gsvis.scene._occupancy import INFLATION, REACH, _optical_depth
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.navigable import NavigableSpace
 
@@ -275,3 +277,21 @@ class TestRealScenes:
         assert space.up.tolist() == [0.0, -1.0, 0.0]
         assert "ground below" in space.rule
         assert 0.05 < space.free.mean() < 0.6
+
+
+def test_cameras_at_given_eyes_stand_there_and_are_those_that_are_sampled() -> None:
+    space = NavigableSpace.from_box((0, 0, 0), (3, 2, 2), 12)
+    eyes = space.sample_viewpoints(4, rng := np.random.default_rng(3))
+    cameras = space.cameras_at(eyes, rng, width=8, height=6)
+    assert cameras.viewpoints == pytest.approx(eyes)
+    sampled = space.sample_cameras(4, np.random.default_rng(3), width=8, height=6)
+    assert np.array_equal(sampled.viewmats, cameras.viewmats)
+
+
+def test_the_hash_of_a_space_tells_its_free_voxels_apart() -> None:
+    space = NavigableSpace.from_box((0, 0, 0), (3, 2, 2), 12)
+    free = space.free.copy()
+    free[0, 0, 0] = False
+    others = (replace(space, free=free), replace(space, origin=space.origin + 1.0), replace(space, voxel_size=0.3))
+    assert space_hash(space) == space_hash(replace(space, up=np.array([0.0, 1.0, 0.0])))
+    assert len({space_hash(space), *(space_hash(other) for other in others)}) == 4
