@@ -84,9 +84,9 @@ def gather(points, order, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def farthest_in_cells(flipped, begins, out_position, out_squared):
-    """The farthest flipped point of each cell and its squared distance, -1 in empty cells; points lie in order of cells.
+    """The farthest flipped point of each cell and its squared distance, -1 in empty cells.
 
-    Of equally far ones the first counts.
+    Points lie in the order of cells; of equally far ones the first counts.
     """
     for cell in prange(len(begins) - 1):
         out_position[cell], out_squared[cell] = -1, -1.0
@@ -279,9 +279,9 @@ def count_creases(points, corners, neighbors, band, out):
             if g < f:
                 continue
             v = corners[g, 0]
-            if v == a or v == b or v == c:
+            if v in (a, b, c):
                 v = corners[g, 1]
-            if v == a or v == b or v == c:
+            if v in (a, b, c):
                 v = corners[g, 2]
             side = _above(points, a, b, c, points[v, 0], points[v, 1], points[v, 2], band)
             if side > 0:
@@ -294,7 +294,7 @@ def count_creases(points, corners, neighbors, band, out):
 
 @njit(cache=True, nogil=True)
 def facets_of_cells(points, corners, size, out):
-    """A facet near the direction of each cell, into out (6 size^2,): one that ends there, or that of the cell before."""
+    """A facet near the direction of each cell, into out (6 size^2,): one with a corner there, or the cell before's."""
     out[:] = -1
     for f in range(len(corners)):
         for k in range(3):
@@ -317,172 +317,9 @@ def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out
             out[i] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0
 
 
-@njit(cache=True, inline="always")
-def _whitening(quats, scales, i):
-    """Rows of diag(1/scales) R^T of Gaussian i: nine numbers."""
-    w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-    a, b, c = 1.0 / scales[i, 0], 1.0 / scales[i, 1], 1.0 / scales[i, 2]
-    return (
-        a * (1 - 2 * (y * y + z * z)),
-        a * 2 * (x * y + w * z),
-        a * 2 * (x * z - w * y),
-        b * 2 * (x * y - w * z),
-        b * (1 - 2 * (x * x + z * z)),
-        b * 2 * (y * z + w * x),
-        c * 2 * (x * z + w * y),
-        c * 2 * (y * z - w * x),
-        c * (1 - 2 * (x * x + y * y)),
-    )
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, out):
-    """What the eye needs of each Gaussian: centres relative to it into toward (N, 3), and a row of out (N, 5).
-
-    The row is: distance of the centre, distance of the nearest point where alpha reaches min_alpha in that direction
-    (0 where the eye is inside), largest angle between the centre and the ring of one standard deviation, solid angle
-    times opacity of the whole Gaussian, and squared distance of the eye in standard deviations.
-    """
-    for i in prange(len(means)):
-        x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
-        toward[i, 0], toward[i, 1], toward[i, 2] = x, y, z
-        far = np.sqrt(x * x + y * y + z * z)
-        m = _whitening(quats, scales, i)
-        p, q, r = m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
-        squared = p * p + q * q + r * r
-        reach = 2.0 * np.log(max(opacities[i] / min_alpha, 1.0))
-        s = scales[i]
-        largest = np.float64(max(s[0], s[1], s[2]))
-        out[i, 0], out[i, 4] = far, squared
-        if squared <= reach or far == 0.0:
-            out[i, 1], out[i, 2], out[i, 3] = 0.0, np.pi, 4.0 * np.pi * opacities[i]
-            continue
-        # Extent towards the eye: sqrt(d^T covariance d), from the whitened unit direction times squared scales.
-        u, v, w = p * s[0] * s[0] / far, q * s[1] * s[1] / far, r * s[2] * s[2] / far
-        out[i, 1] = max(far - np.sqrt(reach * (u * u + v * v + w * w)), 0.0)
-        out[i, 2] = largest / far
-        area = np.float64(s[0]) * s[1] * s[2] * np.sqrt(squared) / far  # sigma times sigma of the shadow along the ray
-        out[i, 3] = 2.0 * np.pi * area / (far * far) * opacities[i]
-
-
-@njit(cache=True, inline="always")
-def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
-    """Add -log(1 - alpha) of optical thickness at a depth to the histogram of a cell."""
-    bins = thickness.shape[1]
-    k = 0 if depth <= nearest else min(int(np.log(depth / nearest) * steps_per_log) + 1, bins - 1)
-    thickness[cell, k] -= np.log(1.0 - min(alpha, 0.999))
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def thicken(toward, quats, scales, opacities, shapes, size, min_alpha, nearest, steps_per_log, thickness):
-    """Optical thickness that Gaussians put into each cell at each depth, into thickness (6 size^2, bins).
-
-    Small ones are spread over the cell they lie in, larger ones taken at the centres of cells of their face, and very
-    wide ones at the centres of blocks of 4 x 4 cells of all faces. One thread works on one face.
-    """
-    cell_angle = 2.0 / size
-    for face in prange(6):
-        for i in range(len(toward)):
-            if opacities[i] < min_alpha:
-                continue
-            x, y, z = toward[i, 0], toward[i, 1], toward[i, 2]
-            spread = shapes[i, 2]
-            wide = spread > 0.25
-            if not wide:
-                cell = cell_of(x, y, z, size)
-                if cell // (size * size) != face:
-                    continue
-                if spread < 0.5 * cell_angle:
-                    u, v = _place_on_face(x, y, z, face)
-                    solid = cell_angle * cell_angle / (1.0 + u * u + v * v) ** 1.5
-                    alpha = min(shapes[i, 3] / solid, opacities[i])
-                    _deposit(thickness, cell, shapes[i, 0], alpha, nearest, steps_per_log)
-                    continue
-            m = _whitening(quats, scales, i)
-            p, q, r = m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
-            low_row, high_row, low_column, high_column, step = 0, size, 0, size, 4
-            reach = 2.0 * np.log(opacities[i] / min_alpha)
-            if not wide:
-                u, v = _place_on_face(x, y, z, face)
-                half = np.sqrt(reach) * spread * (1.0 + u * u + v * v)
-                low_column = max(int((u - half + 1.0) * 0.5 * size), 0)
-                high_column = min(int((u + half + 1.0) * 0.5 * size) + 1, size)
-                low_row = max(int((v - half + 1.0) * 0.5 * size), 0)
-                high_row = min(int((v + half + 1.0) * 0.5 * size) + 1, size)
-                step = 1
-            inside = shapes[i, 4] <= reach
-            for row in range(low_row, high_row, step):
-                for column in range(low_column, high_column, step):
-                    u = (column + 0.5 * step) * cell_angle - 1.0
-                    v = (row + 0.5 * step) * cell_angle - 1.0
-                    dx, dy, dz = _direction_on_face(face, u, v)
-                    a = m[0] * dx + m[1] * dy + m[2] * dz
-                    b = m[3] * dx + m[4] * dy + m[5] * dz
-                    c = m[6] * dx + m[7] * dy + m[8] * dz
-                    along, length = a * p + b * q + c * r, a * a + b * b + c * c
-                    squared, depth = shapes[i, 4], 0.0
-                    if along > 0.0:
-                        e, h, k = q * c - r * b, r * a - p * c, p * b - q * a  # a product, not a difference of squares
-                        squared = (e * e + h * h + k * k) / length
-                        depth = along / length * np.sqrt(dx * dx + dy * dy + dz * dz)
-                    elif not inside:
-                        continue
-                    if squared > reach:
-                        continue
-                    alpha = opacities[i] * np.exp(-0.5 * squared)
-                    for rr in range(row, min(row + step, size)):
-                        for cc in range(column, min(column + step, size)):
-                            cell = (face * size + rr) * size + cc
-                            _deposit(thickness, cell, depth, alpha, nearest, steps_per_log)
-
-
-@njit(cache=True, inline="always")
-def _place_on_face(x, y, z, face):
-    if face < 2:
-        return y / abs(x), z / abs(x)
-    if face < 4:
-        return x / abs(y), z / abs(y)
-    return x / abs(z), y / abs(z)
-
-
-@njit(cache=True, inline="always")
-def _direction_on_face(face, u, v):
-    sign = 1.0 if face % 2 == 0 else -1.0
-    if face < 2:
-        return sign, u, v
-    if face < 4:
-        return u, sign, v
-    return u, v, sign
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def spent_depths(thickness, limit, nearest, steps_per_log, open_depth, out):
-    """Depth at which each cell's summed thickness reaches the limit, into out (cells,); open_depth where it does not."""
-    for cell in prange(len(thickness)):
-        total = 0.0
-        out[cell] = open_depth
-        for k in range(thickness.shape[1]):
-            more = np.float64(thickness[cell, k])
-            if total + more >= limit:
-                share = (limit - total) / more
-                out[cell] = min(nearest * np.exp((k - 1 + share) / steps_per_log), open_depth) if k > 0 else 0.0
-                break
-            total += more
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def centres_of_cells(size, out):
-    """Unit directions of the centres of all cells, into out (6 size^2, 3)."""
-    for cell in prange(len(out)):
-        face, rest = cell // (size * size), cell % (size * size)
-        x, y, z = _direction_on_face(face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0)
-        length = np.sqrt(x * x + y * y + z * z)
-        out[cell, 0], out[cell, 1], out[cell, 2] = x / length, y / length, z / length
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def radial(directions, points, corners, neighbors, starts, size, inner, slack, out):
-    """Distance of the hull's boundary from the eye along unit directions (D, 3), into out (D,); 0 where it is unknown."""
+    """Distance of the hull's boundary from the eye along unit directions (D, 3), into out (D,); 0 where unknown."""
     for i in prange(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         out[i] = 0.0
@@ -496,45 +333,3 @@ def radial(directions, points, corners, neighbors, starts, size, inner, slack, o
         toward = nx * x + ny * y + nz * z
         if toward > 0.0:
             out[i] = (nx * a[0] + ny * a[1] + nz * a[2]) / toward
-
-
-@njit(cache=True, inline="always")
-def _deepest_near(depths, x, y, z, size):
-    """Largest depth of the up to four cells whose centres surround a direction; those of other faces do not count."""
-    ax, ay, az = abs(x), abs(y), abs(z)
-    face = cell_of(x, y, z, 1)
-    u, v = _place_on_face(x, y, z, face) if max(ax, ay, az) > 0.0 else (0.0, 0.0)
-    column = int(np.floor((u + 1.0) * 0.5 * size - 0.5))
-    row = int(np.floor((v + 1.0) * 0.5 * size - 0.5))
-    best = 0.0
-    for rr in range(max(row, 0), min(row + 2, size)):
-        for cc in range(max(column, 0), min(column + 2, size)):
-            best = max(best, depths[(face * size + rr) * size + cc])
-    return best
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def nearness(toward, quats, scales, opacities, shapes, min_alpha, depths, size, out):
-    """Distance of each Gaussian's nearest point over the depth to which the eye sees there, the least, into out (N,).
-
-    Looked up towards the centre and, for those larger than half a cell, the six ends of the ellipsoid of one standard
-    deviation; 0 where the eye is inside, infinite for what is too faint to be seen.
-    """
-    for i in prange(len(toward)):
-        if opacities[i] < min_alpha:
-            out[i] = np.inf
-            continue
-        if shapes[i, 1] <= 0.0:
-            out[i] = 0.0
-            continue
-        x, y, z, far = toward[i, 0], toward[i, 1], toward[i, 2], shapes[i, 0]
-        depth = _deepest_near(depths, x, y, z, size)
-        if shapes[i, 2] > 1.0 / size:
-            # Longest two axes of the ellipsoid, seen from the eye: the ring bends with them.
-            m = _whitening(quats, scales, i)
-            for axis in range(3):
-                s = np.float64(scales[i, axis])
-                dx, dy, dz = m[3 * axis] * s * s, m[3 * axis + 1] * s * s, m[3 * axis + 2] * s * s
-                for sign in (-1.0, 1.0):
-                    depth = max(depth, _deepest_near(depths, x + sign * dx, y + sign * dy, z + sign * dz, size))
-        out[i] = shapes[i, 1] / depth if depth > 0.0 else np.inf

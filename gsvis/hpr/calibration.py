@@ -16,7 +16,7 @@ from gsvis import _check
 from gsvis.hpr.operator import hidden_point_removal
 from gsvis.raycast import TAU
 
-__all__ = ["Calibration", "calibrate_radius"]
+__all__ = ["Calibration", "Trial", "calibrate_radius"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

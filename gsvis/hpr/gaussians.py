@@ -1,19 +1,20 @@
 """Hidden point removal for Gaussians: extent, orientation and opacity count, not only centres.
 
-A point hides what lies behind it or does not; a Gaussian takes a part of the light over a part of the sky. So the points
-that are flipped are not centres but the places at which light is spent, one in each cell of a cubemap around the eye,
-and a Gaussian is visible when its nearest point lies in front of the hull of these. World frame, scene units.
+A Gaussian takes a part of the light over a part of the sky. So the points that are flipped are not centres but the
+places at which light is spent, one in each cell of a cubemap around the eye, and a Gaussian is visible when its nearest
+point lies in front of the hull of these. World frame, scene units.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.hpr import _kernels
+from gsvis.hpr import _kernels_spent as _kernels
 from gsvis.hpr.hull import Hull
 from gsvis.raycast import MIN_ALPHA, TAU
 from gsvis.scene.gaussians import Gaussians
@@ -24,7 +25,7 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
-_BINS = 128
+_BINS = 192
 _MOST_CELLS = 256
 
 
@@ -49,7 +50,7 @@ class OcclusionHull:
 
     @classmethod
     def from_scene(
-        cls, g: Gaussians, viewpoint: ArrayLike, *, size: int = 64, spent: float = TAU, margin: float = 0.05
+        cls, g: Gaussians, viewpoint: ArrayLike, *, size: int = 64, spent: float = TAU, margin: float = 0.1
     ) -> OcclusionHull:
         """Where light is spent around an eye.
 
@@ -99,8 +100,8 @@ class OcclusionHull:
         Raises:
             ValueError: If an id is not one of the scene.
         """
-        g, chosen = self.gaussians, slice(None)
-        arrays = [self._toward, g.quats, g.scales, g.opacities, self._shapes]
+        g = self.gaussians
+        arrays: list[NDArray[Any]] = [self._toward, g.quats, g.scales, g.opacities, self._shapes]
         if ids is not None:
             chosen = _check.integers("ids", ids, ("M",))
             _check.in_range("ids", chosen, 0, len(g) - 1)
@@ -117,7 +118,7 @@ def visible_gaussians(
     ids: ArrayLike | None = None,
     size: int = 64,
     spent: float = TAU,
-    margin: float = 0.05,
+    margin: float = 0.1,
 ) -> I64:
     """The Gaussians that an eye sees, by hidden point removal.
 
@@ -149,27 +150,24 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, size: int, spent: float)
         return np.full(6 * size * size, np.inf)
     sample = distances[:: max(len(distances) // 20_000, 1)]
     nearest, farthest = 0.5 * np.quantile(sample, 0.001), 1.01 * np.quantile(sample, 0.999)
-    steps = (_BINS - 2) / np.log(farthest / nearest)
+    steps = (_BINS - 3) / np.log(farthest / nearest)
     thickness = np.zeros((6 * size * size, _BINS), np.float32)
-    _kernels.thicken(
-        toward, g.quats, g.scales, g.opacities, shapes, size, MIN_ALPHA, nearest, steps, thickness
-    )
+    _kernels.thicken(toward, g.quats, g.scales, g.opacities, shapes, size, MIN_ALPHA, nearest, steps, thickness)
     depths = np.empty(6 * size * size)
-    _kernels.spent_depths(thickness, -np.log(spent), nearest, steps, np.inf, depths)
+    _kernels.spent_depths(thickness, -np.log(spent), nearest, steps, depths)
     return depths
 
 
 def _through_hull(depths: F64, size: int, margin: float) -> F64:
     """The distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see."""
-    spent = np.isfinite(depths)
-    if not spent.any():
+    deepest = float(depths[np.isfinite(depths)].max(initial=0.0))
+    if deepest == 0.0:  # open everywhere, or an eye in the dark
         return depths
     directions = np.empty((len(depths), 3))
     _kernels.centres_of_cells(size, directions)
     gamma = -((np.pi / (2.0 * size)) ** 2) / (8.0 * margin)
-    least = max(float(depths[spent].max()) * 1e-6, np.finfo(np.float64).tiny)
-    sky = 1e3 * float(depths[spent].max())
-    flips = directions * np.clip(depths, least, sky)[:, None] ** gamma
+    sky = 1e3 * deepest
+    flips = directions * np.clip(depths, 1e-6 * deepest, sky)[:, None] ** gamma
     # Cells are symmetric and depths repeat: a touch of noise keeps four points from lying in one plane.
     flips *= 1.0 + 1e-9 * np.random.default_rng(0).random((len(flips), 1))
     hull, _ = Hull.around(flips, exact=False)

@@ -84,7 +84,6 @@ class Hull:
         used[self.corners.reshape(-1)] = True
         return np.sort(self.order[used[:-1]])
 
-
     def radial(self, directions: F64) -> F64:
         """Distance of the boundary from the origin along unit directions (D, 3); 0 where it is not known."""
         starts = np.empty(6 * self.size * self.size, np.int32)
@@ -181,7 +180,8 @@ def _levels(farthest: I64, squared: F64, size: int, count: int) -> list[I64]:
         if size <= 4:
             break
         quads, values = (
-            a.reshape(6, size // 2, 2, size // 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4) for a in (farthest, squared)
+            a.reshape(6, size // 2, 2, size // 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4)
+            for a in (farthest, squared)
         )
         best = values.argmax(axis=1)[:, None]
         farthest, squared = (np.take_along_axis(a, best, axis=1)[:, 0] for a in (quads, values))

@@ -79,7 +79,8 @@ def test_lattices_with_many_coincident_points_agree_by_position(seed: int, step:
     points = np.round(points / step) * step
     radius = 10**power * farthest(points, eye)
     ours, theirs = (
-        np.unique(points[f(points, eye, radius)], axis=0) for f in (hidden_point_removal, hidden_point_removal_reference)
+        np.unique(points[f(points, eye, radius)], axis=0)
+        for f in (hidden_point_removal, hidden_point_removal_reference)
     )
     assert np.array_equal(ours, theirs)
 
