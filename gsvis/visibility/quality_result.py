@@ -1,0 +1,306 @@
+"""What measuring the quality of visible sets gives: how much light a set keeps, how large it is, what images lose.
+
+M cells were measured from V fresh viewpoints each; the last axis of some arrays runs over the K weight classes: entry k
+is for the set without all classes below k, entry 0 for the whole set. PSNR in dB, capped at 100.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+
+__all__ = ["PSNR_CAP", "TARGETS", "Figure", "Quality", "QualityConfig", "Trade"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+PSNR_CAP = 100.0
+"""PSNR of equal images, dB, in place of infinity."""
+
+TARGETS = MappingProxyType({"weighted_recall": (0.999, 0.995), "psnr": (45.0, 40.0), "size_over_dense": (1.3, None)})
+"""What a good store reaches: on average, and in the worst case."""
+
+
+@dataclass(frozen=True)
+class QualityConfig:
+    """How the quality of visible sets is measured.
+
+    Attributes:
+        cells: Cells measured, drawn at random; None measures all.
+        viewpoints: Fresh viewpoints a cell.
+        size: Pixels along a side of the six faces around a viewpoint.
+        dense: Viewpoints of the dense union that a set is compared with; 0 for no such union.
+        width: Pixels of the images.
+        height: Pixels.
+        fov: Horizontal field of view of the images, degrees.
+        rays: Ask by ray casting, too, which Gaussians the fresh viewpoints see.
+        bytes_per_gaussian: What sending one costs; None takes its 32-bit attributes as in an uncompressed 3DGS file.
+        seed: Of the cells, the viewpoints and the directions of the images.
+    """
+
+    cells: int | None = 10
+    viewpoints: int = 4
+    size: int = 128
+    dense: int = 27
+    width: int = 480
+    height: int = 360
+    fov: float = 70.0
+    rays: bool = False
+    bytes_per_gaussian: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("viewpoints", "size", "width", "height"):
+            _check.positive_int(name, getattr(self, name))
+        for name in ("dense", "seed"):
+            _check.positive_int(name, getattr(self, name), at_least=0)
+        for name in ("cells", "bytes_per_gaussian"):
+            if getattr(self, name) is not None:
+                _check.positive_int(name, getattr(self, name))
+        if not 0.0 < self.fov < 180.0:
+            raise ValueError(f"fov: expected degrees in (0, 180), got {self.fov!r}")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of the summary.
+
+    Attributes:
+        key: Its name in JSON.
+        told: What it is, in words.
+        mean: Over all measurements.
+        worst: The worst of them, None where there is no worse or better; of `worst_of`.
+        worst_of: "cell", "viewpoint" or "image".
+        targets: For the mean and for the worst; None where there is none.
+        better: "higher" or "lower"; empty where neither is.
+        unit: "share", "dB", "times".
+    """
+
+    key: str
+    told: str
+    mean: float
+    worst: float | None
+    worst_of: str
+    targets: tuple[float | None, float | None]
+    better: str
+    unit: str
+
+    def met(self, which: int) -> bool | None:
+        """Whether the mean (0) or the worst (1) reaches its target; None without one."""
+        target, value = self.targets[which], (self.mean, self.worst)[which]
+        if target is None or value is None:
+            return None
+        return value >= target if self.better == "higher" else value <= target
+
+
+@dataclass(frozen=True)
+class Trade:
+    """What leaving the faint classes out of the sets saves and costs, on average over the measurements.
+
+    Attributes:
+        least_class: The lowest class that is sent; 0 for the whole set.
+        least_weight: Where it begins.
+        gaussians: Gaussians sent for a cell.
+        bytes: What they take.
+        weighted_recall: Share of the light that is kept.
+        psnr: Of the image against the full scene.
+        psnr_worst: Of the worst image.
+        saved: Bytes saved against the whole set.
+        lost: PSNR lost against the whole set.
+    """
+
+    least_class: int
+    least_weight: float
+    gaussians: float
+    bytes: float
+    weighted_recall: float
+    psnr: float
+    psnr_worst: float
+    saved: float
+    lost: float
+
+    @property
+    def lost_per_megabyte(self) -> float | None:
+        """Decibels lost for each million bytes saved; None where nothing is saved."""
+        return self.lost / (self.saved / 1e6) if self.saved > 0.0 else None
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How good the visible sets of M cells are, from V fresh viewpoints in each.
+
+    Attributes:
+        config: How it was measured.
+        gaussians: N, of the scene.
+        tau: Weight from which a Gaussian counts as visible.
+        class_edges: (K,) lowest weight of each class.
+        bytes_per_gaussian: What sending one costs.
+        cells: (M,) which cells, rising.
+        centres: (M, 3) their middles, scene frame and units.
+        left_out: Cells asked for in which no viewpoint outside something solid was found.
+        eyes: (M, V, 3) the fresh viewpoints.
+        kept: (M, K) Gaussians of the set.
+        weighted_recall: (M, V, K) share of the weights around the viewpoint, summed over pixels, that the set keeps.
+        recall: (M, V) share of the Gaussians visible from the viewpoint that the set has.
+        ray_recall: (M, V) the same for those visible on pixel rays; None if not asked for.
+        psnr: (M, V, K) of the image drawn from the set against that of the full scene.
+        ceiling: (M, V) PSNR of the same image drawn from exactly the Gaussians visible in it.
+        exact: (M, V) how many those are.
+        confirmed: (M,) share of the set that a fresh viewpoint, or one of the dense union, sees: precision.
+        dense: (M,) Gaussians of the dense union; None without one.
+        dense_shared: (M,) how many of them the set has; None without.
+        dense_psnr: (M, V) PSNR of the image drawn from the dense union; None without.
+    """
+
+    config: QualityConfig
+    gaussians: int
+    tau: float
+    class_edges: F64
+    bytes_per_gaussian: int
+    cells: I64
+    centres: F64
+    left_out: tuple[int, ...]
+    eyes: F64
+    kept: I64
+    weighted_recall: F64
+    recall: F64
+    ray_recall: F64 | None
+    psnr: F64
+    ceiling: F64
+    exact: I64
+    confirmed: F64
+    dense: I64 | None
+    dense_shared: I64 | None
+    dense_psnr: F64 | None
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    @property
+    def size_over_dense(self) -> F64 | None:
+        """(M,) size of each set over that of its dense union; None without one."""
+        return None if self.dense is None else self.kept[:, 0] / np.maximum(self.dense, 1)
+
+    @property
+    def dense_recall(self) -> F64 | None:
+        """(M,) share of the dense union that each set has; None without one."""
+        if self.dense is None or self.dense_shared is None:
+            return None
+        return np.where(self.dense > 0, self.dense_shared / np.maximum(self.dense, 1), 1.0)
+
+    def figures(self) -> tuple[Figure, ...]:
+        """The summary, the figures with targets first."""
+        whole, images = self.weighted_recall[..., 0], self.psnr[..., 0]
+        cell, eye = whole.mean(axis=1), "viewpoint"
+        found = [
+            _figure("weighted_recall", "light kept at fresh viewpoints", cell, "cell", "higher", "share"),
+            _figure("weighted_recall_viewpoint", "the same by viewpoint", whole, eye, "higher", "share"),
+            _figure("psnr", "image from the set against the full scene", images, "image", "higher", "dB"),
+            _figure("ceiling", "image from exactly what it shows", self.ceiling, "image", "higher", "dB"),
+        ]
+        if self.dense_psnr is not None:
+            told = "image from the dense union"
+            found.append(_figure("dense_psnr", told, self.dense_psnr, "image", "higher", "dB"))
+        if self.size_over_dense is not None and self.dense_recall is not None:
+            told = "size of the set over the dense union"
+            found.append(_figure("size_over_dense", told, self.size_over_dense, "cell", "lower", "times"))
+            told = "share of the dense union that the set has"
+            found.append(_figure("dense_recall", told, self.dense_recall, "cell", "higher", "share"))
+        told = "visible Gaussians that the set has"
+        found.append(_figure("recall", told, self.recall, "viewpoint", "higher", "share"))
+        if self.ray_recall is not None:
+            told = "the same, visible on pixel rays"
+            found.append(_figure("ray_recall", told, self.ray_recall, "viewpoint", "higher", "share"))
+        told = "share of the set that a viewpoint confirms"
+        found.append(_figure("precision", told, self.confirmed, "cell", "higher", "share"))
+        shares = self.kept[:, 0] / self.gaussians
+        found.append(
+            Figure("visible_share", "set as a share of the scene", _mean(shares), None, "", (None, None), "", "share")
+        )
+        return tuple(found)
+
+    def worst(self, count: int = 5) -> I64:
+        """Rows of the `count` measured cells that keep the least light, worst first."""
+        return np.lexsort((self.psnr[..., 0].mean(axis=1), self.weighted_recall[..., 0].mean(axis=1)))[:count]
+
+    def trades(self) -> tuple[Trade, ...]:
+        """What leaving out the faint classes saves and costs, from the whole set to the highest class alone."""
+        kept = self.kept.mean(axis=0)
+        recall, psnr = self.weighted_recall.mean(axis=(0, 1)), self.psnr.mean(axis=(0, 1))
+        size = float(self.bytes_per_gaussian)
+        return tuple(
+            Trade(
+                k,
+                float(self.class_edges[k]),
+                float(kept[k]),
+                size * float(kept[k]),
+                float(recall[k]),
+                float(psnr[k]),
+                float(self.psnr[..., k].min()),
+                size * float(kept[0] - kept[k]),
+                float(psnr[0] - psnr[k]),
+            )
+            for k in range(len(self.class_edges))
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        return {
+            "config": asdict(self.config),
+            "gaussians": self.gaussians,
+            "tau": self.tau,
+            "bytes_per_gaussian": self.bytes_per_gaussian,
+            "cells_measured": len(self),
+            "cells_left_out": list(self.left_out),
+            "figures": {
+                each.key: {
+                    "told": each.told,
+                    "mean": each.mean,
+                    "worst": each.worst,
+                    "worst_of": each.worst_of,
+                    "target_mean": each.targets[0],
+                    "target_worst": each.targets[1],
+                    "met_mean": each.met(0),
+                    "met_worst": each.met(1),
+                    "unit": each.unit,
+                }
+                for each in self.figures()
+            },
+            "classes": [{**asdict(each), "lost_per_megabyte": each.lost_per_megabyte} for each in self.trades()],
+            "worst_cells": self.cells[self.worst(10)].tolist(),
+            "cells": [self._row(m) for m in range(len(self))],
+        }
+
+    def _row(self, m: int) -> dict[str, Any]:
+        """Everything about one measured cell."""
+        row = {
+            "cell": int(self.cells[m]),
+            "centre": self.centres[m].tolist(),
+            "kept": self.kept[m].tolist(),
+            "precision": float(self.confirmed[m]),
+            "viewpoints": self.eyes[m].tolist(),
+            "weighted_recall": self.weighted_recall[m].tolist(),
+            "recall": self.recall[m].tolist(),
+            "psnr": self.psnr[m].tolist(),
+            "ceiling": self.ceiling[m].tolist(),
+            "exact": self.exact[m].tolist(),
+        }
+        for name in ("ray_recall", "dense", "dense_shared", "dense_psnr"):
+            values = getattr(self, name)
+            row[name] = None if values is None else values[m].tolist()
+        return row
+
+
+def _figure(key: str, told: str, values: F64, worst_of: str, better: str, unit: str) -> Figure:
+    worst = float(values.max() if better == "lower" else values.min())
+    return Figure(key, told, _mean(values), worst, worst_of, TARGETS.get(key, (None, None)), better, unit)
+
+
+def _mean(values: F64) -> float:
+    return float(np.mean(values))
