@@ -23,6 +23,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis analyze scene.ply -o report          visibility report with pictures
   gsvis analyze builtin:two_rooms -o report  the same without a scene at hand
   gsvis render scene.ply -o orbit.gif --orbit 36
+  gsvis pvs scene.ply -o scene.pvs           what can be seen from each cell
   gsvis convert scene.ply small.spz --min-opacity 0.02
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
@@ -48,8 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except SystemExit as done:  # from tyro, which has said what it had to say
         return done.code if isinstance(done.code, int) else 2
-    except KeyboardInterrupt:
-        return _told("interrupted; nothing was left half-written", 130)
+    except KeyboardInterrupt as stopped:
+        return _told(f"interrupted; {str(stopped) or 'nothing was left half-written'}", 130)
     except BrokenPipeError:
         # What reads stdout has gone. Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -118,6 +119,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.render import run_render
 
         run_render(command)
+    elif isinstance(command, arguments.Pvs):
+        from gsvis.cli.pvs import run_pvs
+
+        run_pvs(command)
     else:
         from gsvis.cli.convert import run_convert
 
@@ -132,7 +137,8 @@ def _explained(error: Exception) -> tuple[str, int]:
     if isinstance(error, FileNotFoundError) and error.filename is not None:
         return f"error: {os.fsdecode(error.filename)}: no such file or folder", 2
     if isinstance(error, OSError) and error.filename is not None:
-        return f"error: {os.fsdecode(error.filename)}: {(error.strerror or text).lower()}", 2
+        reason = error.strerror or text
+        return f"error: {os.fsdecode(error.filename)}: {reason[:1].lower()}{reason[1:]}", 2
     if isinstance(error, GsvisError | ValueError | OSError):
         return f"error: {text}", 2
     if isinstance(error, MemoryError):

@@ -5,6 +5,7 @@ Nothing heavy is imported here: `gsvis --help` has to be quick.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -12,7 +13,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-__all__ = ["Analyze", "Command", "Convert", "Inspect", "Render"]
+__all__ = ["Analyze", "Command", "Convert", "Inspect", "Pvs", "Render"]
 
 
 def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
@@ -84,6 +85,14 @@ def _read_face_rays(words: list[str]) -> int:
     return int(words[0])
 
 
+def _read_bytes(words: list[str]) -> int:
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([kmgt]?)(i?)b", words[0].strip().lower())
+    size = float(found[1]) * (1024.0 if found[3] else 1000.0) ** " kmgt".index(found[2] or " ") if found else 0.0
+    if not 1.0 <= size < 2.0**60:
+        raise ValueError(f"expected a size such as 4GB, 2.5GiB or 500MB, got {words[0]!r}")
+    return int(size)
+
+
 _COUNT = 10**9
 _WHOLE = _number("N", int, 0, _COUNT, "a whole number of at least 0")
 _COUNTED = _number("N", int, 1, _COUNT, "a whole number of at least 1")
@@ -100,6 +109,11 @@ _INDICES = _spec("*", "I [I ...]", _read_indices)
 _PIXEL = _spec(1, "X,Y", _read_pixel)
 _DISTANCE = _number("R", float, 1e-12, 1e12, "a distance above 0")
 _ELEVATION = _number("DEG", float, -89.0, 89.0, "degrees in [-89, 89]")
+_BYTES = _spec(1, "SIZE", _read_bytes)
+_FACE_PIXELS = _number("PX", int, 4, 4096, "4 to 4096 pixels")
+_TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
+_SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
+_CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
 _RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
 
 
@@ -248,4 +262,52 @@ class Convert:
     """Show the traceback of an error."""
 
 
-Command = Inspect | Analyze | Render | Convert
+@dataclass(frozen=True)
+class Pvs:
+    """Find what can be seen from each cell of a scene; write it as a store."""
+
+    scene: Scene
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
+    """The store to write, such as scene.pvs; replaced, when the new one is whole, if it exists."""
+    lod: Lod = None
+    """Level of detail of a streamed scene; 0 is the finest."""
+    cells: Annotated[int | None, _CELLS, _hint("512")] = None
+    """Most cells to cut the space into; as small as that allows."""
+    cell_size: Annotated[float | None, _DISTANCE, _hint("the smallest that --cells allows")] = None
+    """Side of a cell, scene units."""
+    box: Annotated[tuple[float, ...] | None, _BOX, _hint("the navigable space of the scene")] = None
+    """Eyes may be anywhere in this box, frame of SCENE."""
+    path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
+    """Eyes follow this walk: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS recording, frame of SCENE."""
+    margin: Annotated[float | None, _DISTANCE, _hint("3 voxels of the navigable space")] = None
+    """How far eyes may be from --path, scene units."""
+    retarget: Flag = False
+    """Bring --path into the scene by a similarity transform, where it was recorded in another frame."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards in the scene, such as -y."""
+    method: Annotated[Literal["hybrid", "raster", "raycast"], _PLAIN] = "hybrid"
+    """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
+    size: Annotated[int | None, _FACE_PIXELS, _hint("384")] = None
+    """Pixels or rays along a side of the six faces around a viewpoint."""
+    tau: Annotated[float, _TAU, _hint("1/255")] = 1.0 / 255.0
+    """Weight from which a Gaussian counts as visible."""
+    growth: Annotated[float | None, _SHARE, _hint("0.01")] = None
+    """A cell is done when two viewpoints in turn made its set grow by at most this share."""
+    max_viewpoints: Annotated[int | None, _COUNTED, _hint("24")] = None
+    """Viewpoints after which a cell is done in any case."""
+    workers: Annotated[int | None, _COUNTED, _hint("one for each core")] = None
+    """Processes that look; fewer are started if --max-memory asks for it."""
+    max_memory: Annotated[int | None, _BYTES, _hint("no bound")] = None
+    """Memory that all processes together may take, such as 4GB or 2GiB."""
+    scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
+    """Work on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786; extra 'cluster'."""
+    dry_run: Flag = False
+    """Try a few cells, tell time, memory and disk, and write nothing."""
+    json: Flag = False
+    """Print one JSON document instead of tables."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+Command = Inspect | Analyze | Render | Pvs | Convert

@@ -7,7 +7,7 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.source import Source, inspected, load_source
-from gsvis.cli.terminal import Status, facts, print_json, show
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 
 __all__ = ["run_inspect"]
 
@@ -37,8 +37,8 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
     if source.lods:
         rows.append(("LODs present", ", ".join(map(str, source.lods))))
     if source.path is not None and source.path.is_file() and not source.lods:
-        rows.append(("file", f"{_bytes(source.path.stat().st_size)}, {_suffix(source.path)}"))
-    rows.append(("in memory", _bytes(report["bytes_in_memory"])))
+        rows.append(("file", f"{size_of(source.path.stat().st_size)}, {_suffix(source.path)}"))
+    rows.append(("in memory", size_of(report["bytes_in_memory"])))
     if report["count"] == 0:
         return rows
     rows += [
@@ -71,13 +71,6 @@ def _box(corners: list[list[float]]) -> str:
 
 def _quantiles(found: dict[str, float]) -> str:
     return f"median {found['p50']:.3g}, p10 {found['p10']:.3g}, p90 {found['p90']:.3g}, max {found['max']:.3g}"
-
-
-def _bytes(count: int) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count >= size:
-            return f"{count / size:.1f} {unit}"
-    return f"{count} bytes"
 
 
 def _suffix(path: Path) -> str:

@@ -9,20 +9,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.errors import SceneError
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import inspect_scene
+from gsvis.scene.inspection import AXES, axis_vector, inspect_scene
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = [
     "Source",
+    "check_file",
     "check_folder",
     "check_source",
     "evenly",
     "file_cameras",
+    "given_up",
     "inspected",
     "load_source",
     "navigable_space",
@@ -136,6 +138,17 @@ def navigable_space(
         return None, str(error)
 
 
+def given_up(axis: str | None) -> NDArray[np.float64] | None:
+    """The up axis of --up, (3,); None where it is left open.
+
+    Raises:
+        ValueError: If it names no axis.
+    """
+    if axis is not None and axis.strip() not in AXES:
+        raise ValueError(f"--up: expected one of {', '.join(AXES)}, got {axis.strip()!r}")
+    return None if axis is None else axis_vector(axis.strip())
+
+
 def file_cameras(path: str, width: int | None, height: int | None, *, at_most: int | None = None) -> Cameras:
     """The cameras of a file at the size that is asked for; a side left open follows from the file's aspect.
 
@@ -169,6 +182,18 @@ def evenly(cameras: Cameras, count: int) -> Cameras:
     if count >= len(cameras):
         return cameras
     return cameras[np.floor(np.arange(count) * len(cameras) / count).astype(int)]
+
+
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Say at once if a file cannot be written; leaves no trace.
+
+    Raises:
+        ValueError: If the path is a folder, or a folder above it is a file.
+        OSError: If nothing may be written there.
+    """
+    if Path(path).is_dir():
+        raise ValueError(f"{path}: expected the name of a file, got a folder; name a file in it")
+    check_folder(Path(path).absolute().parent)
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:

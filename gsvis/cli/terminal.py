@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
-__all__ = ["Status", "facts", "print_json", "show"]
+__all__ = ["Status", "clock", "facts", "print_json", "show", "size_of"]
 
 _SAID = {
     "reading": "reading the scene",
@@ -27,6 +27,9 @@ _SAID = {
     "pictures": "rendering pictures",
     "rendering": "rendering",
     "writing": "writing",
+    "cells": "looking from cells",
+    "store": "writing the store",
+    "trying": "trying a few cells",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing
@@ -35,13 +38,13 @@ _QUIET = 2.0  # seconds after which stages are named in plain lines: quick comma
 class Status(AbstractContextManager["Status"]):
     """A progress callback for the library: bars with an ETA on a terminal, a plain line now and then elsewhere.
 
-    Call it as `status(stage, done, total)`. A stage of total 1 has no bar, only its time. `seconds` holds how long
-    each finished stage took.
+    Call it as `status(stage, done, total)`. A stage of total 1 has no bar, only its time; one that begins above 0 goes
+    on where an earlier run stood. `seconds` holds how long each finished stage took.
     """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._starts: dict[str, float] = {}
+        self._starts: dict[str, tuple[float, int]] = {}  # when, and how much had been done before
         self._began = self._spoke = time.perf_counter()
         self._tasks: dict[str, TaskID] = {}
         self._bars: Progress | None = _bars() if sys.stderr.isatty() else None
@@ -60,24 +63,26 @@ class Status(AbstractContextManager["Status"]):
         now = time.perf_counter()
         first = stage not in self._starts or done == 0
         if first:
-            self._starts[stage] = now
-        elapsed = now - self._starts[stage]
+            self._starts[stage] = now, done
+        began, before = self._starts[stage]
+        elapsed = now - began
+        left = elapsed / (done - before) * (total - done) if done > before else None
         if done >= total and not first:
             self.seconds[stage] = round(elapsed, 3)
         said = _SAID.get(stage, stage)
         if self._bars:
             if stage not in self._tasks:
                 self._tasks[stage] = self._bars.add_task(said, total=total if total > 1 else None)
-            self._bars.update(self._tasks[stage], completed=done, total=total if total > 1 or done else None)
+            ends = None if left is None else now + left
+            self._bars.update(self._tasks[stage], completed=done, total=total if total > 1 or done else None, ends=ends)
         elif first:
             if now - self._began >= _QUIET:
                 self._say(said)
         elif done >= total:
             if elapsed >= _EVERY:
-                self._say(f"{said}: done in {_clock(elapsed)}")
-        elif done and now - self._spoke >= _EVERY:
-            left = elapsed / done * (total - done)
-            self._say(f"{said}: {done:,} of {total:,}, about {_clock(left)} left")
+                self._say(f"{said}: done in {clock(elapsed)}")
+        elif left is not None and now - self._spoke >= _EVERY:
+            self._say(f"{said}: {done:,} of {total:,}, about {clock(left)} left")
 
     def _say(self, line: str) -> None:
         self._spoke = time.perf_counter()
@@ -95,9 +100,9 @@ def _bars() -> Progress:
 
         def render(self, task: Task) -> Text:
             if task.finished or task.total is None:
-                return Text(_clock(task.finished_time or task.elapsed or 0.0), style="dim")
-            left = task.time_remaining
-            return Text("" if left is None else f"{_clock(left)} left", style="cyan")
+                return Text(clock(task.finished_time or task.elapsed or 0.0), style="dim")
+            ends = task.fields.get("ends")
+            return Text("" if ends is None else f"{clock(max(0.0, ends - time.perf_counter()))} left", style="cyan")
 
     class Count(ProgressColumn):
         """How many of how many; nothing for a stage of one step."""
@@ -115,12 +120,22 @@ def _bars() -> Progress:
     )
 
 
-def _clock(seconds: float) -> str:
+def clock(seconds: float) -> str:
     """45 -> '45 s', 125 -> '2 min 05 s'; short times with one digit."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)
+    if whole >= 3600:
+        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
     return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60:02d} s"
+
+
+def size_of(count: int) -> str:
+    """1500000 -> '1.5 MB'."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count} bytes"
 
 
 def print_json(document: dict[str, Any]) -> None:

@@ -10,8 +10,10 @@ import json
 import shutil
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import zstandard
@@ -56,16 +58,38 @@ class Journal:
     """Finished cells of one plan.
 
     Args:
-        folder: Where they are kept; made if it is missing.
+        folder: Where they are kept; there may be none yet.
         plan: What is being built, written there for people to read.
     """
 
     def __init__(self, folder: Path, plan: dict[str, Any]) -> None:
-        self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / "plan.json").exists():
-            with atomic_path(folder / "plan.json") as partial:
-                partial.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
+        self.folder, self._plan = folder, plan
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """The folder made and kept from other processes; it goes with the last cell in it, or if it never had one.
+
+        Raises:
+            ValueError: If another process builds the same.
+            OSError: If the folder cannot be written.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / "lock").open("a+") as lock:
+            if not _locked(lock):
+                raise ValueError(
+                    f"path: expected a build that no other process is busy with, got one that is, in {self.folder};"
+                    " wait for it or stop it"
+                )
+            try:
+                if not (self.folder / "plan.json").exists():
+                    with atomic_path(self.folder / "plan.json") as partial:
+                        partial.write_text(json.dumps(self._plan, indent=1) + "\n", encoding="utf-8")
+                for partial in self.folder.glob(".*"):  # of a build that was killed
+                    partial.unlink(missing_ok=True)
+                yield
+            finally:
+                if not any(self.folder.glob("cell-*.bin")):
+                    self.remove()
 
     def keep(self, cell: int, data: bytes) -> None:
         """Keep the packed view of a cell."""
@@ -81,7 +105,7 @@ class Journal:
 
     def finished(self, count: int) -> list[int]:
         """Those of the first `count` cells that were kept and are whole."""
-        kept = {path.name for path in self.folder.glob("cell-*.bin")}
+        kept = {path.name for path in self.folder.glob("cell-*.bin")} if self.folder.is_dir() else ()
         return [cell for cell in range(count) if self._path(cell).name in kept and self.view(cell) is not None]
 
     def remove(self) -> None:
@@ -90,3 +114,18 @@ class Journal:
 
     def _path(self, cell: int) -> Path:
         return self.folder / f"cell-{cell:06d}.bin"
+
+
+def _locked(file: IO[str]) -> bool:
+    """Whether the file could be locked, until it is closed; where a system has no such locks it always could."""
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True

@@ -7,10 +7,20 @@ with its worker is given out again. What comes back does not depend on who did i
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -18,6 +28,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba import get_num_threads, set_num_threads
+from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
 from gsvis.scene.gaussians import Gaussians
@@ -25,13 +37,27 @@ from gsvis.visibility._journal import pack_view
 from gsvis.visibility.look import Look
 from gsvis.visibility.pvs import PvsConfig, see_cell
 
-__all__ = ["SceneArrays", "Task", "done_by", "done_by_processes", "done_here"]
+__all__ = [
+    "SceneArrays",
+    "Task",
+    "done_by",
+    "done_by_processes",
+    "done_here",
+    "forget_scene",
+    "see",
+    "use_threads",
+]
 
-_ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
-_RESTARTS = 3  # times that a broken pool of processes is started again
+Result = tuple[int, bytes]
+"""A cell and what it sees, packed."""
+
+# shN has no influence on what is seen.
+_SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
+_RESTARTS = 3  # times in a row that work is begun again without one cell being finished
 
 _ready: OrderedDict[str, Look] = OrderedDict()  # of this process, the last scene and configuration
 _one_at_a_time = threading.Lock()  # the kernels of numba's default threading layer may not run from two threads
+_threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +66,7 @@ class SceneArrays:
 
     Attributes:
         key: Names the scene and the configuration.
-        source: Its arrays, or the folder that holds them as .npy files.
+        source: Its arrays, or the folder that holds each in a file.
         config: How visible sets are found.
     """
 
@@ -51,17 +77,19 @@ class SceneArrays:
     @classmethod
     def of(cls, key: str, g: Gaussians, config: PvsConfig) -> SceneArrays:
         """The arrays themselves."""
-        return cls(key, {name: getattr(g, name) for name in _ARRAYS}, config)
+        return cls(key, {name: getattr(g, name) for name in _SHAPES}, config)
 
-    def stored(self, folder: Path) -> SceneArrays:
-        """The same with the arrays in files, which all processes of a machine map and share."""
+    @contextmanager
+    def stored(self, folder: Path) -> Iterator[SceneArrays]:
+        """The same with the arrays in files, which all processes of a machine map and share; removed in the end."""
         assert isinstance(self.source, dict)
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, array in self.source.items():
-            partial = folder / f".{name}.npy"
-            np.save(partial, array)
-            os.replace(partial, folder / f"{name}.npy")
-        return SceneArrays(self.key, folder, self.config)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, array in self.source.items():
+                (folder / f"{name}.f32").write_bytes(np.ascontiguousarray(array, np.float32).data)
+            yield SceneArrays(self.key, folder, self.config)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
     def look(self) -> Look:
         """The scene, ready; kept until another one is asked for."""
@@ -70,7 +98,7 @@ class SceneArrays:
             _ready.clear()
             source = self.source
             if isinstance(source, Path):
-                source = {name: np.load(source / f"{name}.npy", mmap_mode="r") for name in _ARRAYS}
+                source = {name: _mapped(source / f"{name}.f32", shape) for name, shape in _SHAPES.items()}
             look = Look(Gaussians(**source), self.config.method, self.config.size, self.config.tau)
             _ready[self.key] = look
         return look
@@ -84,27 +112,89 @@ class Task:
     viewpoints: Any
 
 
+def _mapped(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    return np.asarray(np.memmap(path, np.float32, mode="r")).reshape(shape)
+
+
 def see(scene: SceneArrays, task: Task) -> bytes:
     """Do one task; runs in the worker."""
     with _one_at_a_time:
+        if _threads:
+            set_num_threads(min(_threads[0], get_num_threads()))
         return pack_view(see_cell(scene.look(), task.viewpoints, scene.config))
 
 
-def done_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[tuple[int, bytes]]:
+def use_threads(count: int | None) -> None:
+    """How many threads the kernels of this process may use for tasks; None for all."""
+    _threads[:] = [] if count is None else [count]
+
+
+def forget_scene() -> None:
+    """Give back the memory of the last scene."""
+    _ready.clear()
+
+
+def done_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
     """The tasks one after the other, in this process."""
-    for task in tasks:
-        yield task.cell, see(scene, task)
+    try:
+        for task in tasks:
+            yield task.cell, see(scene, task)
+    finally:
+        forget_scene()
 
 
-def done_by(executor: Executor, scene: Any, tasks: Iterable[Task], *, in_flight: int) -> Iterator[tuple[int, bytes]]:
-    """The tasks as an executor finishes them.
+def done_by(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
+    """The tasks as an executor finishes them; begun again where it has lost them.
 
     Args:
         executor: Anything with `submit`.
-        scene: A `SceneArrays`, or what the executor turns into one (a Dask future).
-        tasks: Taken as they are needed.
+        share: Gives a `SceneArrays`, or what the executor turns into one (a Dask future).
+        tasks: In the order in which they are given out.
         in_flight: Tasks given out at a time.
+
+    Raises:
+        GsvisError: If tasks are lost again and again.
     """
+    told = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
+    return _until_done(tasks, lambda left: _submitted(executor, share(), left, in_flight), CancelledError, told)
+
+
+def done_by_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
+    """The tasks on `workers` processes of this machine; processes that die are replaced.
+
+    Raises:
+        GsvisError: If processes die again and again.
+    """
+
+    def attempt(left: list[Task]) -> Iterator[Result]:
+        with _local_processes(min(workers, len(left))) as executor:
+            yield from _submitted(executor, scene, left, 2 * workers)
+
+    told = (
+        "worker processes died again and again, most likely for want of memory: use fewer --workers or a smaller"
+        " --max-memory"
+    )
+    return _until_done(tasks, attempt, BrokenExecutor, told)
+
+
+def _until_done(
+    tasks: list[Task], attempt: Callable[[list[Task]], Iterator[Result]], lost: type[Exception], told: str
+) -> Iterator[Result]:
+    missing = {task.cell: task for task in tasks}
+    failures = 0
+    while missing:
+        before = len(missing)
+        try:
+            for cell, data in attempt(list(missing.values())):
+                del missing[cell]
+                yield cell, data
+        except lost as error:
+            failures = 0 if len(missing) < before else failures + 1
+            if failures > _RESTARTS:
+                raise GsvisError(told) from error
+
+
+def _submitted(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: int) -> Iterator[Result]:
     waiting: dict[Future[bytes], Task] = {}
     left = iter(tasks)
     try:
@@ -116,38 +206,18 @@ def done_by(executor: Executor, scene: Any, tasks: Iterable[Task], *, in_flight:
             if not waiting:
                 return
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                task = waiting[future]
-                result = future.result()
-                del waiting[future]
-                yield task.cell, result
+                task = waiting.pop(future)
+                yield task.cell, future.result()
     finally:
         for future in waiting:
             future.cancel()
-
-
-def done_by_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[tuple[int, bytes]]:
-    """The tasks on `workers` processes of this machine; processes that die are replaced."""
-    missing = {task.cell: task for task in tasks}
-    for _ in range(1 + _RESTARTS):
-        try:
-            with _local_processes(workers) as executor:
-                for cell, data in done_by(executor, scene, list(missing.values()), in_flight=2 * workers):
-                    del missing[cell]
-                    yield cell, data
-            return
-        except BrokenExecutor:
-            continue
-    raise GsvisError(
-        f"worker processes died {1 + _RESTARTS} times, most likely for want of memory; use fewer --workers or a smaller"
-        " --max-memory"
-    )
 
 
 @contextmanager
 def _local_processes(workers: int) -> Iterator[Executor]:
     """A pool of processes with one thread each, which goes at once when the block is left early."""
     # Started afresh: a forked process would inherit the threads of numba's kernels in an unusable state.
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin, initargs=(os.getpid(),))
+    pool = _Pool(workers, mp_context=get_context("spawn"), initializer=_begin, initargs=(os.getpid(),))
     done = False
     try:
         yield pool
@@ -155,23 +225,33 @@ def _local_processes(workers: int) -> Iterator[Executor]:
     finally:
         if not done:
             for process in list((pool._processes or {}).values()):
-                process.terminate()
+                process.kill()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _begin(parent: int) -> None:
-    """Begin a worker process: one thread, deaf to Ctrl-C, which is for the parent, and gone when the parent is."""
-    import signal
-    import time
+class _Pool(ProcessPoolExecutor):
+    """Its processes are deaf to Ctrl-C, which is for the parent, from their first moment: a mask is inherited."""
 
-    from numba import set_num_threads
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(fn, *args, **kwargs)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(parent: int) -> None:
+    """Begin a worker process: one thread, and gone when the parent is."""
+    import time
 
     def watch() -> None:
         while os.getppid() == parent:
-            time.sleep(1.0)
+            time.sleep(0.5)
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    set_num_threads(1)
+    use_threads(1)
     threading.Thread(target=watch, daemon=True).start()

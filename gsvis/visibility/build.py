@@ -6,12 +6,14 @@ cluster: what a cell sees depends on the scene, the cell and the configuration a
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,11 +25,20 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.raycast.directions import NUM_FACES
-from gsvis.scene.content import scene_hash
+from gsvis.raycast.proxies import MIN_ALPHA
+from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility._journal import Journal, pack_view
-from gsvis.visibility._work import SceneArrays, Task, done_by, done_by_processes, done_here
+from gsvis.visibility._work import (
+    Result,
+    SceneArrays,
+    Task,
+    done_by,
+    done_by_processes,
+    done_here,
+    forget_scene,
+)
 from gsvis.visibility.cells import CellGrid
 from gsvis.visibility.pvs import PvsConfig, see_cell
 from gsvis.visibility.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
@@ -41,6 +52,11 @@ _PLAN = 1  # raised whenever the same plan would give other bytes
 _BASE = {"hybrid": 330 << 20, "raster": 700 << 20, "raycast": 600 << 20}
 _PER_GAUSSIAN = {"hybrid": 320, "raster": 700, "raycast": 900}
 _PER_PIXEL = 6 * 24  # of the six faces
+_SCENE_FILE = 56  # bytes of the scene that workers map
+
+_BITS = 5.0  # of a set and its classes, for each visible Gaussian of a cell
+_DISK_PER_GAUSSIAN = 6  # order and direction sets
+_PROCESSES_OVER_THREADS = 1.3  # how much better cores are used by processes than by the threads of one
 
 
 @dataclass(frozen=True)
@@ -127,25 +143,27 @@ def build_pvs(
     config, workers = config or PvsConfig(), workers or Workers()
     count = _fitting(len(g), config, workers)
     viewpoints = CellViewpoints(grid, space)
-    journal, plan, scene = _open_journal(g, grid, space, Path(path), config)
+    _check_content(g)
+    target, plan = Path(path), _plan(g, grid, space, config)
+    journal = Journal(_folder_of(target, plan), plan)
     try:
-        finished = journal.finished(len(grid))
-        progress("cells", len(finished), len(grid))
-        left = sorted(set(range(len(grid))) - set(finished))
-        tasks = [Task(cell, viewpoints.spread(cell, config.max_viewpoints)) for cell in left]
-        for done, (cell, data) in enumerate(_results(scene, tasks, workers, count, journal), len(finished) + 1):
-            journal.keep(cell, data)
-            progress("cells", done, len(grid))
-        _write(journal, grid, Path(path), g, plan, config, progress)
+        with journal.opened():
+            finished = journal.finished(len(grid))
+            progress("cells", len(finished), len(grid))
+            left = sorted(set(range(len(grid))) - set(finished))
+            tasks = [Task(cell, viewpoints.spread(cell, config.max_viewpoints)) for cell in left]
+            scene = SceneArrays.of(_key(plan), g, config)
+            with closing(_results(scene, tasks, workers, count, journal)) as results:
+                for done, (cell, data) in enumerate(results, len(finished) + 1):
+                    journal.keep(cell, data)
+                    progress("cells", done, len(grid))
+            _write(journal, grid, target, g, plan, config, progress)
+            journal.remove()
+    except SceneError:
+        journal.remove()
+        raise
     except OSError as error:
-        kept = len(journal.finished(len(grid)))
-        raise OSError(
-            error.errno,
-            f"{error.strerror or error}; {kept} of {len(grid)} cells are kept in {journal.folder.name}: make room and"
-            " run the same again",
-            str(path),
-        ) from error
-    journal.remove()
+        raise _explained(error, journal, len(grid), target) from error
     return VisibilityStore.open(path)
 
 
@@ -158,6 +176,7 @@ def estimate_pvs(
     *,
     workers: Workers | None = None,
     sample: int = 2,
+    progress: Progress = silent,
 ) -> Estimate:
     """What `build_pvs` would cost; looks from `sample` cells to find out and writes nothing.
 
@@ -169,6 +188,7 @@ def estimate_pvs(
         config: How; None means `PvsConfig()`.
         workers: Who would do the work.
         sample: Cells to try.
+        progress: Called with stage "trying".
 
     Raises:
         SceneError: If the scene is empty.
@@ -177,28 +197,31 @@ def estimate_pvs(
     config, workers = config or PvsConfig(), workers or Workers()
     count = _fitting(len(g), config, workers)
     viewpoints = CellViewpoints(grid, space)
+    _check_content(g)
+    _check.positive_int("sample", sample)
+    plan = _plan(g, grid, space, config)
+    finished = len(Journal(_folder_of(Path(path), plan), plan).finished(len(grid)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
-    scene = SceneArrays.of(_key(g, config), g, config)
-    look = scene.look()
+    look = SceneArrays.of(_key(plan), g, config).look()
     see_cell(look, viewpoints.spread(some[0], 1), config)  # kernels are loaded before the clock runs
     began, taken, bits = time.perf_counter(), 0, 0.0
-    for cell in some:
+    progress("trying", 0, len(some))
+    for done, cell in enumerate(some, 1):
         view = see_cell(look, viewpoints.spread(cell, config.max_viewpoints), config)
         taken += len(pack_view(view))
-        bits += 2.0 * len(view.ids) + 2.0 * len(view.ids)  # sets and classes
-    seconds = (time.perf_counter() - began) / len(some) * len(grid)
-    folder = journal_of(g, grid, space, path, config)
-    finished = len(Journal(folder, {}).finished(len(grid))) if folder.is_dir() else 0
-    share = 1.0 - finished / len(grid)
-    parallel = 1 if count == 1 else min(count, os.cpu_count() or 1) * 0.6  # one process has all threads already
+        bits += _BITS * len(view.ids)
+        progress("trying", done, len(some))
+    seconds = (time.perf_counter() - began) / len(some) * (len(grid) - finished)
+    forget_scene()
+    shared = count > 1 and workers.executor is None
     return Estimate(
-        len(grid),
-        finished,
-        count,
-        seconds * share / max(parallel, 1.0),
-        _parent(len(g), config) + (_worker(len(g), config) * count if count > 1 else 0),
-        int(bits / 8.0 / len(some) * len(grid)) + 2 * len(g),
-        int(taken / len(some) * len(grid)),
+        cells=len(grid),
+        finished=finished,
+        workers=count,
+        seconds=seconds / _speed_up(count, workers),
+        memory=_parent(len(g), config) + count * _worker(len(g), config) if shared else _alone(len(g), config),
+        disk=int(bits / 8.0 / len(some) * len(grid)) + _DISK_PER_GAUSSIAN * len(g),
+        working_disk=int(taken / len(some) * len(grid)) + (_SCENE_FILE * len(g) if shared else 0),
     )
 
 
@@ -206,23 +229,32 @@ def journal_of(
     g: Gaussians, grid: CellGrid, space: NavigableSpace, path: str | os.PathLike[str], config: PvsConfig
 ) -> Path:
     """The folder in which a build of this plan keeps finished cells."""
-    target, plan = Path(path), _plan(g, grid, space, config)
+    return _folder_of(Path(path), _plan(g, grid, space, config))
+
+
+def _folder_of(target: Path, plan: dict[str, Any]) -> Path:
     digest = hashlib.sha256(json.dumps(plan, sort_keys=True).encode()).hexdigest()
     return target.with_name(f"{target.name}.partial-{digest[:12]}")
 
 
-def _open_journal(
-    g: Gaussians, grid: CellGrid, space: NavigableSpace, path: Path, config: PvsConfig
-) -> tuple[Journal, dict[str, Any], SceneArrays]:
-    plan = _plan(g, grid, space, config)
-    journal = Journal(journal_of(g, grid, space, path, config), plan)
-    return journal, plan, SceneArrays.of(_key(g, config), g, config)
+def _check_content(g: Gaussians) -> None:
+    if not (g.opacities >= MIN_ALPHA).any():
+        raise SceneError(
+            "the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
+        )
+
+
+def _explained(error: OSError, journal: Journal, cells: int, target: Path) -> OSError:
+    """The error with a word on what is kept and what helps."""
+    kept = len(journal.finished(cells))
+    held = f"{kept} of {cells} cells are kept in {journal.folder.name}" if kept else "no cell was finished"
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    remedy = "make room and run the same again" if full else "run the same again to go on"
+    return OSError(error.errno or errno.EIO, f"{error.strerror or error}; {held}: {remedy}", str(target))
 
 
 def _plan(g: Gaussians, grid: CellGrid, space: NavigableSpace, config: PvsConfig) -> dict[str, Any]:
     """All that decides the bytes of the store."""
-    free = hashlib.sha256(np.packbits(space.free).tobytes())
-    free.update(np.concatenate([space.origin, [space.voxel_size], space.free.shape]).astype("<f8").tobytes())
     return {
         "format": "gsvis pvs plan",
         "version": _PLAN,
@@ -230,24 +262,26 @@ def _plan(g: Gaussians, grid: CellGrid, space: NavigableSpace, config: PvsConfig
         "gaussians": len(g),
         "grid": grid.as_dict(),
         "cells": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest(),
-        "space": free.hexdigest(),
+        "space": space_hash(space),
         "config": config.as_dict(),
     }
 
 
-def _key(g: Gaussians, config: PvsConfig) -> str:
-    return f"{scene_hash(g)} {config}"
+def _key(plan: dict[str, Any]) -> str:
+    return f"{plan['scene']} {plan['config']}"
 
 
 def _results(
     scene: SceneArrays, tasks: list[Task], workers: Workers, count: int, journal: Journal
-) -> Iterator[tuple[int, bytes]]:
+) -> Generator[Result, None, None]:
     if workers.executor is not None:
-        shared = scene if workers.scatter is None else workers.scatter(scene)
-        return done_by(workers.executor, shared, tasks, in_flight=2 * workers.count)
-    if count == 1 or len(tasks) < 2:
-        return done_here(scene, tasks)
-    return done_by_processes(scene.stored(journal.folder / "scene"), tasks, min(count, len(tasks)))
+        share = workers.scatter or (lambda given: given)
+        yield from done_by(workers.executor, lambda: share(scene), tasks, 2 * workers.count)
+    elif count == 1 or len(tasks) < 2:
+        yield from done_here(scene, tasks)
+    else:
+        with scene.stored(journal.folder / "scene") as stored:
+            yield from done_by_processes(stored, tasks, min(count, len(tasks)))
 
 
 def _write(
@@ -288,15 +322,27 @@ def _worker(gaussians: int, config: PvsConfig) -> int:
     return _BASE[config.method] + _PER_GAUSSIAN[config.method] * gaussians + pixels
 
 
+def _alone(gaussians: int, config: PvsConfig) -> int:
+    return max(_parent(gaussians, config), _worker(gaussians, config))
+
+
+def _speed_up(count: int, workers: Workers) -> float:
+    """How much faster than one process, which has all threads of this machine."""
+    if workers.executor is not None:
+        return max(1.0, 0.9 * count)
+    cores = os.cpu_count() or 1
+    return max(1.0, min(count, cores) * _PROCESSES_OVER_THREADS / cores) if count > 1 else 1.0
+
+
 def _fitting(gaussians: int, config: PvsConfig, workers: Workers) -> int:
     """How many processes fit the memory; 1 means that this process works itself."""
     if workers.max_memory is None or workers.executor is not None:
         return workers.count
-    alone = max(_parent(gaussians, config), _worker(gaussians, config))
+    alone = _alone(gaussians, config)
     if workers.max_memory < alone:
         raise ValueError(
-            f"max_memory: expected at least {alone / 2**30:.2g} GiB for {gaussians:,} Gaussians,"
-            f" got {workers.max_memory / 2**30:.2g} GiB; raise it, or take a coarser level of the scene"
+            f"max_memory: expected at least {alone / 1e9:.2g} GB for {gaussians:,} Gaussians,"
+            f" got {workers.max_memory / 1e9:.2g} GB; raise it, or take a coarser level of the scene"
         )
     room = (workers.max_memory - _parent(gaussians, config)) // _worker(gaussians, config)
     return int(min(workers.count, room)) if room >= 2 else 1

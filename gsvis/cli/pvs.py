@@ -1,0 +1,284 @@
+"""`gsvis pvs`: what can be seen from each cell of the space where eyes may be, as a store."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.cli.arguments import Pvs
+from gsvis.cli.source import Source, check_file, check_source, given_up, load_source, navigable_space
+from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.errors import FormatError, SceneError
+from gsvis.io.poses import load_path
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.visibility.build import Estimate, Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.visibility.cells import MAX_CELLS, CellGrid
+from gsvis.visibility.corridor import corridor
+from gsvis.visibility.pvs import PvsConfig
+from gsvis.visibility.store import VisibilityStore
+
+__all__ = ["run_pvs"]
+
+_CELLS = 512
+_BOX_VOXELS = 96  # along the longest side of --box
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What is to be built."""
+
+    source: Source
+    grid: CellGrid
+    space: NavigableSpace
+    config: PvsConfig
+    remarks: list[str]
+
+
+def run_pvs(command: Pvs) -> None:
+    """Read, cut into cells, look from each, write the store, say what is in it.
+
+    Raises:
+        GsvisError: If a file cannot be read, the scene cannot serve, or no cluster answers.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If a file is missing.
+        OSError: If the store cannot be written.
+        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+    """
+    config = _checked(command)
+    walk = None if command.path is None else load_path(command.path)
+    with Status() as status, _workers(command) as workers:
+        plan = _planned(command, config, walk, status)
+        if command.dry_run:
+            estimate = estimate_pvs(
+                plan.source.gaussians, plan.grid, plan.space, command.out, config, workers=workers, progress=status
+            )
+        else:
+            _warm_up(config, status)
+            began = time.perf_counter()
+            store = _built(command, plan, workers, status)
+            seconds = time.perf_counter() - began
+    if command.dry_run:
+        _tell_estimate(command, plan, estimate)
+        return
+    with store:
+        _tell_result(command, plan, store, seconds)
+
+
+def _checked(command: Pvs) -> PvsConfig:
+    """Everything about the arguments that can be known before work begins."""
+    check_source(command.scene, command.lod)
+    check_file(command.out)
+    _check_target(command)
+    for name, other in (("margin", "path"), ("retarget", "path")):
+        if getattr(command, name) and getattr(command, other) is None:
+            raise ValueError(f"--{name}: expected --{other} with it, got none; add it or leave this out")
+    for name, other in (("box", "path"), ("scheduler", "workers"), ("scheduler", "max_memory")):
+        if getattr(command, name) is not None and getattr(command, other) is not None:
+            spelled = other.replace("_", "-")
+            raise ValueError(f"--{spelled}: expected none with --{name}, got {getattr(command, other)}; leave one out")
+    given_up(command.up)
+    if command.scheduler is not None:
+        from gsvis.visibility.cluster import check_address
+
+        check_address(command.scheduler)
+    chosen = {name: getattr(command, name) for name in ("size", "growth", "max_viewpoints")}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    least = min(PvsConfig.min_viewpoints, command.max_viewpoints or PvsConfig.min_viewpoints)
+    return PvsConfig(method=command.method, tau=command.tau, min_viewpoints=least, **chosen)
+
+
+def _check_target(command: Pvs) -> None:
+    """Refuse to replace what is no store: a slip of the keyboard must not cost a scene."""
+    target = Path(command.out)
+    if not target.is_file() or target.stat().st_size == 0:
+        return
+    try:
+        VisibilityStore.open(target).close()
+    except FormatError:
+        with target.open("rb") as file:
+            if file.read(6) != b"\x93GSPVS":  # a damaged store may be replaced
+                raise ValueError(
+                    f"--out: expected a new file or a store to replace, got {command.out}, which is something else;"
+                    " name another"
+                ) from None
+
+
+@contextmanager
+def _workers(command: Pvs) -> Iterator[Workers]:
+    if command.scheduler is not None:
+        from gsvis.visibility.cluster import connect
+
+        with connect(command.scheduler) as workers:
+            yield workers
+        return
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield Workers(command.workers or cores, command.max_memory)
+
+
+def _planned(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
+    """The scene, the space and its cells."""
+    status("reading", 0, 1)
+    source = load_source(command.scene, command.lod)
+    if len(source.gaussians) == 0:
+        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+    status("reading", 1, 1)
+    status("space", 0, 1)
+    space, remarks = _space(command, source, walk)
+    size = command.cell_size
+    grid = CellGrid.over(space, max_cells=command.cells or (_CELLS if size is None else MAX_CELLS), cell_size=size)
+    status("space", 1, 1)
+    return _Plan(source, grid, space, config, remarks)
+
+
+def _space(command: Pvs, source: Source, walk: HeadPath | None) -> tuple[NavigableSpace, list[str]]:
+    """Where eyes may be: the box, along the walk, or anywhere in the scene."""
+    up = given_up(command.up)
+    if command.box is not None:
+        known = up if up is not None else source.navigable.up if source.navigable is not None else (0.0, 0.0, 1.0)
+        return NavigableSpace.from_box(command.box[:3], command.box[3:], _BOX_VOXELS, up=known), []
+    space, why_not = navigable_space(source, up=up)
+    if space is None:
+        raise SceneError(f"{command.scene}: {why_not}; say where eyes may be with --box")
+    if walk is None:
+        return space, []
+    remarks = []
+    if command.retarget:
+        from gsvis.scene.retarget import retarget
+
+        moved = retarget(walk, space)
+        walk = moved.path
+        remarks.append(f" The path was brought into the scene: {moved.rule}; {moved.inside:.0%} of it inside.")
+    try:
+        return corridor(space, walk.positions, command.margin), remarks
+    except ValueError as error:
+        hint = "" if command.retarget else "; --retarget brings it there"
+        raise ValueError(f"--path {command.path}: {error}{hint}") from None
+
+
+def _warm_up(config: PvsConfig, status: Status) -> None:
+    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
+    if config.method == "hybrid":  # the others need libraries that this process may have no room for
+        from gsvis.visibility.look import Look
+
+        status("kernels", 0, 1)
+        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
+        Look(one, "hybrid", 4, config.tau)(np.array([4.0, 0.0, 0.0]))
+        status("kernels", 1, 1)
+
+
+def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> VisibilityStore:
+    kept = 0
+
+    def progress(stage: str, done: int, total: int) -> None:
+        nonlocal kept
+        kept = done if stage == "cells" else kept
+        status(stage, done, total)
+
+    g, told = plan.source.gaussians, progress
+    try:
+        return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=told)
+    except KeyboardInterrupt:
+        if not kept:
+            raise
+        folder = journal_of(g, plan.grid, plan.space, command.out, plan.config)
+        raise KeyboardInterrupt(
+            f"{kept:,} of {len(plan.grid):,} cells are kept in {folder.name}; the same command goes on from there"
+        ) from None
+
+
+def _about(plan: _Plan) -> dict[str, Any]:
+    """What was, or would be, built."""
+    return {
+        "scene": plan.source.name,
+        "lod": plan.source.lod,
+        "gaussians": len(plan.source.gaussians),
+        "grid": plan.grid.as_dict(),
+        "space": {"rule": plan.space.rule, "voxel_size": plan.space.voxel_size, "volume": plan.space.volume},
+        "config": plan.config.as_dict(),
+    }
+
+
+def _rows(plan: _Plan) -> list[tuple[str, str]]:
+    x, y, z = plan.grid.shape
+    shown = plan.config
+    return [
+        ("Gaussians", f"{len(plan.source.gaussians):,}"),
+        ("where eyes may be", f"{plan.space.rule}, {plan.space.volume:.3g} cubic units"),
+        ("cells", f"{len(plan.grid):,} of side {plan.grid.cell_size:.3g}, in {x} x {y} x {z} boxes"),
+        ("method", f"{shown.method}, 6 x {shown.size} x {shown.size} pixels a viewpoint, tau {shown.tau:.3g}"),
+    ]
+
+
+def _tell_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
+    if command.json:
+        print_json({"format": "gsvis-pvs-estimate", "version": 1, **_about(plan), "estimate": asdict(estimate)})
+        return
+    rows = [*_rows(plan), ("workers", f"{estimate.workers:,}")]
+    if estimate.finished:
+        rows.append(("found earlier", f"{estimate.finished:,} cells of an interrupted build: it would go on"))
+    rows += [
+        ("time", f"about {clock(estimate.seconds)}"),
+        ("memory", f"at most about {size_of(estimate.memory)}, all processes together"),
+        ("disk", f"about {size_of(estimate.disk)}; {size_of(estimate.working_disk)} more while it works"),
+    ]
+    show(facts(f"{plan.source.name}: what it would cost", rows), *plan.remarks, " Nothing was written.")
+
+
+def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
+    n, cells, sizes = store.gaussians, len(store), store.sizes()
+    shares, viewpoints = store.visible_counts / n, store.viewpoints
+    blind = int(np.count_nonzero(viewpoints == 0))
+    unfinished = int(np.count_nonzero((viewpoints >= plan.config.max_viewpoints) & (store.growth > plan.config.growth)))
+    ever = len(store.ever_visible()) / n
+    if command.json:
+        spread = {"mean": float(shares.mean()), "min": float(shares.min()), "max": float(shares.max())}
+        looked = {"mean": float(viewpoints.mean()), "min": int(viewpoints.min()), "max": int(viewpoints.max())}
+        print_json(
+            {
+                "format": "gsvis-pvs",
+                "version": 1,
+                **_about(plan),
+                "out": command.out,
+                "cells": cells,
+                "visible_share": spread,
+                "ever_visible_share": ever,
+                "viewpoints": {**looked, "total": int(viewpoints.sum())},
+                "cells_still_growing": unfinished,
+                "cells_without_a_free_viewpoint": blind,
+                "bytes": sizes["file"],
+                "bits_per_visible": sizes["bits_per_pair"],
+                "class_bits_per_visible": sizes["class_bits_per_pair"],
+                "seconds": round(seconds, 3),
+            }
+        )
+        return
+    rows = [
+        *_rows(plan),
+        ("visible from a cell", f"{shares.mean():.1%} of all; {shares.min():.1%} to {shares.max():.1%}"),
+        ("visible from any cell", f"{ever:.1%}"),
+        ("viewpoints a cell", f"{viewpoints.mean():.1f} on average; {viewpoints.min()} to {viewpoints.max()}"),
+        (
+            "bits a visible Gaussian",
+            f"{sizes['bits_per_pair']:.2f}, and {sizes['class_bits_per_pair']:.2f} for its weight class",
+        ),
+        ("file", f"{command.out}, {size_of(int(sizes['file']))}"),
+        ("time", clock(seconds)),
+    ]
+    remarks = list(plan.remarks)
+    if unfinished:
+        remarks.append(
+            f" {unfinished:,} of {cells:,} cells were still growing by more than {plan.config.growth:.1%} at their last"
+            " viewpoint: smaller cells or a larger --max-viewpoints find more."
+        )
+    if blind:
+        remarks.append(f" {blind:,} cells have no viewpoint outside something solid; their sets are empty.")
+    show(facts(plan.source.name, rows), *remarks)

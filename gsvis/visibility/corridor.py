@@ -1,0 +1,83 @@
+"""The part of a navigable space that lies along a recorded walk: where eyes are when people follow that walk.
+
+Scene frame and units. Knows nothing of what can be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from gsvis import _check
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["corridor"]
+
+F64 = NDArray[np.float64]
+
+_INSIDE = 0.5  # share of the positions that have to be near navigable space
+_MOST_POINTS = 4_000_000
+
+
+def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None = None) -> NavigableSpace:
+    """The free voxels of a space that lie along a walk.
+
+    Args:
+        space: Where eyes may be in the scene.
+        positions: (T, 3) the walk, in the space's frame; between two of them it goes straight.
+        margin: Distance from the walk, scene units, within which voxels are kept; None means 3 voxels.
+
+    Returns:
+        The same grid with fewer free voxels.
+
+    Raises:
+        ValueError: If the margin is not a finite number > 0, or less than half of the positions lie within it of a
+            free voxel: the walk is of another frame, or of another scene.
+
+    Examples:
+        >>> room = NavigableSpace.from_box((0, 0, 0), (4, 4, 4), 16)
+        >>> corridor(room, [[0.5, 2, 2], [3.5, 2, 2]], margin=0.5).volume < 0.2 * room.volume
+        True
+    """
+    points = _check.floats("positions", positions, ("T", 3), np.float64)
+    if len(points) == 0:
+        raise ValueError("positions: expected at least one, got none")
+    margin = 3.0 * space.voxel_size if margin is None else float(margin)
+    if not (np.isfinite(margin) and margin > 0.0):
+        raise ValueError(f"margin: expected a finite number > 0, got {margin!r}")
+    reach = margin / space.voxel_size + 0.5  # voxels, between centres
+    shape = np.array(space.free.shape)
+    to_free = np.asarray(ndimage.distance_transform_edt(~space.free))
+    own, held = _voxels(space, points)
+    near = float(np.mean(held & (to_free[tuple(np.where(held[:, None], own, 0).T)] <= reach)))
+    if near < _INSIDE:
+        raise ValueError(
+            f"path: expected positions in the navigable space of the scene, got {near:.0%} of them within {margin:.3g}"
+            " of it; bring the path into the scene's frame (retarget it), or raise the margin"
+        )
+    way, held = _voxels(space, _filled_in(points, 0.5 * space.voxel_size))
+    on_way = np.zeros(shape, bool)
+    on_way[tuple(way[held].T)] = True
+    kept = space.free & (np.asarray(ndimage.distance_transform_edt(~on_way)) <= reach)
+    return replace(space, free=kept, rule=f"{space.rule}, along a path")
+
+
+def _voxels(space: NavigableSpace, points: F64) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The voxel of each point, and whether it lies on the grid."""
+    shape = np.array(space.free.shape)
+    voxels = np.floor(np.clip((points - space.origin) / space.voxel_size, -1.0, shape)).astype(np.int64)
+    return voxels, np.all((voxels >= 0) & (voxels < shape), axis=1)
+
+
+def _filled_in(points: F64, step: float) -> F64:
+    """The points with others between them, so that no step is longer than `step`, as far as memory goes."""
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    step = max(step, float(lengths.sum()) / _MOST_POINTS)
+    counts = np.maximum(np.ceil(lengths / step).astype(np.int64), 1)
+    starts = np.repeat(np.arange(len(counts)), counts)
+    along = (np.arange(len(starts)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[starts]
+    between = points[starts] + along[:, None] * np.diff(points, axis=0)[starts]
+    return np.concatenate([between, points[-1:]])
