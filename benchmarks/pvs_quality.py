@@ -1,0 +1,128 @@
+"""Do the visible sets of cells hold what fresh viewpoints see, and are they small?
+
+Showroom LOD 3 in at least 200 cells. Ten cells are drawn at random; in each, viewpoints that building never used are
+drawn, outside of everything solid. At each, six faces of 128 x 128 pixels tell how much of the light the cell's set
+keeps (weighted recall), and one image of 480 x 360 pixels and 70 degrees, upright and looking at something, is drawn
+from the set and from the full scene (PSNR, values clipped to [0, 1] as a display does). The ceiling is the PSNR of
+the image drawn from exactly the Gaussians with a weight of at least tau in it. The dense union is what 27 more fresh
+viewpoints of the cell see on such faces.
+
+With `--store` a finished store is measured. Without, only the drawn cells of the grid are built: the sets are the
+same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, realdata, write_result
+
+from gsvis.io import load_scene
+from gsvis.scene.content import space_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility.build import build_pvs
+from gsvis.visibility.cells import CellGrid
+from gsvis.visibility.pvs import PvsConfig
+from gsvis.visibility.quality import Quality, QualityConfig, measure_quality
+from gsvis.visibility.store import VisibilityStore
+from gsvis.visibility.viewpoints import CellViewpoints
+
+
+def main() -> None:
+    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
+    parser.add_argument("--scene", default="showroom", help="folder of scenes/, or a path")
+    parser.add_argument("--lod", type=int, default=3)
+    parser.add_argument("--store", type=Path, help="a store of the scene; without it the drawn cells are built")
+    parser.add_argument("--max-cells", type=int, default=256, help="of the grid, without --store")
+    parser.add_argument("--method", default=PvsConfig.method, help="of building, without --store")
+    parser.add_argument("--cells", type=int, default=10, help="cells measured")
+    parser.add_argument("--viewpoints", type=int, default=4, help="fresh ones a cell")
+    parser.add_argument("--dense", type=int, default=27, help="viewpoints of the dense union; 0 for none")
+    parser.add_argument("--rays", action="store_true", help="ask by ray casting, too, what is visible")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    path = Path(options.scene)
+    path = path if path.exists() else realdata() / "scenes" / options.scene / "lod-meta.json"
+    g = load_scene(path, lod=options.lod)
+    space = NavigableSpace.from_scene(g)
+    config = QualityConfig(
+        cells=options.cells, viewpoints=options.viewpoints, dense=options.dense, rays=options.rays, seed=options.seed
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        grid_cells, seconds_to_build = None, None
+        if options.store is None:
+            whole = CellGrid.over(space, max_cells=options.max_cells)
+            grid = drawn(whole, options.cells, options.seed)
+            grid_cells, start = len(whole), time.perf_counter()
+            store = build_pvs(
+                g, grid, space, Path(folder) / "drawn.pvs", PvsConfig(method=options.method), progress=said
+            )
+            seconds_to_build = time.perf_counter() - start
+        else:
+            store = VisibilityStore.open(options.store, scene=g)
+            grid_cells = len(store)
+            if store.info.config.get("space") != space_hash(space):
+                raise SystemExit(f"{options.store}: built in another navigable space than this scene has by default")
+        with store:
+            start = time.perf_counter()
+            found = measure_quality(store, g, CellViewpoints(store.grid, space), config, progress=said)
+            seconds = time.perf_counter() - start
+            details = described(store, g, found)
+    details |= {
+        "cells_of_the_grid": grid_cells,
+        "store": "given" if options.store else f"only the {options.cells} drawn cells were built",
+        "seconds_to_build": seconds_to_build,
+        "seconds_to_measure": seconds,
+    }
+    write_result(
+        options.out, "Do the visible sets hold what fresh viewpoints see, and are they small?", figures(found), details
+    )
+
+
+def drawn(grid: CellGrid, count: int, seed: int) -> CellGrid:
+    """The same grid with only `count` of its cells."""
+    some = np.sort(np.random.default_rng(seed).choice(len(grid), min(count, len(grid)), replace=False))
+    return CellGrid(grid.origin, grid.cell_size, grid.shape, grid.coords[some], grid.up)
+
+
+def figures(found: Quality) -> list[dict[str, Any]]:
+    """Mean and worst of every figure, with its target where there is one."""
+    listed = []
+    for each in found.figures():
+        pairs = (("mean", each.mean, each.targets[0]), (f"worst {each.worst_of}", each.worst, each.targets[1]))
+        for told, reached, target in pairs:
+            if reached is not None:
+                name = f"{each.told}, {told}"
+                better = each.better or "lower"
+                listed.append({"name": name, "target": target, "reached": reached, "unit": each.unit, "better": better})
+    return listed
+
+
+def described(store: VisibilityStore, g: Gaussians, found: Quality) -> dict[str, Any]:
+    """The store, and every measurement."""
+    counts = store.visible_counts
+    return {
+        "gaussians": len(g),
+        "cells": len(store),
+        "cell_size": store.grid.cell_size,
+        "build": dict(store.info.config),
+        "viewpoints_a_cell": {"mean": float(store.viewpoints.mean()), "max": int(store.viewpoints.max())},
+        "visible_share": {"mean": float(counts.mean()) / len(g), "max": int(counts.max()) / len(g)},
+        "quality": found.as_dict(),
+    }
+
+
+def said(stage: str, done: int, total: int) -> None:
+    if done == total or done % max(1, total // 20) == 0:
+        print(f"{stage}: {done} of {total}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()
