@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from gsvis.io.atomic import atomic_folder
 from gsvis.progress import Progress, silent
+from gsvis.report.html import Figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
-from gsvis.report.page import Figure, page
+from gsvis.report.page import page
 from gsvis.report.pictures import ViewPicture, png_of
 from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
 from gsvis.report.theme import DARK, LIGHT, drawn

@@ -2,35 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
-from string import Template
 from typing import Any
 
+from gsvis.report.html import Figure, described, figure, filled, table
+from gsvis.report.html import tiles as listed
 from gsvis.visibility import PAPER, Analysis, DirectionCdf
 
-__all__ = ["Figure", "page"]
+__all__ = ["page"]
 
 _ROLES = {"most": "most", "median": "the median share", "least": "least"}
-
-
-@dataclass(frozen=True, eq=False)
-class Figure:
-    """A picture of a report.
-
-    Attributes:
-        file: Its name on disk.
-        light: PNG bytes, for light pages and on disk.
-        dark: PNG bytes for dark pages; None where one serves both.
-    """
-
-    file: str
-    light: bytes
-    dark: bytes | None = None
 
 
 def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure]) -> str:
@@ -41,8 +22,8 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         document: The content of `report.json`.
         figures: Plots, maps and pictures by name.
     """
-    template = Template((files("gsvis.report") / "page.html").read_text(encoding="utf-8"))
-    return template.substitute(
+    return filled(
+        "page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
         lead=_lead(analysis, document),
@@ -51,7 +32,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         views=_views(analysis, figures),
         directions=_directions(analysis, figures),
         scene=_scene(analysis, document["scene"]),
-        how=_how(analysis, document),
+        how=described(document),
     )
 
 
@@ -81,10 +62,7 @@ def _tiles(analysis: Analysis) -> str:
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
         told = f"seen from less than {limit} of all directions, {named}"
         tiles.append((f"{way.below(faces):.1%}", told, f"paper: {PAPER[published]:.1%}"))
-    return "".join(
-        f"<li><strong>{value}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
-        for value, told, beside in tiles
-    )
+    return listed(tiles)
 
 
 def _visible(analysis: Analysis, figures: dict[str, Figure]) -> str:
@@ -100,8 +78,8 @@ def _visible(analysis: Analysis, figures: dict[str, Figure]) -> str:
         " The dashed lines are the mean here and the paper's mean over the training views of Tanks &amp; Temples."
     )
     return (
-        _figure(figures["visible"], "Visible share of each camera, sorted", caption)
-        + _table(("visible share", "here", "paper"), rows)
+        figure(figures["visible"], "Visible share of each camera, sorted", caption)
+        + table(("visible share", "here", "paper"), rows)
         + f"<p>A Gaussian is visible in a view when its largest weight on a pixel ray (alpha times the light left in"
         f" front of it) is at least {analysis.config.tau:.4g}. Gaussians that fall between the rays do not count, so"
         f" these shares belong to {_rays(analysis)}; more pixels or a wider view find more.</p>"
@@ -126,8 +104,8 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
         )
         parts.append(
             "<div class='pair'>"
-            + _figure(figures[f"view_{role}"], f"What camera {name} sees", seen)
-            + _figure(figures[f"map_{role}"], f"Map of what camera {name} sees", above)
+            + figure(figures[f"view_{role}"], f"What camera {name} sees", seen)
+            + figure(figures[f"map_{role}"], f"Map of what camera {name} sees", above)
             + "</div>"
         )
     return "".join(parts)
@@ -145,15 +123,15 @@ def _directions(analysis: Analysis, figures: dict[str, Figure]) -> str:
         "For every share of the 80 directions, how many Gaussians are seen from less than that. Solid lines count all"
         " Gaussians, dashed ones those that are seen at all. Diamonds are the two points that the paper states."
     )
-    text = _figure(figures["cdf"], "Cumulative distribution of the directions from which Gaussians are seen", caption)
-    text += _table((*header, "paper"), rows) + _settled(analysis, figures)
+    text = figure(figures["cdf"], "Cumulative distribution of the directions from which Gaussians are seen", caption)
+    text += table((*header, "paper"), rows) + _settled(analysis, figures)
     if traced is None:
         return text + f"<p>Directions were not traced outward: {escape(analysis.untraced_because)}.</p>"
     caption = (
         f"The {len(analysis.sample):,} traced Gaussians from above. Dark ones can be seen from few directions: they lie"
         " on walls, floors and behind things. Bright ones stand free."
     )
-    return text + _figure(figures["map_directions"], "Map of directions", caption) + _agreed(analysis)
+    return text + figure(figures["map_directions"], "Map of directions", caption) + _agreed(analysis)
 
 
 def _both(cdf: DirectionCdf, faces: int) -> list[str]:
@@ -194,8 +172,8 @@ def _settled(analysis: Analysis, figures: dict[str, Figure]) -> str:
     drawn = "settling" in figures
     return (
         f"<h3>Has it settled?</h3><p><strong>{verdict}.</strong> {detail[:1].upper()}{detail[1:]}</p>"
-        + (_figure(figures["settling"], "Gathered shares by number of cameras", caption) if drawn else "")
-        + _table(header, rows)
+        + (figure(figures["settling"], "Gathered shares by number of cameras", caption) if drawn else "")
+        + table(header, rows)
     )
 
 
@@ -214,7 +192,7 @@ def _agreed(analysis: Analysis) -> str:
         f" for {len(analysis.sample):,} Gaussians drawn at random, whether an eye anywhere in navigable space would see"
         f" it, on {analysis.config.rays_per_face} rays over each of the 80 faces. A face counts when one of them finds"
         " an eye, so more rays find more faces and the shares fall. The two agree where cameras are dense.</p>"
-        + _table(("agreement", "here"), rows)
+        + table(("agreement", "here"), rows)
     )
 
 
@@ -230,40 +208,4 @@ def _scene(analysis: Analysis, scene: dict[str, Any]) -> str:
         ]
     problems = scene.get("problems", [])
     listed = "".join(f"<li>{escape(problem)}</li>" for problem in problems)
-    return _table(("scene", ""), rows) + (f"<p>What looks wrong with it:</p><ul>{listed}</ul>" if listed else "")
-
-
-def _how(analysis: Analysis, document: dict[str, Any]) -> str:
-    shown = [(name, _spelled(value)) for name, value in document["parameters"].items()]
-    shown += [(f"seconds for {stage}", f"{seconds:.1f}") for stage, seconds in document["seconds"].items()]
-    return (
-        f"<pre><code>{escape(document['command'])}</code></pre>"
-        + _table(("parameter", "value"), [(escape(name), escape(value)) for name, value in shown])
-        + f"<p>gsvis {escape(document['gsvis'])}. All figures are in <code>report.json</code> beside this page.</p>"
-    )
-
-
-def _spelled(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-
-
-def _figure(figure: Figure, alternative: str, caption: str) -> str:
-    """A picture with its caption; `caption` is HTML."""
-    image = f"<img src='{_data(figure.light)}' alt='{escape(alternative, quote=True)}'>"
-    if figure.dark is not None:
-        source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"
-        image = f"<picture>{source}{image}</picture>"
-    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
-
-
-def _data(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; its cells are HTML. The first column names the row."""
-    head = "".join(f"<th scope='col'>{cell}</th>" for cell in header)
-    body = "".join(
-        f"<tr><th scope='row'>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows
-    )
-    return f"<div class='wide'><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    return table(("scene", ""), rows) + (f"<p>What looks wrong with it:</p><ul>{listed}</ul>" if listed else "")

@@ -1,0 +1,90 @@
+"""Pieces of a report page: its style, pictures with captions, tables.
+
+Text that comes from outside is escaped here or by the caller, as each function says.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+__all__ = ["Figure", "described", "figure", "filled", "plain", "table", "tiles"]
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A picture of a report.
+
+    Attributes:
+        file: Its name on disk.
+        light: PNG bytes, for light pages and on disk.
+        dark: PNG bytes for dark pages; None where one serves both.
+    """
+
+    file: str
+    light: bytes
+    dark: bytes | None = None
+
+
+def filled(template: str, **parts: str) -> str:
+    """A page of this package with its parts, which are HTML, and the common style filled in.
+
+    Args:
+        template: File name beside this module.
+        parts: By the names in it.
+    """
+    here = files("gsvis.report")
+    style = (here / "page.css").read_text(encoding="utf-8")
+    return Template((here / template).read_text(encoding="utf-8")).substitute(parts, style=style)
+
+
+def figure(figure: Figure, alternative: str, caption: str) -> str:
+    """A picture with its caption; `caption` is HTML, `alternative` is text."""
+    image = f"<img src='{_data(figure.light)}' alt='{escape(alternative, quote=True)}'>"
+    if figure.dark is not None:
+        source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"
+        image = f"<picture>{source}{image}</picture>"
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table; its cells are HTML. The first column names the row."""
+    head = "".join(f"<th scope='col'>{cell}</th>" for cell in header)
+    body = "".join(
+        f"<tr><th scope='row'>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows
+    )
+    return f"<div class='wide'><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+def tiles(found: Sequence[tuple[str, str, str]]) -> str:
+    """The items of the list of large figures: value, what it is, what it is compared with; all text."""
+    return "".join(
+        f"<li><strong>{escape(value)}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
+        for value, told, beside in found
+    )
+
+
+def described(document: dict[str, Any]) -> str:
+    """How a report was made: its command, parameters and times."""
+    shown = [(name, plain(value)) for name, value in document["parameters"].items()]
+    shown += [(f"seconds for {stage}", f"{seconds:.1f}") for stage, seconds in document["seconds"].items()]
+    return (
+        f"<pre><code>{escape(document['command'])}</code></pre>"
+        + table(("parameter", "value"), [(escape(name), escape(value)) for name, value in shown])
+        + f"<p>gsvis {escape(document['gsvis'])}. All figures are in <code>report.json</code> beside this page.</p>"
+    )
+
+
+def plain(value: Any) -> str:
+    """A value of a parameter as text."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _data(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
