@@ -10,6 +10,9 @@ from numba import njit, prange
 
 from gsvis.hpr._kernels import cell_of
 
+_WIDE = 0.25  # standard deviations over distance
+_LEAST_ALPHA = 1.0 / 64.0
+
 
 @njit(cache=True, inline="always")
 def _whitening(quats, scales, i):
@@ -30,8 +33,11 @@ def _whitening(quats, scales, i):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, out):
+def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, faces, out):
     """What the eye needs of each Gaussian: centres relative to it into toward (N, 3), and a row of out (N, 5).
+
+    The face of the cubemap it is on goes into faces (N,): 6 for those so wide that they are on many, 7 for those too
+    faint to be seen.
 
     The row is: distance of the centre, distance of the nearest point where alpha reaches min_alpha in that direction
     (0 where the eye is inside), largest angle between the centre and the ring of one standard deviation, solid angle
@@ -48,6 +54,7 @@ def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, out
         s = scales[i]
         largest = np.float64(max(s[0], s[1], s[2]))
         out[i, 0], out[i, 4] = far, squared
+        faces[i] = 7 if opacities[i] < min_alpha else 6
         if squared <= reach or far == 0.0:
             out[i, 1], out[i, 2], out[i, 3] = 0.0, np.pi, 4.0 * np.pi * opacities[i]
             continue
@@ -55,6 +62,8 @@ def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, out
         u, v, w = p * s[0] * s[0] / far, q * s[1] * s[1] / far, r * s[2] * s[2] / far
         out[i, 1] = max(far - np.sqrt(reach * (u * u + v * v + w * w)), 0.0)
         out[i, 2] = largest / far
+        if faces[i] == 6 and out[i, 2] <= _WIDE:
+            faces[i] = cell_of(x, y, z, 1)
         area = np.float64(s[0]) * s[1] * s[2] * np.sqrt(squared) / far  # sigma times sigma of the shadow along the ray
         out[i, 3] = 2.0 * np.pi * area / (far * far) * opacities[i]
 
@@ -73,34 +82,33 @@ def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def thicken(toward, quats, scales, opacities, shapes, size, min_alpha, nearest, steps_per_log, thickness):
+def thicken(toward, quats, scales, opacities, shapes, order, begins, size, nearest, steps_per_log, thickness):
     """Optical thickness that Gaussians put into each cell at each depth, into thickness (6 size^2, bins).
 
-    Small ones are spread over the cell they lie in, larger ones taken at the centres of cells of their face, and very
-    wide ones at the centres of blocks of 4 x 4 cells of all faces. One thread works on one face.
+    Small ones are spread over the cell they lie in, larger ones taken at the centres of cells of their face where
+    their alpha is above 1/64, and very wide ones at the centres of blocks of 4 x 4 cells of all faces. `order` and
+    `begins` list the Gaussians of each face, then the wide ones. One thread works on one face.
     """
     cell_angle = 2.0 / size
     for face in prange(6):
-        for i in range(len(toward)):
-            if opacities[i] < min_alpha:
-                continue
+        own, count = begins[face + 1] - begins[face], begins[face + 1] - begins[face] + begins[7] - begins[6]
+        for k in range(count):
+            wide = k >= own
+            i = order[begins[6] + k - own] if wide else order[begins[face] + k]
             x, y, z = toward[i, 0], toward[i, 1], toward[i, 2]
             spread = shapes[i, 2]
-            wide = spread > 0.25
-            if not wide:
-                cell = cell_of(x, y, z, size)
-                if cell // (size * size) != face:
-                    continue
-                if spread < 0.5 * cell_angle:
-                    u, v = _place_on_face(x, y, z, face)
-                    solid = cell_angle * cell_angle / (1.0 + u * u + v * v) ** 1.5
-                    alpha = min(shapes[i, 3] / solid, opacities[i])
-                    _deposit(thickness, cell, shapes[i, 0], alpha, nearest, steps_per_log)
-                    continue
+            if not wide and spread < 0.5 * cell_angle:
+                u, v = _place_on_face(x, y, z, face)
+                solid = cell_angle * cell_angle / (1.0 + u * u + v * v) ** 1.5
+                alpha = min(shapes[i, 3] / solid, opacities[i])
+                _deposit(thickness, cell_of(x, y, z, size), shapes[i, 0], alpha, nearest, steps_per_log)
+                continue
+            if opacities[i] <= _LEAST_ALPHA:
+                continue
             m = _whitening(quats, scales, i)
             p, q, r = m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
             low_row, high_row, low_column, high_column, step = 0, size, 0, size, 4
-            reach = 2.0 * np.log(opacities[i] / min_alpha)
+            reach = 2.0 * np.log(opacities[i] / _LEAST_ALPHA)
             if not wide:
                 u, v = _place_on_face(x, y, z, face)
                 half = np.sqrt(reach) * spread * (1.0 + u * u + v * v)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.hpr import _kernels_spent as _kernels
+from gsvis.hpr._kernels import in_order_of_cells
 from gsvis.hpr.hull import Hull
 from gsvis.raycast import MIN_ALPHA, TAU
 from gsvis.scene.gaussians import Gaussians
@@ -81,10 +82,32 @@ class OcclusionHull:
             raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
         if not 0.0 < margin <= 1.0:
             raise ValueError(f"margin: expected a share in (0, 1], got {margin!r}")
-        toward, shapes = np.empty((len(g), 3)), np.empty((len(g), 5))
-        _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, shapes)
-        depths = _light_ends(g, toward, shapes, size, spent)
+        toward, shapes, faces = np.empty((len(g), 3)), np.empty((len(g), 5)), np.empty(len(g), np.int64)
+        _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, faces, shapes)
+        depths = _light_ends(g, toward, shapes, faces, size, spent)
         return cls(eye, size, _through_hull(depths, size, margin), g, toward, shapes)
+
+    @classmethod
+    def from_depths(cls, g: Gaussians, viewpoint: ArrayLike, depths: ArrayLike, *, margin: float = 0.1) -> OcclusionHull:
+        """The hull of ends of light that are known already, such as those of a z-buffer.
+
+        Args:
+            g: N Gaussians that will be asked about; they hide nothing.
+            viewpoint: (3,) the eye.
+            depths: (6, size, size) distances at which light is spent, `inf` where it is not.
+            margin: As in `from_scene`.
+
+        Raises:
+            ValueError: If an argument is out of range.
+        """
+        eye = _check.floats("viewpoint", viewpoint, (3,), np.float64)
+        ends = _check.floats("depths", depths, (6, "S", "S"), np.float64, finite=False)
+        if not 0.0 < margin <= 1.0:
+            raise ValueError(f"margin: expected a share in (0, 1], got {margin!r}")
+        toward, shapes, faces = np.empty((len(g), 3)), np.empty((len(g), 5)), np.empty(len(g), np.int64)
+        _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, faces, shapes)
+        size = ends.shape[1]
+        return cls(eye, size, _through_hull(ends.reshape(-1), size, margin), g, toward, shapes)
 
     def nearness(self, ids: ArrayLike | None = None) -> F32:
         """How far in front of the hull, or behind it, each Gaussian lies.
@@ -143,16 +166,19 @@ def visible_gaussians(
     return near if ids is None else np.unique(_check.integers("ids", ids, ("M",))[near])
 
 
-def _light_ends(g: Gaussians, toward: F64, shapes: F64, size: int, spent: float) -> F64:
+def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, spent: float) -> F64:
     """(6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
-    distances = shapes[:, 0][(g.opacities >= MIN_ALPHA) & (shapes[:, 0] > 0.0)]
+    distances = shapes[:, 0][(faces < 7) & (shapes[:, 0] > 0.0)]
     if len(distances) == 0:
         return np.full(6 * size * size, np.inf)
     sample = distances[:: max(len(distances) // 20_000, 1)]
     nearest, farthest = 0.5 * np.quantile(sample, 0.001), 1.01 * np.quantile(sample, 0.999)
     steps = (_BINS - 3) / np.log(farthest / nearest)
+    order = np.empty(len(g), np.int64)
+    begins = in_order_of_cells(faces, 8, order)
     thickness = np.zeros((6 * size * size, _BINS), np.float32)
-    _kernels.thicken(toward, g.quats, g.scales, g.opacities, shapes, size, MIN_ALPHA, nearest, steps, thickness)
+    arrays = toward, g.quats, g.scales, g.opacities, shapes, order, begins
+    _kernels.thicken(*arrays, size, nearest, steps, thickness)
     depths = np.empty(6 * size * size)
     _kernels.spent_depths(thickness, -np.log(spent), nearest, steps, depths)
     return depths
