@@ -24,6 +24,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis analyze builtin:two_rooms -o report  the same without a scene at hand
   gsvis render scene.ply -o orbit.gif --orbit 36
   gsvis pvs scene.ply -o scene.pvs           what can be seen from each cell
+  gsvis pvs-report scene.pvs scene.ply -o report
   gsvis convert scene.ply small.spz --min-opacity 0.02
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
@@ -123,6 +124,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.pvs import run_pvs
 
         run_pvs(command)
+    elif isinstance(command, arguments.PvsReport):
+        from gsvis.cli.pvs_report import run_pvs_report
+
+        run_pvs_report(command)
     else:
         from gsvis.cli.convert import run_convert
 

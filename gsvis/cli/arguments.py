@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-__all__ = ["Analyze", "Command", "Convert", "Inspect", "Pvs", "Render"]
+__all__ = ["Analyze", "Command", "Convert", "Inspect", "Pvs", "PvsReport", "Render"]
 
 
 def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
@@ -310,4 +310,40 @@ class Pvs:
     """Show the traceback of an error."""
 
 
-Command = Inspect | Analyze | Render | Pvs | Convert
+@dataclass(frozen=True)
+class PvsReport:
+    """Measure how good the sets of a store are; write a report."""
+
+    store: Annotated[Positional[str], arg(metavar="STORE", help_behavior_hint="")]
+    """What gsvis pvs wrote."""
+    scene: Scene
+    """The scene it was built from: a file or folder, or builtin:NAME."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
+    """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
+    lod: Lod = None
+    """Level of detail of a streamed scene; 0 is the finest."""
+    cells: Annotated[int, _COUNTED] = 10
+    """Cells to measure, drawn at random; all if there are not more."""
+    viewpoints: Annotated[int, _COUNTED] = 4
+    """Fresh viewpoints in each of them."""
+    dense: Annotated[int, _WHOLE] = 27
+    """Further viewpoints whose union the set is compared with in size; 0 for none."""
+    width: Annotated[int, _PIXELS] = 480
+    """Pixels across the images."""
+    height: Annotated[int, _PIXELS] = 360
+    """Pixels down the images."""
+    fov: Annotated[float, _DEGREES, _hint("70")] = 70.0
+    """Horizontal field of view of the images."""
+    rays: Flag = False
+    """Ask by ray casting, too, what the fresh viewpoints see."""
+    bytes_per_gaussian: Annotated[int | None, _COUNTED, _hint("32 bits for each attribute")] = None
+    """What sending one Gaussian costs."""
+    seed: Annotated[int, _WHOLE] = 0
+    """Seed of everything random: the same seed gives the same report."""
+    json: Flag = False
+    """Print report.json on standard output instead of tables."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+Command = Inspect | Analyze | Render | Pvs | PvsReport | Convert

@@ -30,6 +30,7 @@ _SAID = {
     "cells": "looking from cells",
     "store": "writing the store",
     "trying": "trying a few cells",
+    "quality": "measuring the sets",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing

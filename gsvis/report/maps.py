@@ -6,12 +6,14 @@ From above means along the up axis, whatever axis of the scene that is; map coor
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
-from matplotlib.patches import Polygon
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LogNorm, Normalize, to_rgb
+from matplotlib.patches import Patch, Polygon
+from matplotlib.ticker import Formatter, MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
@@ -20,8 +22,9 @@ from gsvis.report.theme import Theme
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.visibility import Analysis
+from gsvis.visibility.cells import CellGrid
 
-__all__ = ["Ground", "draw_directions", "draw_seen_map"]
+__all__ = ["CellMap", "Ground", "draw_cells", "draw_directions", "draw_seen_map"]
 
 F64 = NDArray[np.float64]
 
@@ -76,6 +79,69 @@ class Ground:
         """Width and height in inches for a plot of 5.2 inches at the most."""
         width, height = self.box[1] - self.box[0]
         return 5.2, float(np.clip(5.2 * height / width, 2.2, 6.5))
+
+
+@dataclass(frozen=True, eq=False)
+class CellMap:
+    """Values of cells, to be drawn from above.
+
+    Attributes:
+        grid: C cells.
+        values: (C,) what decides the colour; NaN where it is not known.
+        label: What the values are.
+        low: Value of the darkest colour.
+        high: Value of the brightest.
+        logarithmic: Whether colours go by the logarithm.
+        ticks: How values are written; None means as plain numbers.
+        unknown: What cells without a value are called.
+    """
+
+    grid: CellGrid
+    values: F64
+    label: str
+    low: float
+    high: float
+    logarithmic: bool = False
+    ticks: Formatter | None = None
+    unknown: str = "not measured"
+
+    def columns(self) -> tuple[F64, F64]:
+        """(P, 4, 3) the lower corners of cells as seen from above, and (P,) the largest value below each; NaN if none.
+
+        Cells above each other, along the axis of the grid that is nearest to up, share one square.
+        """
+        along = int(np.abs(self.grid.up).argmax())
+        across = [axis for axis in range(3) if axis != along]
+        places, column = np.unique(self.grid.coords[:, across], axis=0, return_inverse=True)
+        most = np.full(len(places), -np.inf)
+        known = np.isfinite(self.values)
+        np.maximum.at(most, column.reshape(-1)[known], self.values[known])
+        boxes = np.zeros((len(places), 4, 3))
+        boxes[:, :, across] = places[:, None, :] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        return self.grid.origin + self.grid.cell_size * boxes, np.where(np.isfinite(most), most, np.nan)
+
+
+def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None:
+    """The cells from above in the colours of their values, with the scene's walls as shadows over them."""
+    corners, values = cells.columns()
+    squares = ground.project(corners.reshape(-1, 3)).reshape(-1, 4, 2)
+    known = np.isfinite(values)
+    edges: dict[str, Any] = {"edgecolors": theme.paper, "linewidths": 0.6}
+    if not known.all():
+        axes.add_collection(PolyCollection(list(squares[~known]), facecolors=theme.hidden, alpha=0.55, **edges))
+        patch = Patch(facecolor=theme.hidden, alpha=0.55, label=cells.unknown)
+        axes.figure.legend(handles=[patch], loc="outside upper center")
+    norm = (LogNorm if cells.logarithmic else Normalize)(cells.low, cells.high, clip=True)
+    drawn = PolyCollection(list(squares[known]), array=values[known], cmap="viridis", norm=norm, **edges)
+    axes.add_collection(drawn)
+    extent, count, _ = _raster(ground, np.zeros(len(ground.places), bool))
+    dense = np.clip(count / max(float(np.quantile(count[count > 0], 0.98)), 1.0), 0.0, 1.0) if count.any() else count
+    shadow = np.concatenate([np.broadcast_to(to_rgb(theme.ink), (*dense.shape, 3)), 0.8 * dense[..., None]], axis=2)
+    axes.imshow(shadow, extent=extent, origin="lower", interpolation="nearest", aspect="equal", zorder=3)
+    bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, format=cells.ticks)
+    bar.set_label(cells.label, color=theme.ink)
+    bar.outline.set_visible(False)
+    _frame(axes, ground)
 
 
 def draw_seen_map(axes: Axes, theme: Theme, ground: Ground, visible: NDArray[np.bool_], camera: Cameras) -> None:

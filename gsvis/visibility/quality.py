@@ -53,6 +53,7 @@ class _Measured:
 
     kept: I64
     eyes: F64
+    viewmats: F64
     weighted_recall: F64
     recall: F64
     ray_recall: F64
@@ -238,6 +239,7 @@ class _Meter:
         return _Measured(
             np.array([len(subset) for subset in subsets], np.int64),
             eyes,
+            cameras.viewmats.astype(np.float64),
             weighted,
             recall,
             by_rays,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.scene.cameras import Cameras, intrinsics
 
 __all__ = ["PSNR_CAP", "TARGETS", "Figure", "Quality", "QualityConfig", "Trade"]
 
@@ -145,6 +146,7 @@ class Quality:
         centres: (M, 3) their middles, scene frame and units.
         left_out: Cells asked for in which no viewpoint outside something solid was found.
         eyes: (M, V, 3) the fresh viewpoints.
+        viewmats: (M, V, 4, 4) of the images' cameras, camera from world.
         kept: (M, K) Gaussians of the set.
         weighted_recall: (M, V, K) share of the weights around the viewpoint, summed over pixels, that the set keeps.
         recall: (M, V) share of the Gaussians visible from the viewpoint that the set has.
@@ -167,6 +169,7 @@ class Quality:
     centres: F64
     left_out: tuple[int, ...]
     eyes: F64
+    viewmats: F64
     kept: I64
     weighted_recall: F64
     recall: F64
@@ -193,6 +196,11 @@ class Quality:
         if self.dense is None or self.dense_shared is None:
             return None
         return np.where(self.dense > 0, self.dense_shared / np.maximum(self.dense, 1), 1.0)
+
+    def camera(self, m: int, v: int) -> Cameras:
+        """The camera of the image at viewpoint v of row m."""
+        width, height = self.config.width, self.config.height
+        return Cameras(self.viewmats[m, v][None], intrinsics(width, height, self.config.fov)[None], width, height)
 
     def figures(self) -> tuple[Figure, ...]:
         """The summary, the figures with targets first."""
@@ -268,6 +276,7 @@ class Quality:
                     "target_worst": each.targets[1],
                     "met_mean": each.met(0),
                     "met_worst": each.met(1),
+                    "better": each.better,
                     "unit": each.unit,
                 }
                 for each in self.figures()
@@ -285,6 +294,7 @@ class Quality:
             "kept": self.kept[m].tolist(),
             "precision": float(self.confirmed[m]),
             "viewpoints": self.eyes[m].tolist(),
+            "viewmats": self.viewmats[m].tolist(),
             "weighted_recall": self.weighted_recall[m].tolist(),
             "recall": self.recall[m].tolist(),
             "psnr": self.psnr[m].tolist(),

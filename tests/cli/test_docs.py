@@ -10,7 +10,7 @@ from typing import get_args
 from unittest import mock
 
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
-MARKED = re.compile(r"<!-- help: (gsvis[a-z ]*) -->\n(.*?)<!-- /help -->", re.DOTALL)
+MARKED = re.compile(r"<!-- help: (gsvis[a-z -]*?) -->\n(.*?)<!-- /help -->", re.DOTALL)
 
 
 def help_of(command: str) -> str:
@@ -29,7 +29,8 @@ def help_of(command: str) -> str:
 def commands() -> list[str]:
     from gsvis.cli.arguments import Command
 
-    return ["gsvis", *(f"gsvis {command.__name__.lower()}" for command in get_args(Command))]
+    names = [re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower() for command in get_args(Command)]
+    return ["gsvis", *(f"gsvis {name}" for name in names)]
 
 
 def boxed(command: str) -> str:

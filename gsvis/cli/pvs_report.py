@@ -1,0 +1,159 @@
+"""`gsvis pvs-report`: how good the sets of a store are at viewpoints that building never used, as a report."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.cli import version
+from gsvis.cli.arguments import PvsReport
+from gsvis.cli.source import Source, check_folder, check_source, inspected, load_source, navigable_space
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.scene.content import space_hash
+from gsvis.visibility.store import VisibilityStore
+from gsvis.visibility.viewpoints import CellViewpoints
+
+__all__ = ["run_pvs_report"]
+
+_OPTIONS = ("lod", "cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed")
+
+
+def run_pvs_report(command: PvsReport) -> None:
+    """Open the store, read the scene, measure, write the report, print tables or JSON.
+
+    Raises:
+        GsvisError: If a file cannot be read, the store is damaged or of another scene, or nothing can be measured.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If a file is missing.
+        OSError: If the report cannot be written.
+    """
+    if not Path(command.store).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.store)
+    check_source(command.scene, command.lod)
+    check_folder(command.out)
+    with VisibilityStore.open(command.store) as store, Status() as status:
+        document = _reported(command, store, status)
+    if command.json:
+        print_json(document)
+    else:
+        show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
+
+
+def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dict[str, Any]:
+    """Everything between the opened store and a written report."""
+    status("reading", 0, 1)
+    source = load_source(command.scene, command.lod)
+    store.check_scene(source.gaussians)
+    facts_found = inspected(source)
+    status("reading", 1, 1)
+    status("space", 0, 1)
+    viewpoints, told = _viewpoints(store, source)
+    status("space", 1, 1)
+    from gsvis.report import Subject  # imports matplotlib
+    from gsvis.report.pvs_document import write_pvs_report
+    from gsvis.visibility.quality import QualityConfig, measure_quality  # imports torch
+
+    names = ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed")
+    config = QualityConfig(**{name: getattr(command, name) for name in names})
+    found = measure_quality(store, source.gaussians, viewpoints, config, progress=status)
+    subject = Subject(
+        title=source.name,
+        gaussians=source.gaussians,
+        up=store.grid.up,
+        cameras_from=told,
+        command=_spelled(command),
+        version=version(),
+        facts={"path": command.scene, "lod": source.lod, **facts_found},
+        parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
+        seconds=dict(status.seconds),
+    )
+    return write_pvs_report(command.out, found, store, subject, progress=status)
+
+
+def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:
+    """Where fresh viewpoints are drawn, and in words: in the space of the build if it can be found again."""
+    from gsvis.visibility.quality import box_space
+
+    space, _ = navigable_space(source, up=store.grid.up)
+    if space is not None:
+        same = store.info.config.get("space") == space_hash(space)
+        if same or np.array_equal(space.origin, store.grid.origin):
+            told = "in the navigable space that the store was built in"
+            if not same:
+                told = "in the navigable space of the scene, of which the store covers a part"
+            try:
+                return CellViewpoints(store.grid, space), told
+            except ValueError:  # some cell has no free voxel: the cells are of another space
+                pass
+    told = "anywhere in the boxes of the cells, since the space they were cut from is not known"
+    return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), told
+
+
+def _spelled(command: PvsReport) -> str:
+    """The command line that makes the report again."""
+    words = ["gsvis", "pvs-report", command.store, command.scene, "-o", command.out]
+    for name in _OPTIONS:
+        value = getattr(command, name)
+        if value is not None and value != getattr(PvsReport, name):
+            words.append("--" + name.replace("_", "-"))
+            if value is not True:
+                words.append(f"{value:g}" if isinstance(value, float) else str(value))
+    return shlex.join(words)
+
+
+def _tables(document: dict[str, Any]) -> list[Any]:
+    """What was measured, the figures beside their targets, and what faint classes are worth."""
+    from gsvis.report.pvs_page import bound, spelled
+
+    store, quality = document["store"], document["quality"]
+    config, share = quality["config"], store["visible_share"]
+    count, cells = quality["cells_measured"], store["grid"]["cells"]
+    measured = f"{count:,} of {cells:,} cells, {config['viewpoints']} fresh viewpoints in each"
+    about = [
+        ("Gaussians", f"{store['gaussians']:,}"),
+        ("measured", measured),
+        ("images", f"{config['width']} x {config['height']}, field of view {config['fov']:g} degrees"),
+        ("visible from a cell", f"{share['mean']:.1%} of all; {share['min']:.1%} to {share['max']:.1%}"),
+    ]
+    figures = []
+    for each in quality["figures"].values():
+        for which in ("mean", "worst"):
+            told = each["told"] if which == "mean" else f"  worst {each['worst_of']}"
+            if each[which] is None:
+                continue
+            target, met = each[f"target_{which}"], each[f"met_{which}"]
+            beside = "" if target is None else bound(target, each["unit"], each["better"])
+            verdict = "" if met is None else "met" if met else "MISSED"
+            figures.append((told, spelled(each[which], each["unit"]), beside, verdict))
+    classes = [
+        (
+            "whole set" if not each["least_class"] else f"weights from {each['least_weight']:.3g}",
+            size_of(round(each["bytes"])),
+            spelled(each["weighted_recall"], "share"),
+            f"{each['psnr']:.1f} dB",
+            "" if each["lost_per_megabyte"] is None else f"{each['lost_per_megabyte']:.2f}",
+        )
+        for each in quality["classes"]
+    ]
+    worst = ", ".join(
+        f"{row['cell']} at ({', '.join(f'{x:.2f}' for x in row['centre'])})"
+        for cell in quality["worst_cells"][:3]
+        for row in quality["cells"]
+        if row["cell"] == cell
+    )
+    return [
+        facts(document["scene"]["name"], [*about, ("worst cells", worst)]),
+        facts("", figures, ("at fresh viewpoints", "here", "target", "")),
+        facts("", classes, ("sent for a cell", "size", "light kept", "PSNR", "dB lost per MB saved")),
+    ]
+
+
+def _remarks(document: dict[str, Any]) -> list[str]:
+    remarks = [f" Fresh viewpoints were drawn {document['viewpoints_from']}."]
+    left_out = document["quality"]["cells_left_out"]
+    if left_out:
+        remarks.append(f" {len(left_out):,} cells were left out: every viewpoint drawn lies in something solid.")
+    return remarks

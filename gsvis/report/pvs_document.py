@@ -1,0 +1,179 @@
+"""The report on visible sets on disk: `report.json`, plots and maps as PNG, `report.html` with all of it inside."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter, PercentFormatter
+from numpy.typing import NDArray
+
+from gsvis.io.atomic import atomic_folder
+from gsvis.progress import Progress, silent
+from gsvis.render import rasterize
+from gsvis.report.document import Subject
+from gsvis.report.html import Figure
+from gsvis.report.maps import CellMap, Ground, draw_cells
+from gsvis.report.pictures import png_of
+from gsvis.report.pvs_page import pvs_page
+from gsvis.report.pvs_plots import (
+    LEAST_MISSING,
+    draw_growth,
+    draw_missing,
+    draw_shares,
+    draw_trades,
+    draw_viewpoints,
+)
+from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.scene.gaussians import Gaussians
+from gsvis.visibility.quality import Quality
+from gsvis.visibility.store import VisibilityStore
+
+__all__ = ["pvs_document", "write_pvs_report"]
+
+_BRIGHTER = 8.0  # how much differences are enlarged in the picture of them
+
+
+def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> dict[str, Any]:
+    """The content of `report.json`.
+
+    Args:
+        quality: What was measured.
+        store: The visible sets.
+        subject: What they are about; its `cameras_from` says where fresh viewpoints come from.
+    """
+    return {
+        "format": "gsvis-pvs-report",
+        "version": 1,
+        "gsvis": subject.version,
+        "command": subject.command,
+        "parameters": subject.parameters,
+        "scene": {"name": subject.title, **subject.facts},
+        "viewpoints_from": subject.cameras_from,
+        "store": _stored(store),
+        "quality": quality.as_dict(),
+        "seconds": subject.seconds,
+    }
+
+
+def _stored(store: VisibilityStore) -> dict[str, Any]:
+    """What the store holds, for all cells."""
+    shares = store.visible_counts / max(store.gaussians, 1)
+    looked, growing = store.viewpoints, still_growing(store)
+    return {
+        "file": store.path.name,
+        "gaussians": store.gaussians,
+        "scene": store.info.scene,
+        "tau": store.tau,
+        "class_edges": store.info.class_edges.tolist(),
+        "config": dict(store.info.config),
+        "grid": store.grid.as_dict(),
+        "bytes": store.sizes(),
+        "visible_share": {"mean": float(shares.mean()), "min": float(shares.min()), "max": float(shares.max())},
+        "ever_visible_share": len(store.ever_visible()) / max(store.gaussians, 1),
+        "viewpoints": {"mean": float(looked.mean()), "min": int(looked.min()), "max": int(looked.max())},
+        "cells_still_growing": int(np.count_nonzero(growing)),
+        "cells_without_a_free_viewpoint": int(np.count_nonzero(looked == 0)),
+        "cells": {
+            "centres": store.grid.centres.tolist(),
+            "visible": store.visible_counts.tolist(),
+            "viewpoints": looked.tolist(),
+            "growth": [float(share) for share in store.growth],
+        },
+    }
+
+
+def still_growing(store: VisibilityStore) -> NDArray[np.bool_]:
+    """(C,) cells that were left at the largest number of viewpoints while their sets still grew."""
+    most, limit = store.info.config.get("max_viewpoints"), store.info.config.get("growth")
+    if not isinstance(most, int) or not isinstance(limit, int | float):
+        return np.zeros(len(store), bool)
+    return np.asarray((store.viewpoints >= most) & (store.growth > limit))
+
+
+def write_pvs_report(
+    folder: str | os.PathLike[str],
+    quality: Quality,
+    store: VisibilityStore,
+    subject: Subject,
+    *,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Draw everything and write the folder, whole or not at all.
+
+    Args:
+        folder: Made if missing; files in it that are not of a report stay.
+        quality: What was measured.
+        store: The visible sets.
+        subject: What they are about; its `cameras_from` says where fresh viewpoints come from.
+        progress: Called with stage "writing".
+
+    Returns:
+        What was written as `report.json`.
+
+    Raises:
+        OSError: If the folder cannot be written.
+        FormatError: If the store is damaged.
+    """
+    document = pvs_document(quality, store, subject)
+    figures = _figures(quality, store, subject, document["store"]["ever_visible_share"], progress)
+    with atomic_folder(folder) as partial_folder:
+        for figure in figures.values():
+            (partial_folder / figure.file).write_bytes(figure.light)
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (partial_folder / "report.json").write_text(text, encoding="utf-8")
+        (partial_folder / "report.html").write_text(pvs_page(quality, document, figures), encoding="utf-8")
+    return document
+
+
+def _figures(
+    quality: Quality, store: VisibilityStore, subject: Subject, ever: float, progress: Progress
+) -> dict[str, Figure]:
+    """All plots, maps and pictures by name, plots for light and for dark pages."""
+    grid = store.grid
+    ground = Ground.of(subject.gaussians, subject.up, grid.centres)
+    shares = store.visible_counts / max(store.gaussians, 1)
+    missing = np.full(len(grid), np.nan)
+    missing[quality.cells] = np.maximum(1.0 - quality.weighted_recall[..., 0].mean(axis=1), LEAST_MISSING)
+    seen = CellMap(
+        grid, shares, "visible share of the scene", 0.0, max(float(shares.max()), 1e-6), ticks=PercentFormatter(1.0)
+    )
+    percent = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
+    bounds = min(1e-4, float(np.nanmin(missing))), max(1e-2, float(np.nanmax(missing)))
+    lost = CellMap(grid, missing, "light that the set misses", *bounds, logarithmic=True, ticks=percent)
+    limit = store.info.config.get("growth")
+    limit = float(limit) if isinstance(limit, int | float) else None
+    plots: dict[str, tuple[Any, tuple[float, float]]] = {
+        "map_visible": (partial(draw_cells, ground=ground, cells=seen), ground.size),
+        "visible": (partial(draw_shares, shares=shares, ever=ever), (5.2, 3.1)),
+        "viewpoints": (
+            partial(draw_viewpoints, viewpoints=store.viewpoints, growing=still_growing(store)),
+            (5.2, 3.3),
+        ),
+        "growth": (partial(draw_growth, growth=store.growth, limit=limit), (5.2, 3.3)),
+        "missing": (partial(draw_missing, quality=quality), (5.2, 3.7)),
+        "map_missing": (partial(draw_cells, ground=ground, cells=lost), ground.size),
+        "classes": (partial(draw_trades, quality=quality), (5.2, 3.7)),
+    }
+    steps = len(plots) + 1
+    progress("writing", 0, steps)
+    figures = {}
+    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
+        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        progress("writing", done, steps)
+    for name, image in _worst_image(quality, store, subject.gaussians).items():
+        figures[name] = Figure(f"{name}.png", png_of(image))
+    progress("writing", steps, steps)
+    return figures
+
+
+def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict[str, NDArray[np.float32]]:
+    """The image that loses the most: of the full scene, of the set, and what differs."""
+    m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
+    camera = quality.camera(int(m), int(v))
+    kept = g[store.visible_ids(int(quality.cells[m]))]
+    full, culled = (np.clip(rasterize(some, camera, backend="cpu").images[0].numpy(), 0.0, 1.0) for some in (g, kept))
+    return {"worst_full": full, "worst_set": culled, "worst_difference": _BRIGHTER * np.abs(full - culled)}

@@ -1,0 +1,226 @@
+"""The report on visible sets as one HTML page that needs nothing else: images inside, no script, no network."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from gsvis.report.html import Figure, described, figure, filled, table, tiles
+from gsvis.visibility.quality import PSNR_CAP, TARGETS, Quality
+from gsvis.visibility.quality import Figure as Measure
+
+__all__ = ["bound", "pvs_page", "spelled"]
+
+_WORST = 8  # cells listed
+
+
+def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """The whole page.
+
+    Args:
+        quality: What was measured.
+        document: The content of `report.json`.
+        figures: Plots and maps by name.
+    """
+    return filled(
+        "pvs_page.html",
+        title=escape(document["scene"]["name"]),
+        version=escape(document["gsvis"]),
+        lead=_lead(quality, document),
+        tiles=_tiles(quality, document["store"]),
+        cells=_cells(document["store"], figures),
+        quality=_quality(quality, document, figures),
+        classes=_classes(quality, figures),
+        worst=_worst(quality, figures),
+        store=_store(document["store"]),
+        how=described(document),
+    )
+
+
+def spelled(value: float | None, unit: str) -> str:
+    """A figure with its unit: shares in percent, as many digits as tell good from very good."""
+    if value is None:
+        return ""
+    if unit == "share":
+        return f"{value:.3%}" if value > 0.99 else f"{value:.1%}"
+    return f"{value:.1f} dB" if unit == "dB" else f"{value:.2f}"
+
+
+def bound(target: float, unit: str, better: str) -> str:
+    """A target in words."""
+    value = f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
+    return f"at {'least' if better == 'higher' else 'most'} {value}"
+
+
+def _target(measure: Measure, which: int) -> str:
+    """The target of a mean (0) or a worst value (1) and whether it is met; empty without one."""
+    target = measure.targets[which]
+    if target is None:
+        return ""
+    return f"{bound(target, measure.unit, measure.better)}: {'met' if measure.met(which) else 'missed'}"
+
+
+def _lead(quality: Quality, document: dict[str, Any]) -> str:
+    store = document["store"]
+    return (
+        f"<p class='lead'>From one of the {store['grid']['cells']:,} cells of this scene"
+        f" {store['visible_share']['mean']:.1%} of its {quality.gaussians:,} Gaussians can be seen on average. Asked at"
+        f" {quality.eyes.shape[1]} fresh viewpoints in each of {len(quality):,} cells,"
+        f" {escape(document['viewpoints_from'])}, which building never looked from.</p>"
+    )
+
+
+def _tiles(quality: Quality, store: dict[str, Any]) -> str:
+    by_key = {each.key: each for each in quality.figures()}
+    shown = [(f"{store['visible_share']['mean']:.1%}", "of the scene is visible from a cell, on average", "")]
+    for key, told in (
+        ("weighted_recall", "of the light at a fresh viewpoint is in the cell's set, on average"),
+        ("psnr", "images from the set against the full scene, on average"),
+        ("size_over_dense", "times the size of what many viewpoints see"),
+    ):
+        if key in by_key:
+            measure = by_key[key]
+            shown.append((spelled(measure.mean, measure.unit), told, f"target: {_target(measure, 0)}"))
+    return tiles(shown)
+
+
+def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
+    looked, growing = store["viewpoints"], store["cells_still_growing"]
+    above = (
+        "The cells from above, coloured by the share of the scene that each sees; of cells on top of each other the one"
+        " that sees the most. Shadows are the scene's own Gaussians: the denser, the darker."
+    )
+    shares = (
+        f"Each cell's visible share, highest first: {store['visible_share']['min']:.1%} to"
+        f" {store['visible_share']['max']:.1%}. All cells together see {store['ever_visible_share']:.1%}."
+    )
+    found = (
+        f"A cell is looked from until its set stops growing: {looked['min']} to {looked['max']} viewpoints,"
+        f" {looked['mean']:.1f} on average."
+    )
+    last = "By how much the last viewpoint still enlarged each set, highest first."
+    if growing:
+        last += f" {growing:,} cells had not stopped growing when the largest number of viewpoints was reached."
+    return (
+        figure(figures["map_visible"], "Map of the cells coloured by visible share", above)
+        + figure(figures["visible"], "Visible share of each cell, sorted", shares)
+        + "<div class='pair'>"
+        + figure(figures["viewpoints"], "Viewpoints that cells were looked from", found)
+        + figure(figures["growth"], "Growth of each set by the last viewpoint, sorted", last)
+        + "</div>"
+    )
+
+
+def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    config, count = quality.config, quality.psnr[..., 0].size
+    rows = []
+    for each in quality.figures():
+        worst = f"{spelled(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
+        rows.append((each.told, spelled(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
+    good, least = (f"{1.0 - value:.1%}" for value in TARGETS["weighted_recall"] if value is not None)
+    missed = (
+        "Share of the light that the set misses, by measured cell and at each viewpoint; lower is better. The targets"
+        f" are {good} on average and {least} in the worst cell."
+    )
+    where = "Where the measured cells are, and what they miss; of cells on top of each other the one that misses most."
+    text = table(("figure", "mean", "target", "worst", "target"), rows)
+    text += figure(figures["missing"], "Light that each measured set misses", missed)
+    text += figure(figures["map_missing"], "Map of what the sets of measured cells miss", where)
+    text += (
+        f"<p>Light is the sum of the weights of Gaussians (alpha times the light left in front) over six faces of"
+        f" {config.size} x {config.size} pixels around a viewpoint; a Gaussian is visible when one of its weights is at"
+        f" least {quality.tau:.4g}. Each of the {count:,} images has {config.width} x {config.height} pixels and a"
+        f" field of view of {config.fov:g}°; values are clipped to what a display shows, and equal images count as"
+        f" {PSNR_CAP:g} dB. The image from exactly what it shows is drawn from the Gaussians visible in that very"
+        " image: what the threshold alone costs."
+    )
+    if config.dense:
+        text += (
+            f" The dense union is what {config.dense} more fresh viewpoints of the cell see on such faces. It misses"
+            " small Gaussians that show only in finer images."
+        )
+    text += "</p>"
+    if quality.left_out:
+        text += f"<p>{len(quality.left_out):,} cells were left out: all viewpoints drawn lie in something solid.</p>"
+    return text
+
+
+def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
+    trades, whole = quality.trades(), quality.gaussians * quality.bytes_per_gaussian / 1e6
+    rows = [("the whole scene", f"{quality.gaussians:,}", f"{whole:.2f}", "", "100%", "", "", "", "")]
+    for each in trades:
+        rate = each.lost_per_megabyte
+        rows.append(
+            (
+                "whole set" if each.least_class == 0 else f"weights from {each.least_weight:.3g}",
+                f"{each.gaussians:,.0f}",
+                f"{each.bytes / 1e6:.2f}",
+                f"{each.saved / 1e6:.2f}" if each.least_class else "",
+                spelled(each.weighted_recall, "share"),
+                f"{each.psnr:.1f}",
+                f"{each.psnr_worst:.1f}",
+                f"{each.lost:.1f}" if each.least_class else "",
+                f"{rate:.2f}" if rate is not None else "",
+            )
+        )
+    caption = (
+        "What is lost when the faintest classes of a set are not sent. Each point leaves out all Gaussians whose"
+        " largest weight seen from the cell lies below the value beside it."
+    )
+    header = ("sent for a cell", "Gaussians", "MB", "MB saved", "light kept", "PSNR", "worst", "dB lost", "dB per MB")
+    return (
+        figure(figures["classes"], "PSNR by megabytes sent", caption)
+        + table(header, rows)
+        + f"<p>Averages over the measured cells, {quality.bytes_per_gaussian} bytes a Gaussian. Saved and lost are told"
+        " against the whole set.</p>"
+    )
+
+
+def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
+    rows = []
+    for m in quality.worst(_WORST).tolist():
+        x, y, z = quality.centres[m]
+        row = [
+            f"cell {int(quality.cells[m])}",
+            f"{x:.2f}, {y:.2f}, {z:.2f}",
+            spelled(float(quality.weighted_recall[m, :, 0].mean()), "share"),
+            spelled(float(quality.weighted_recall[m, :, 0].min()), "share"),
+            f"{quality.psnr[m, :, 0].mean():.1f}",
+            f"{quality.psnr[m, :, 0].min():.1f}",
+            f"{quality.ceiling[m].min():.1f}",
+            f"{quality.kept[m, 0]:,}",
+        ]
+        rows.append(row)
+    header = ("", "centre", "light kept", "at worst", "PSNR", "at worst", "ceiling at worst", "Gaussians")
+    m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
+    where = f"cell {int(quality.cells[m])}"
+    pictures = (
+        ("worst_full", f"The image that loses the most, drawn from the full scene, in {where}."),
+        ("worst_set", f"The same from the cell's set: {quality.psnr[m, v, 0]:.1f} dB."),
+        ("worst_difference", "What differs, eight times as bright."),
+    )
+    return (
+        table(header, rows)
+        + "<div class='pair'>"
+        + "".join(figure(figures[name], told, told) for name, told in pictures)
+        + "</div>"
+    )
+
+
+def _store(store: dict[str, Any]) -> str:
+    grid, sizes = store["grid"], store["bytes"]
+    x, y, z = grid["shape"]
+    rows = [
+        ("Gaussians of the scene", f"{store['gaussians']:,}"),
+        ("cells", f"{grid['cells']:,} of side {grid['cell_size']:.3g} scene units, in {x} x {y} x {z} boxes"),
+        ("file", f"{sizes['file'] / 1e6:.2f} MB"),
+        ("bits for each Gaussian that a cell sees", f"{sizes['bits_per_pair']:.2f}"),
+        ("bits for its weight class", f"{sizes['class_bits_per_pair']:.2f}"),
+        ("visible from a weight of", f"{store['tau']:.4g}"),
+        ("cells without a viewpoint outside something solid", f"{store['cells_without_a_free_viewpoint']:,}"),
+    ]
+    known = ("method", "size", "growth", "patience", "min_viewpoints", "max_viewpoints")
+    rows += [(f"built with {name}", escape(str(store["config"][name]))) for name in known if name in store["config"]]
+    return table(("store", ""), rows)

@@ -1,0 +1,168 @@
+"""The plots of a report on visible sets: what cells see, how it was found, what sets miss, what faint classes cost."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis.report.theme import Theme
+from gsvis.visibility.quality import TARGETS, Quality
+
+__all__ = ["LEAST_MISSING", "draw_growth", "draw_missing", "draw_shares", "draw_trades", "draw_viewpoints"]
+
+F64 = NDArray[np.float64]
+
+LEAST_MISSING = 1e-6
+"""Shares of light below this are drawn as this: the axis is logarithmic."""
+
+_PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
+
+
+def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> None:
+    """Visible share of each cell, highest first, with the mean and what any cell sees.
+
+    Args:
+        axes: Where to draw.
+        theme: Colours.
+        shares: (C,) visible shares of the scene.
+        ever: Share that at least one cell sees.
+    """
+    values = np.sort(np.asarray(shares, np.float64))[::-1]
+    _sorted_bars(axes, values, theme.gathered)
+    mean = float(values.mean())
+    top = max(ever, float(values.max()))
+    axes.set_ylim(0.0, 1.16 * top)
+    _level(axes, theme, ever, f"seen from any cell {ever:.1%}", theme.published)
+    _level(axes, theme, mean, f"mean of the cells {mean:.1%}", theme.traced, above=ever - mean > 0.12 * top)
+    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.set_xlabel("cells, sorted")
+    axes.set_ylabel("visible share of the scene")
+
+
+def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], growing: NDArray[np.bool_]) -> None:
+    """How many viewpoints cells were looked from, apart for those that had not stopped growing.
+
+    Args:
+        axes: Where to draw.
+        theme: Colours.
+        viewpoints: (C,) of each cell.
+        growing: (C,) whether the last viewpoint still added more than building allows.
+    """
+    low, high = int(viewpoints.min()), int(viewpoints.max())
+    at = np.arange(low, high + 1)
+    stopped, still = (
+        np.array([np.count_nonzero((viewpoints == v) & chosen) for v in at]) for chosen in (~growing, growing)
+    )
+    axes.bar(at, stopped, width=0.72, color=theme.gathered, label="set stopped growing")
+    if growing.any():
+        axes.bar(at, still, bottom=stopped, width=0.72, color=theme.traced, label="still growing")
+        axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.2, columnspacing=1.4)
+    axes.set_xlim(low - 0.7, high + 0.7)
+    axes.grid(visible=False, axis="x")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
+    axes.set_xlabel("viewpoints that a cell was looked from")
+    axes.set_ylabel("cells")
+
+
+def draw_growth(axes: Axes, theme: Theme, growth: ArrayLike, limit: float | None) -> None:
+    """Share by which the last viewpoint made each set grow, highest first, with the limit of building."""
+    values = np.sort(np.asarray(growth, np.float64))[::-1]
+    _sorted_bars(axes, values, theme.gathered)
+    top = max(float(values.max()), limit or 0.0, 1e-9)
+    axes.set_ylim(0.0, 1.2 * top)
+    if limit is not None:
+        _level(axes, theme, limit, f"limit of building {limit:.2%}", theme.published)
+    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.set_xlabel("cells, sorted")
+    axes.set_ylabel("growth by the last viewpoint")
+
+
+def draw_missing(axes: Axes, theme: Theme, quality: Quality) -> None:
+    """Share of light that each measured set misses, from fresh viewpoints and on average, worst cell first."""
+    missing = np.maximum(1.0 - quality.weighted_recall[..., 0], LEAST_MISSING)
+    means = missing.mean(axis=1)
+    order = np.argsort(-means, kind="stable")
+    x = np.arange(1, len(order) + 1)
+    eyes = np.repeat(x, missing.shape[1]), missing[order].ravel()
+    axes.plot(*eyes, linestyle="none", marker="o", markersize=3.5, alpha=0.55, color=theme.muted, label="a viewpoint")
+    own = {"linestyle": "none", "marker": "D", "markersize": 5, "color": theme.gathered}
+    axes.plot(x, means[order], **own, markeredgecolor=theme.paper, label="mean of a cell", zorder=4)  # type: ignore[arg-type]
+    axes.set_yscale("log")
+    good, worst = (1.0 - value for value in TARGETS["weighted_recall"] if value is not None)
+    _level(axes, theme, worst, f"target of the worst cell {worst:.1%}", theme.published)
+    _level(axes, theme, good, f"target of the mean {good:.1%}", theme.traced)
+    axes.set_ylim(0.5 * min(float(missing.min()), good), 3.0 * max(float(missing.max()), worst))
+    axes.set_xlim(0.3, len(order) + 0.7)
+    axes.grid(visible=False, axis="x")
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True, min_n_ticks=1))
+    axes.yaxis.set_major_locator(LogLocator(10.0))
+    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("measured cells, worst first")
+    axes.set_ylabel("light that the set misses")
+    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.2, columnspacing=1.4)
+
+
+def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
+    """PSNR by the megabytes that are sent for a cell, as faint classes are left out, with the ceiling."""
+    trades = quality.trades()
+    x = [each.bytes / 1e6 for each in trades]
+    mean, worst = [each.psnr for each in trades], [each.psnr_worst for each in trades]
+    axes.fill_between(x, worst, mean, color=theme.gathered, alpha=0.18, linewidth=0)
+    axes.plot(x, mean, color=theme.gathered, marker="o", markersize=6, linewidth=2.0, label="mean of the images")
+    axes.plot(x, worst, color=theme.gathered, marker=".", linewidth=1.2, linestyle=(0, (3, 2)), label="worst image")
+    ceiling, top = float(quality.ceiling.mean()), max(mean)
+    target = TARGETS["psnr"][0]
+    assert target is not None
+    _level(axes, theme, ceiling, f"exactly what an image shows {ceiling:.1f} dB", theme.traced, left=True)
+    if abs(ceiling - target) > 0.06 * max(top, ceiling):
+        _level(axes, theme, target, f"target of the mean {target:g} dB", theme.published, left=True)
+    for each, size in zip(trades, x, strict=True):
+        axes.annotate(
+            "whole set" if each.least_class == 0 else f"from {each.least_weight:.2g}",
+            (size, each.psnr),
+            xytext=(-7, 2),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=9,
+            bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+        )
+    axes.set_xlim(0.0, 1.06 * max(max(x), 1e-9))
+    axes.set_ylim(0.0, 1.14 * max(ceiling, target, top))
+    axes.xaxis.set_major_locator(MaxNLocator(7))
+    axes.set_xlabel("megabytes sent for a cell, on average")
+    axes.set_ylabel("PSNR against the full scene, dB")
+    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+
+
+def _sorted_bars(axes: Axes, values: F64, colour: str) -> None:
+    """Bars without gaps, from the first to the last."""
+    edges = np.arange(len(values) + 1) + 0.5
+    axes.stairs(values, edges, fill=True, color=colour, linewidth=0)
+    axes.set_xlim(0.5, len(values) + 0.5)
+    axes.grid(visible=False, axis="x")
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
+
+
+def _level(
+    axes: Axes, theme: Theme, value: float, text: str, colour: str, *, above: bool = True, left: bool = False
+) -> None:
+    """A dashed line across the plot with its meaning on it."""
+    axes.axhline(value, color=colour, linewidth=1.6, dashes=(5, 2))
+    axes.annotate(
+        text,
+        (0.0 if left else 1.0, value),
+        xycoords=("axes fraction", "data"),
+        xytext=(3 if left else -2, 3 if above else -4),
+        textcoords="offset points",
+        ha="left" if left else "right",
+        va="bottom" if above else "top",
+        color=colour,
+        fontweight="bold",
+        fontsize=9,
+        bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+    )
