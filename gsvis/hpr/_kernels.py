@@ -49,6 +49,24 @@ def cell_of(x, y, z, size):
     return (face * size + row) * size + column
 
 
+@njit(cache=True, inline="always")
+def direction_on_face(face, u, v):
+    """Direction of a place (u, v) in [-1, 1]^2 on a face of the cubemap, not of unit length."""
+    sign = 1.0 if face % 2 == 0 else -1.0
+    if face < 2:
+        return sign, u, v
+    if face < 4:
+        return u, sign, v
+    return u, v, sign
+
+
+@njit(cache=True, inline="always")
+def direction_of(cell, size):
+    """Direction of a cell's centre, not of unit length."""
+    face, rest = cell // (size * size), cell % (size * size)
+    return direction_on_face(face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def cells_of(flipped, size, out):
     """Cell of each of the flipped points (M, 3), into out (M,)."""
@@ -293,8 +311,8 @@ def count_creases(points, corners, neighbors, band, out):
 
 
 @njit(cache=True, nogil=True)
-def facets_of_cells(points, corners, size, out):
-    """A facet near the direction of each cell, into out (6 size^2,): one with a corner there, or the cell before's."""
+def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
+    """A facet near the direction of each cell, into out (6 size^2,): one with a corner there, or that at its centre."""
     out[:] = -1
     for f in range(len(corners)):
         for k in range(3):
@@ -303,7 +321,9 @@ def facets_of_cells(points, corners, size, out):
     last = 0
     for cell in range(len(out)):
         if out[cell] < 0:
-            out[cell] = last
+            x, y, z = direction_of(cell, size)
+            f = locate(points, corners, neighbors, last, len(corners), inner, slack, x * reach, y * reach, z * reach)
+            out[cell] = f if f >= 0 else last
         last = out[cell]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from gsvis.hpr._kernels import cell_of
+from gsvis.hpr._kernels import cell_of, direction_of, direction_on_face
 
 _WIDE = 0.25  # standard deviations over distance
 _LEAST_ALPHA = 1.0 / 64.0
@@ -122,7 +122,7 @@ def thicken(toward, quats, scales, opacities, shapes, order, begins, size, neare
                 for column in range(low_column, high_column, step):
                     u = (column + 0.5 * step) * cell_angle - 1.0
                     v = (row + 0.5 * step) * cell_angle - 1.0
-                    dx, dy, dz = _direction_on_face(face, u, v)
+                    dx, dy, dz = direction_on_face(face, u, v)
                     a = m[0] * dx + m[1] * dy + m[2] * dz
                     b = m[3] * dx + m[4] * dy + m[5] * dz
                     c = m[6] * dx + m[7] * dy + m[8] * dz
@@ -152,16 +152,6 @@ def _place_on_face(x, y, z, face):
     return x / abs(z), y / abs(z)
 
 
-@njit(cache=True, inline="always")
-def _direction_on_face(face, u, v):
-    sign = 1.0 if face % 2 == 0 else -1.0
-    if face < 2:
-        return sign, u, v
-    if face < 4:
-        return u, sign, v
-    return u, v, sign
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def spent_depths(thickness, limit, nearest, steps_per_log, out):
     """Far end of the bin in which each cell's summed thickness reaches the limit, into out (cells,).
@@ -182,10 +172,7 @@ def spent_depths(thickness, limit, nearest, steps_per_log, out):
 def centres_of_cells(size, out):
     """Unit directions of the centres of all cells, into out (6 size^2, 3)."""
     for cell in prange(len(out)):
-        face, rest = cell // (size * size), cell % (size * size)
-        x, y, z = _direction_on_face(
-            face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0
-        )
+        x, y, z = direction_of(cell, size)
         length = np.sqrt(x * x + y * y + z * z)
         out[cell, 0], out[cell, 1], out[cell, 2] = x / length, y / length, z / length
 

@@ -67,10 +67,10 @@ class Hull:
             if not builder.insert(level):
                 return None, np.sort(order)
         starts = np.empty(6 * size * size, np.int32)
-        _kernels.facets_of_cells(places, builder.corners, size, starts)
+        hull = places, builder.corners, builder.neighbors
+        _kernels.facets_of_cells(*hull, builder.inner, builder.slack, reach, size, starts)
         outside = np.empty(len(flips), bool)
-        arrays = places, builder.corners, builder.neighbors, starts, size
-        _kernels.not_inside(*arrays, builder.inner, builder.slack, builder.band, outside)
+        _kernels.not_inside(*hull, starts, size, builder.inner, builder.slack, builder.band, outside)
         candidates = np.flatnonzero(outside)
         builder.grow(2 * len(candidates))
         if not builder.insert(candidates) or (exact and not builder.is_certain()):
@@ -87,10 +87,10 @@ class Hull:
     def radial(self, directions: F64) -> F64:
         """Distance of the boundary from the origin along unit directions (D, 3); 0 where it is not known."""
         starts = np.empty(6 * self.size * self.size, np.int32)
-        _kernels.facets_of_cells(self.places, self.corners, self.size, starts)
+        hull, slack = (self.places, self.corners, self.neighbors), _SLACK * self.reach**3
+        _kernels.facets_of_cells(*hull, self.inner, slack, self.reach, self.size, starts)
         out = np.empty(len(directions))
-        arrays = self.places, self.corners, self.neighbors, starts, self.size
-        _kernels.radial(directions, *arrays, self.inner, _SLACK * self.reach**3, out)
+        _kernels.radial(directions, *hull, starts, self.size, self.inner, slack, out)
         return out
 
 
