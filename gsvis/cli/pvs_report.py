@@ -106,7 +106,7 @@ def _spelled(command: PvsReport) -> str:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """What was measured, the figures beside their targets, and what faint classes are worth."""
-    from gsvis.report.pvs_page import bound, spelled
+    from gsvis.report.pvs_page import spelled, spelled_target
 
     store, quality = document["store"], document["quality"]
     config, share = quality["config"], store["visible_share"]
@@ -120,14 +120,12 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     ]
     figures = []
     for each in quality["figures"].values():
-        for which in ("mean", "worst"):
-            told = each["told"] if which == "mean" else f"  worst {each['worst_of']}"
-            if each[which] is None:
-                continue
-            target, met = each[f"target_{which}"], each[f"met_{which}"]
-            beside = "" if target is None else bound(target, each["unit"], each["better"])
-            verdict = "" if met is None else "met" if met else "MISSED"
-            figures.append((told, spelled(each[which], each["unit"]), beside, verdict))
+        mean, worst = (spelled(each[which], each["unit"]) for which in ("mean", "worst"))
+        wanted = [(each[f"target_{which}"], each[f"met_{which}"]) for which in ("mean", "worst")]
+        beside = "; ".join("" if target is None else spelled_target(target, each["unit"]) for target, _ in wanted)
+        verdicts = [met for _, met in wanted if met is not None]
+        verdict = "" if not verdicts else "met" if all(verdicts) else "MISSED"
+        figures.append((each["told"], mean, worst, beside.strip("; "), verdict))
     classes = [
         (
             "whole set" if not each["least_class"] else f"weights from {each['least_weight']:.3g}",
@@ -146,7 +144,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     )
     return [
         facts(document["scene"]["name"], [*about, ("worst cells", worst)]),
-        facts("", figures, ("at fresh viewpoints", "here", "target", "")),
+        facts("", figures, ("at fresh viewpoints", "mean", "worst", "targets", "")),
         facts("", classes, ("sent for a cell", "size", "light kept", "PSNR", "dB lost per MB saved")),
     ]
 

@@ -80,6 +80,12 @@ class Ground:
         width, height = self.box[1] - self.box[0]
         return 5.2, float(np.clip(5.2 * height / width, 2.2, 6.5))
 
+    @property
+    def size_with_bar(self) -> tuple[float, float]:
+        """The same for a map with a bar of colours beside it."""
+        width, height = self.box[1] - self.box[0]
+        return 5.2, float(np.clip(3.6 * height / width + 0.6, 2.2, 6.5))
+
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
@@ -138,7 +144,7 @@ def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None
     dense = np.clip(count / max(float(np.quantile(count[count > 0], 0.98)), 1.0), 0.0, 1.0) if count.any() else count
     shadow = np.concatenate([np.broadcast_to(to_rgb(theme.ink), (*dense.shape, 3)), 0.8 * dense[..., None]], axis=2)
     axes.imshow(shadow, extent=extent, origin="lower", interpolation="nearest", aspect="equal", zorder=3)
-    bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, format=cells.ticks)
+    bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.9, pad=0.02, format=cells.ticks)
     bar.set_label(cells.label, color=theme.ink)
     bar.outline.set_visible(False)
     _frame(axes, ground)

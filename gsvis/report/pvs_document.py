@@ -134,20 +134,21 @@ def _figures(
 ) -> dict[str, Figure]:
     """All plots, maps and pictures by name, plots for light and for dark pages."""
     grid = store.grid
-    ground = Ground.of(subject.gaussians, subject.up, grid.centres)
+    rim = 0.5 * grid.cell_size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    ground = Ground.of(subject.gaussians, subject.up, (grid.centres[:, None] + rim).reshape(-1, 3))
     shares = store.visible_counts / max(store.gaussians, 1)
     missing = np.full(len(grid), np.nan)
     missing[quality.cells] = np.maximum(1.0 - quality.weighted_recall[..., 0].mean(axis=1), LEAST_MISSING)
-    seen = CellMap(
-        grid, shares, "visible share of the scene", 0.0, max(float(shares.max()), 1e-6), ticks=PercentFormatter(1.0)
-    )
+    least, most = float(shares.min()), float(shares.max())
+    seen = CellMap(grid, shares, "visible share", least, max(most, least + 1e-4), ticks=PercentFormatter(1.0))
     percent = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
     bounds = min(1e-4, float(np.nanmin(missing))), max(1e-2, float(np.nanmax(missing)))
-    lost = CellMap(grid, missing, "light that the set misses", *bounds, logarithmic=True, ticks=percent)
+    lost = CellMap(grid, missing, "light missed", *bounds, logarithmic=True, ticks=percent)
+    size = ground.size_with_bar
     limit = store.info.config.get("growth")
     limit = float(limit) if isinstance(limit, int | float) else None
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
-        "map_visible": (partial(draw_cells, ground=ground, cells=seen), ground.size),
+        "map_visible": (partial(draw_cells, ground=ground, cells=seen), size),
         "visible": (partial(draw_shares, shares=shares, ever=ever), (5.2, 3.1)),
         "viewpoints": (
             partial(draw_viewpoints, viewpoints=store.viewpoints, growing=still_growing(store)),
@@ -155,7 +156,7 @@ def _figures(
         ),
         "growth": (partial(draw_growth, growth=store.growth, limit=limit), (5.2, 3.3)),
         "missing": (partial(draw_missing, quality=quality), (5.2, 3.7)),
-        "map_missing": (partial(draw_cells, ground=ground, cells=lost), ground.size),
+        "map_missing": (partial(draw_cells, ground=ground, cells=lost), (size[0], size[1] + 0.3)),
         "classes": (partial(draw_trades, quality=quality), (5.2, 3.7)),
     }
     steps = len(plots) + 1

@@ -11,7 +11,7 @@ from gsvis.report.html import Figure, described, figure, filled, table, tiles
 from gsvis.visibility.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.visibility.quality import Figure as Measure
 
-__all__ = ["bound", "pvs_page", "spelled"]
+__all__ = ["pvs_page", "spelled", "spelled_target"]
 
 _WORST = 8  # cells listed
 
@@ -48,10 +48,9 @@ def spelled(value: float | None, unit: str) -> str:
     return f"{value:.1f} dB" if unit == "dB" else f"{value:.2f}"
 
 
-def bound(target: float, unit: str, better: str) -> str:
-    """A target in words."""
-    value = f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
-    return f"at {'least' if better == 'higher' else 'most'} {value}"
+def spelled_target(target: float, unit: str) -> str:
+    """A target with its unit, in as few digits as it has."""
+    return f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
 
 
 def _target(measure: Measure, which: int) -> str:
@@ -59,16 +58,17 @@ def _target(measure: Measure, which: int) -> str:
     target = measure.targets[which]
     if target is None:
         return ""
-    return f"{bound(target, measure.unit, measure.better)}: {'met' if measure.met(which) else 'missed'}"
+    bound = "at least" if measure.better == "higher" else "at most"
+    return f"{bound} {spelled_target(target, measure.unit)} ({'met' if measure.met(which) else 'missed'})"
 
 
 def _lead(quality: Quality, document: dict[str, Any]) -> str:
     store = document["store"]
     return (
         f"<p class='lead'>From one of the {store['grid']['cells']:,} cells of this scene"
-        f" {store['visible_share']['mean']:.1%} of its {quality.gaussians:,} Gaussians can be seen on average. Asked at"
-        f" {quality.eyes.shape[1]} fresh viewpoints in each of {len(quality):,} cells,"
-        f" {escape(document['viewpoints_from'])}, which building never looked from.</p>"
+        f" {store['visible_share']['mean']:.1%} of its {quality.gaussians:,} Gaussians can be seen on average."
+        f" Measured at {quality.eyes.shape[1]} fresh viewpoints, which building never looked from, in each of"
+        f" {len(quality):,} cells. They were drawn {escape(document['viewpoints_from'])}.</p>"
     )
 
 
@@ -199,11 +199,11 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
     pictures = (
         ("worst_full", f"The image that loses the most, drawn from the full scene, in {where}."),
         ("worst_set", f"The same from the cell's set: {quality.psnr[m, v, 0]:.1f} dB."),
-        ("worst_difference", "What differs, eight times as bright."),
+        ("worst_difference", "What differs, brightened eight times."),
     )
     return (
         table(header, rows)
-        + "<div class='pair'>"
+        + "<div class='three'>"
         + "".join(figure(figures[name], told, told) for name, told in pictures)
         + "</div>"
     )

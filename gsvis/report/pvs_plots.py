@@ -121,13 +121,14 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     if abs(ceiling - target) > 0.06 * max(top, ceiling):
         _level(axes, theme, target, f"target of the mean {target:g} dB", theme.published, left=True)
     for each, size in zip(trades, x, strict=True):
+        beyond = size < 0.3 * max(x)  # no room for words on its left
         axes.annotate(
             "whole set" if each.least_class == 0 else f"from {each.least_weight:.2g}",
             (size, each.psnr),
-            xytext=(-7, 2),
+            xytext=(8, -3) if beyond else (-7, 2),
             textcoords="offset points",
-            ha="right",
-            va="bottom",
+            ha="left" if beyond else "right",
+            va="top" if beyond else "bottom",
             fontsize=9,
             bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
         )

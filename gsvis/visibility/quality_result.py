@@ -207,29 +207,29 @@ class Quality:
         whole, images = self.weighted_recall[..., 0], self.psnr[..., 0]
         cell, eye = whole.mean(axis=1), "viewpoint"
         found = [
-            _figure("weighted_recall", "light kept at fresh viewpoints", cell, "cell", "higher", "share"),
-            _figure("weighted_recall_viewpoint", "the same by viewpoint", whole, eye, "higher", "share"),
-            _figure("psnr", "image from the set against the full scene", images, "image", "higher", "dB"),
+            _figure("weighted_recall", "light that the set keeps", cell, "cell", "higher", "share"),
+            _figure("weighted_recall_viewpoint", "the same, viewpoint by viewpoint", whole, eye, "higher", "share"),
+            _figure("psnr", "image from the set", images, "image", "higher", "dB"),
             _figure("ceiling", "image from exactly what it shows", self.ceiling, "image", "higher", "dB"),
         ]
         if self.dense_psnr is not None:
             told = "image from the dense union"
             found.append(_figure("dense_psnr", told, self.dense_psnr, "image", "higher", "dB"))
         if self.size_over_dense is not None and self.dense_recall is not None:
-            told = "size of the set over the dense union"
+            told = "size of set over dense union"
             found.append(_figure("size_over_dense", told, self.size_over_dense, "cell", "lower", "times"))
-            told = "share of the dense union that the set has"
+            told = "dense union that the set has"
             found.append(_figure("dense_recall", told, self.dense_recall, "cell", "higher", "share"))
-        told = "visible Gaussians that the set has"
+        told = "visible Gaussians that it has"
         found.append(_figure("recall", told, self.recall, "viewpoint", "higher", "share"))
         if self.ray_recall is not None:
-            told = "the same, visible on pixel rays"
+            told = "the same, by pixel rays"
             found.append(_figure("ray_recall", told, self.ray_recall, "viewpoint", "higher", "share"))
-        told = "share of the set that a viewpoint confirms"
+        told = "set that some viewpoint confirms"
         found.append(_figure("precision", told, self.confirmed, "cell", "higher", "share"))
         shares = self.kept[:, 0] / self.gaussians
         found.append(
-            Figure("visible_share", "set as a share of the scene", _mean(shares), None, "", (None, None), "", "share")
+            Figure("visible_share", "set over the whole scene", _mean(shares), None, "", (None, None), "", "share")
         )
         return tuple(found)
 
