@@ -2,8 +2,8 @@
 
 A face is S x S pixels that look along one axis of the world with a field of view of 90 degrees. The light that is left
 at each pixel stands in a buffer, an upper bound of it over each block of 4 x 4 pixels beside it, so that what comes
-behind spent blocks costs one look. World frame, scene units; faces in the order +x, -x, +y, -y, +z, -z; on the face of
-axis w, columns run along axis w + 1 and rows along axis w + 2 (mod 3). Rows are LANES pixels longer than S, and dark.
+behind spent blocks costs one look. World frame, scene units; faces in the order +x, -x, +y, -y, +z, -z; on each,
+columns run along the first and rows along the second of the other two axes. Rows have LANES dark pixels more.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _pixels(centre, radius, size):
 @njit(cache=True)
 def _splat(near, covars, eye, size, face, ids, spent, light, depths, out_ids, out_values):
     axis = face >> 1
-    au, av = (axis + 1) % 3, (axis + 2) % 3
+    au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     sign = np.float32(1.0 - 2.0 * (face & 1))
     half, clamp = np.float32(0.5 * size), np.float32(CLAMP)
     blocks = (size + BLOCK - 1) // BLOCK
@@ -276,7 +276,7 @@ def hidden_behind(near, eye, pyramid, first_row, size, out):
                 if not hidden:
                     break
                 axis = face >> 1
-                w, u, v = rel[axis], rel[(axis + 1) % 3], rel[(axis + 2) % 3]
+                w, u, v = rel[axis], rel[1 if axis == 0 else 0], rel[1 if axis == 2 else 2]
                 if face & 1:
                     w = -w
                 u0, u1 = _span(w, u, radius, math.sqrt(w * w + u * u))

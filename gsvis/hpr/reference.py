@@ -1,4 +1,7 @@
-"""Hidden point removal in its shortest form: flip everything, take the hull of everything. The oracle of the tests."""
+"""What this room does in its shortest form, as the oracle of the tests.
+
+Hidden point removal: flip everything, take the hull of everything. The z-buffer: every Gaussian on every pixel.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-__all__ = ["hidden_point_removal_reference"]
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["hidden_point_removal_reference", "look_around_reference"]
 
 
 def hidden_point_removal_reference(
@@ -31,3 +36,48 @@ def hidden_point_removal_reference(
     flipped = toward + 2.0 * (radius - length) * toward / length
     vertices = ConvexHull(np.concatenate([flipped, np.zeros((1, 3))])).vertices
     return np.sort(vertices[vertices < len(points)]).astype(np.int64)
+
+
+def look_around_reference(
+    g: Gaussians, viewpoint: NDArray[np.float64], size: int, spent: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Every Gaussian splatted on every pixel of the six faces, nearest centre first.
+
+    Args:
+        g: N Gaussians, no two at one distance.
+        viewpoint: (3,).
+        size: Pixels along a side of the faces.
+        spent: Transmittance below which light counts as spent.
+
+    Returns:
+        Largest weight (N,), largest light in front over the pixels covered (N,), and depths (6, size, size) at which
+        light is spent.
+    """
+    weights, lights = np.zeros(len(g)), np.zeros(len(g))
+    depths, left = np.full((6, size, size), np.inf), np.ones((6, size, size))
+    toward = g.means.astype(np.float64) - viewpoint
+    far = np.linalg.norm(toward, axis=1)
+    centres = np.arange(size) + 0.5
+    for i in np.argsort(far):
+        for face in range(6):
+            axis = face // 2
+            u, v = (a for a in range(3) if a != axis)
+            frame = np.zeros((3, 3))  # rows: columns of the image, rows of the image, forward
+            frame[0, u], frame[1, v], frame[2, axis] = 1.0, 1.0, 1.0 if face % 2 == 0 else -1.0
+            x, y, z = frame @ toward[i]
+            if z <= 0.01:
+                continue
+            tx, ty = np.clip([x / z, y / z], -1.3, 1.3)
+            focal = size / 2.0
+            jacobian = focal / z * np.array([[1.0, 0.0, -tx], [0.0, 1.0, -ty]]) @ frame
+            conic = np.linalg.inv(jacobian @ g.covars()[i] @ jacobian.T + 0.3 * np.eye(2))
+            dx, dy = np.meshgrid(centres - focal * (x / z + 1.0), centres - focal * (y / z + 1.0))
+            power = conic[0, 0] * dx * dx + 2.0 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
+            alpha = g.opacities[i] * np.exp(-0.5 * power)
+            alpha = np.where(alpha >= 1.0 / 255.0, np.minimum(alpha, 0.999), 0.0)
+            weights[i] = max(weights[i], (alpha * left[face]).max())
+            lights[i] = max(lights[i], np.where(alpha > 0.0, left[face], 0.0).max())
+            after = left[face] * (1.0 - alpha)
+            depths[face][(after < spent) & (left[face] >= spent)] = far[i]
+            left[face] = after
+    return weights, lights, depths

@@ -71,7 +71,7 @@ class ZBuffer:
         viewpoint: (3,) float64, world frame.
         spent: Transmittance below which light counts as spent.
         depths: (6, S, S) float32, distance from the eye; inf where light is left. Faces look along +x, -x, +y, -y, +z,
-            -z; on the face of axis w, columns run along axis w + 1 and rows along axis w + 2 (mod 3).
+            -z; on each, columns run along the first and rows along the second of the other two axes.
         light: (6, S, S) float32, transmittance behind everything that was splatted.
     """
 

@@ -61,12 +61,12 @@ class Look:
 
 
 def _hybrid(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
-    from gsvis.hpr.zbuffer import Splats, look_around
+    from gsvis.hpr import Splats, hybrid
 
     splats = Splats.of(g)
 
     def see(viewpoint: F64) -> Sight:
-        seen = look_around(splats, viewpoint, size=size, spent=floor)
+        seen = hybrid(g, splats, viewpoint, size=size, tau=floor)
         return seen.ids, seen.weights
 
     return see

@@ -1,0 +1,189 @@
+"""The hierarchical z-buffer: equal to every Gaussian on every pixel, conservative, and blind to order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gsvis.hpr import Seen, Splats, hybrid, look_around
+from gsvis.hpr.reference import look_around_reference
+from gsvis.hpr.zbuffer import ZBuffer
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import BUILTIN_SCENES, builtin_scene, random_scene
+
+TAU = 1.0 / 255.0
+
+
+def around(count: int, seed: int, *, near: float = 0.5, opaque: bool = False) -> Gaussians:
+    """Gaussians on all sides of the origin, at distances of 0.5 to 4."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    means = directions * rng.uniform(near, 4.0, (count, 1))
+    quats = rng.normal(size=(count, 4))
+    scales = np.exp(rng.uniform(np.log(0.02), np.log(0.5), (count, 3)))
+    opacities = np.full(count, 0.99) if opaque else rng.uniform(0.01, 1.0, count)
+    return Gaussians(
+        means, quats / np.linalg.norm(quats, axis=1, keepdims=True), scales, opacities, np.zeros((count, 1, 3))
+    )
+
+
+def dense(seen: Seen, count: int) -> tuple[np.ndarray, np.ndarray]:
+    weights, light = np.zeros(count), np.zeros(count)
+    weights[seen.ids], light[seen.ids] = seen.weights, seen.light
+    return weights, light
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [5, 19])
+def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
+    g = around(150, seed)
+    seen = look_around(Splats.of(g), np.zeros(3), size=size, spent=1e-3)
+    weights, light, depths = look_around_reference(g, np.zeros(3), size, 1e-3)
+    found_weights, found_light = dense(seen, len(g))
+    lit = light >= 1e-3
+    np.testing.assert_allclose(found_weights[lit], weights[lit], atol=2e-4)
+    np.testing.assert_allclose(found_light[lit], light[lit], atol=2e-4)
+    assert (weights[~lit] < 1e-3).all()
+    assert not np.isin(np.flatnonzero(light < 0.9e-3), seen.ids).any()
+    same = np.isclose(seen.zbuffer.depths, depths, rtol=1e-5)
+    assert same.mean() > 0.999  # a pixel whose light ends within rounding of the bound may end one Gaussian later
+
+
+@pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
+def test_nothing_visible_is_missing_and_nothing_behind_a_solid_wall_is_kept(name: str) -> None:
+    scene = builtin_scene(name)
+    splats = Splats.of(scene.gaussians)
+    # Seams of walls seen edge on: splats are ordered by their centres there, rays by where they are densest.
+    allowed = 1e-3 if name == "two_rooms" else 0.0
+    for v, viewpoint in enumerate(scene.viewpoints):
+        seen = hybrid(scene.gaussians, splats, viewpoint, size=384)
+        assert not scene.hidden[v][seen.ids].any()
+        missing = ~np.isin(np.flatnonzero(scene.visible[v]), seen.ids)
+        assert missing.mean() <= allowed
+
+
+def test_hides_is_conservative_and_not_idle() -> None:
+    g = Gaussians.concatenate([around(3000, 1, opaque=True), around(2000, 2, near=3.9)])
+    splats = Splats.of(g)
+    seen = look_around(splats, np.zeros(3), size=32)
+    hidden = splats.ids[seen.zbuffer.hides(splats)]
+    assert len(hidden) > 500
+    assert not np.isin(hidden, seen.ids[seen.weights >= TAU]).any()
+
+
+def test_an_open_sky_hides_nothing() -> None:
+    splats = Splats.of(around(20, 3))
+    depths = np.full((6, 8, 8), np.inf, np.float32)
+    open_sky = ZBuffer(np.zeros(3), TAU, depths, np.ones((6, 8, 8), np.float32))
+    assert not open_sky.hides(splats).any()
+
+
+def test_a_ball_that_holds_the_eye_is_never_hidden() -> None:
+    g = Gaussians([[0.1, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.9], np.zeros((1, 1, 3)))
+    near = ZBuffer(np.zeros(3), TAU, np.full((6, 8, 8), 1e-3, np.float32), np.zeros((6, 8, 8), np.float32))
+    assert not near.hides(Splats.of(g)).any()
+
+
+def test_the_pyramid_bounds_what_lies_under_it() -> None:
+    g = around(500, 4, opaque=True)
+    buffer = look_around(Splats.of(g), np.zeros(3), size=24).zbuffer
+    most, least = buffer.pyramid(), buffer.pyramid(largest=False)
+    assert most[-1].shape == (6, 1, 1)
+    np.testing.assert_array_equal(most[-1][:, 0, 0], buffer.depths.reshape(6, -1).max(axis=1))
+    np.testing.assert_array_equal(least[-1][:, 0, 0], buffer.depths.reshape(6, -1).min(axis=1))
+    for k in range(1, len(most)):
+        under = buffer.depths[:, : 2**k, : 2**k].reshape(6, -1)
+        np.testing.assert_array_equal(most[k][:, 0, 0], under.max(axis=1))
+
+
+@pytest.mark.parametrize("look", ["zbuffer", "hybrid"])
+def test_the_order_of_the_scene_changes_nothing(look: str) -> None:
+    g = Gaussians.concatenate([around(400, 5), around(400, 5)[np.arange(50)]])  # with equal distances
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(g))
+    results = []
+    for scene in (g, g[order]):
+        splats = Splats.of(scene)
+        eye = np.array([0.2, -0.1, 0.3])
+        results.append(look_around(splats, eye, size=32) if look == "zbuffer" else hybrid(scene, splats, eye, size=32))
+    first, second = dense(results[0], len(g))[0], dense(results[1], len(g))[0]
+    # Twins in all but their index share what they get, in either order.
+    np.testing.assert_array_equal(np.sort(first), np.sort(second))
+    np.testing.assert_allclose(results[0].zbuffer.light, results[1].zbuffer.light, atol=0)
+
+
+def test_more_in_front_never_shows_more_behind() -> None:
+    behind = around(800, 6, near=2.0)
+    for opacity in (0.1, 0.5, 0.9):
+        front = around(200, 7, near=0.5)
+        front = Gaussians(front.means / 4.0, front.quats, front.scales / 4.0, np.full(200, opacity), front.sh0)
+        more = Gaussians(front.means, front.quats, front.scales, np.full(200, min(1.0, opacity * 1.1)), front.sh0)
+        seen = [
+            dense(look_around(Splats.of(Gaussians.concatenate([f, behind])), np.zeros(3), size=32), 1000)[0][200:]
+            for f in (front, more)
+        ]
+        assert (seen[1] <= seen[0] + 1e-6).all()
+
+
+def test_the_hybrid_holds_what_the_z_buffer_sees() -> None:
+    g = random_scene(np.random.default_rng(3), 3000)
+    splats = Splats.of(g)
+    alone, both = look_around(splats, g.means.mean(axis=0), size=64), hybrid(g, splats, g.means.mean(axis=0), size=64)
+    assert np.isin(alone.ids[alone.weights >= np.float32(TAU)], both.ids).all()
+    assert (both.weights >= np.float32(TAU)).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"size": 3}, "size: expected 4 to 4096"),
+        ({"spent": 0.0}, "spent: expected a transmittance"),
+        ({"viewpoint": [np.nan, 0, 0]}, "viewpoint: expected finite"),
+        ({"viewpoint": [0, 0]}, "viewpoint: expected shape"),
+    ],
+)
+def test_bad_arguments(change: dict[str, object], message: str) -> None:
+    arguments: dict[str, object] = {"viewpoint": np.zeros(3), **change}
+    with pytest.raises(ValueError, match=message):
+        look_around(Splats.of(around(5, 0)), arguments.pop("viewpoint"), **arguments)  # type: ignore[arg-type]
+
+
+def test_an_empty_scene_and_one_too_faint_show_nothing() -> None:
+    faint = Gaussians([[1, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.003], np.zeros((1, 1, 3)))
+    for g in (Gaussians.empty(), faint):
+        seen = look_around(Splats.of(g), np.zeros(3), size=8)
+        assert len(seen.ids) == 0
+        assert np.isinf(seen.zbuffer.depths).all()
+        assert len(hybrid(g, Splats.of(g), np.zeros(3), size=8).ids) == 0
+
+
+def test_splats_of_another_scene_are_refused() -> None:
+    with pytest.raises(ValueError, match="splats: expected those of this scene"):
+        hybrid(around(5, 0), Splats.of(around(6, 0)), np.zeros(3))
+
+
+def test_extreme_shapes_do_no_harm() -> None:
+    rng = np.random.default_rng(8)
+    scales = 10.0 ** rng.uniform(-12, 8, (300, 3))
+    means = rng.normal(size=(300, 3)) * 10.0 ** rng.uniform(-6, 6, (300, 1))
+    g = Gaussians(means, np.tile([1.0, 0, 0, 0], (300, 1)), scales, rng.random(300), np.zeros((300, 1, 3)))
+    seen = look_around(Splats.of(g), np.zeros(3), size=16)
+    assert np.isfinite(seen.weights).all()
+    assert ((seen.zbuffer.light >= 0) & (seen.zbuffer.light <= 1)).all()
+    seen.zbuffer.hides(Splats.of(g))
+
+
+@pytest.mark.realdata
+def test_it_agrees_with_the_rasterizer_on_a_real_scene(realdata) -> None:  # type: ignore[no-untyped-def]
+    from gsvis.io import load_scene
+    from gsvis.render import view_weights
+
+    g = load_scene(realdata / "scenes/nika_sh3/lod-meta.json", lod=3)
+    eye = np.median(g.means, axis=0).astype(np.float64)
+    seen = look_around(Splats.of(g), eye, size=128, spent=TAU)
+    weights = dense(seen, len(g))[0]
+    largest = view_weights(g, Cameras.cubemap(eye[None], 128)).largest.max(axis=0)
+    visible = largest >= TAU
+    assert largest[visible & (weights >= TAU)].sum() >= 0.985 * largest[visible].sum()
