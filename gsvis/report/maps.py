@@ -84,7 +84,7 @@ class Ground:
     def size_with_bar(self) -> tuple[float, float]:
         """The same for a map with a bar of colours beside it."""
         width, height = self.box[1] - self.box[0]
-        return 5.2, float(np.clip(3.6 * height / width + 0.6, 2.2, 6.5))
+        return 5.2, float(np.clip(3.3 * height / width + 0.6, 2.2, 6.5))
 
 
 @dataclass(frozen=True, eq=False)

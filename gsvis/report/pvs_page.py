@@ -90,7 +90,7 @@ def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
     looked, growing = store["viewpoints"], store["cells_still_growing"]
     above = (
         "The cells from above, coloured by the share of the scene that each sees; of cells on top of each other the one"
-        " that sees the most. Shadows are the scene's own Gaussians: the denser, the darker."
+        " that sees the most. The lines are the scene itself from above: the more Gaussians, the stronger."
     )
     shares = (
         f"Each cell's visible share, highest first: {store['visible_share']['min']:.1%} to"
