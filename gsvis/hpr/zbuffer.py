@@ -166,8 +166,10 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     light[:, :, size:] = 0.0
     depths = np.full((6, size, size), np.inf, np.float32)
     ids, values, counts = np.empty((6, rows), np.int32), np.empty((6, rows, 2), np.float32), np.zeros(6, np.int64)
-    keys = distances.view(np.uint32)
-    kernels.splat_faces(splats.near, splats.covars, at, size, masks, keys, spent, light, depths, ids, values, counts)
+    # Threads take neighbours of the six: each half gets full and empty faces.
+    crowd = np.argsort([-np.count_nonzero(masks & np.uint8(1 << face)) for face in range(6)], kind="stable")
+    work = crowd[[0, 3, 4, 1, 2, 5]], spent, light, depths, ids, values, counts
+    kernels.splat_faces(splats.near, splats.covars, at, size, masks, distances.view(np.uint32), *work)
     joined, found = np.zeros((rows, 2), np.float32), np.empty(rows, np.int64)
     found = found[: kernels.join_faces(ids, values, counts, joined, found)]
     seen = splats.ids[found]
