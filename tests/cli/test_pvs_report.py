@@ -1,0 +1,136 @@
+"""`gsvis pvs-report` in this process: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.cli import main, parse
+from gsvis.cli.arguments import PvsReport
+from gsvis.cli.pvs_report import _viewpoints
+from gsvis.cli.source import load_source
+from gsvis.io import save_scene
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.procedural import two_rooms
+from gsvis.visibility.build import build_pvs
+from gsvis.visibility.cells import CellGrid
+from gsvis.visibility.corridor import corridor
+from gsvis.visibility.pvs import PvsConfig
+from gsvis.visibility.store import VisibilityStore
+
+Capture = pytest.CaptureFixture[str]
+QUICK = ["--cells", "2", "--viewpoints", "1", "--dense", "2", "--width", "24", "--height", "18"]
+FEW = PvsConfig(method="raster", size=16, min_viewpoints=2, max_viewpoints=2)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A store and its scene."""
+    folder = tmp_path_factory.mktemp("built")
+    save_scene(two_rooms(1000, sh_degree=1).gaussians, folder / "rooms.ply")
+    source = load_source(str(folder / "rooms.ply"), None)
+    space = NavigableSpace.from_scene(source.gaussians)
+    build_pvs(source.gaussians, CellGrid.over(space, max_cells=6), space, folder / "rooms.pvs", FEW).close()
+    return folder / "rooms.pvs", folder / "rooms.ply"
+
+
+def refused(capsys: Capture, *arguments: object) -> str:
+    """The one line on stderr of a refusal; nothing on stdout."""
+    assert main([str(word) for word in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert err.startswith("gsvis: error: ")
+    return err
+
+
+def test_it_writes_a_report_and_prints_tables(
+    built: tuple[Path, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["pvs-report", *map(str, built), "-o", "new/report", *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert "new/report/report.html" in text.split()
+    assert "99.9%; 99.5%" in text
+    assert "in the navigable space that the store was built in" in " ".join(text.split())
+    assert "rooms" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert json.loads(Path("new/report/report.json").read_text())["quality"]["cells_measured"] == 2
+
+
+def test_json_is_the_document_and_its_command_makes_it_again(
+    built: tuple[Path, Path], tmp_path: Path, capsys: Capture
+) -> None:
+    words = ["pvs-report", *map(str, built), "-o", str(tmp_path), *QUICK, "--seed", "3", "--rays"]
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document == json.loads((tmp_path / "report.json").read_text())
+    assert document["format"] == "gsvis-pvs-report"
+    assert "ray_recall" in document["quality"]["figures"]
+    assert parse(shlex.split(document["command"])[1:]) == parse(words)
+
+
+def test_defaults_are_those_of_the_library() -> None:
+    from gsvis.visibility.quality import QualityConfig
+
+    command = parse(["pvs-report", "a.pvs", "b.ply", "-o", "c"])
+    assert isinstance(command, PvsReport)
+    config = QualityConfig()
+    for name in ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed"):
+        assert getattr(command, name) == getattr(config, name)
+
+
+def test_another_scene_a_damaged_store_and_missing_files_are_refused_in_one_line(
+    built: tuple[Path, Path], tmp_path: Path, capsys: Capture
+) -> None:
+    store, scene = built
+    out = tmp_path / "out"
+    assert "scene" in refused(capsys, "pvs-report", store, "builtin:wall_with_hole", "-o", out)
+    half = tmp_path / "half.pvs"
+    half.write_bytes(store.read_bytes()[: store.stat().st_size // 2])
+    assert "half.pvs" in refused(capsys, "pvs-report", half, scene, "-o", out)
+    assert "rooms.ply" in refused(capsys, "pvs-report", scene, scene, "-o", out)
+    assert "no such file" in refused(capsys, "pvs-report", tmp_path / "none.pvs", scene, "-o", out)
+    assert "no such file" in refused(capsys, "pvs-report", store, tmp_path / "none.ply", "-o", out)
+    assert "expected a folder" in refused(capsys, "pvs-report", store, scene, "-o", store)
+    assert not out.exists()
+
+
+def test_damage_inside_a_store_is_told_before_anything_is_written(
+    built: tuple[Path, Path], tmp_path: Path, capsys: Capture
+) -> None:
+    data = bytearray(built[0].read_bytes())
+    with VisibilityStore.open(built[0]) as store:
+        start = store._container.section("sets").offset
+    data[start + 2] ^= 255
+    bad = tmp_path / "bad.pvs"
+    bad.write_bytes(bytes(data))
+    assert "bad.pvs" in refused(capsys, "pvs-report", bad, built[1], "-o", tmp_path / "out", "--cells", 99, *QUICK[2:])
+    assert not (tmp_path / "out").exists()
+
+
+def test_fresh_viewpoints_stay_in_the_space_of_the_build_as_far_as_it_is_known(
+    built: tuple[Path, Path], tmp_path: Path
+) -> None:
+    source = load_source(str(built[1]), None)
+    g, space = source.gaussians, NavigableSpace.from_scene(source.gaussians)
+    with VisibilityStore.open(built[0]) as store:
+        viewpoints, told = _viewpoints(store, source)
+        assert told.endswith("that the store was built in")
+        assert np.array_equal(viewpoints.space.free, space.free)
+    voxel = np.argwhere(space.free)[0]
+    walk = space.origin + space.voxel_size * (voxel + 0.5)
+    along = corridor(space, walk[None], 3.0 * space.voxel_size)
+    with build_pvs(g, CellGrid.over(along, max_cells=6), along, tmp_path / "walk.pvs", FEW) as store:
+        viewpoints, told = _viewpoints(store, source)
+        assert told.endswith("covers a part")
+        assert np.all(space.contains(viewpoints.draw(0, 20, np.random.default_rng(0))))
+    box = NavigableSpace.from_box((1, 1, 1), (2, 2, 2), 4)
+    with build_pvs(g, CellGrid.over(box, max_cells=8), box, tmp_path / "box.pvs", FEW) as store:
+        viewpoints, told = _viewpoints(store, source)
+        assert told.startswith("anywhere in the boxes")
+        assert np.all(store.grid.cell_at(viewpoints.draw(2, 20, np.random.default_rng(0))) == 2)
