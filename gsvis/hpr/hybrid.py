@@ -23,7 +23,7 @@ __all__ = ["hybrid"]
 _HULL_SIZE = 64
 """Cells along a side of the faces of the hull; finer ones cost more than they tell."""
 
-_DOUBT = 0.25
+_DOUBT = 0.5
 """A Gaussian is in doubt from this share of tau on, if its peak would have tau in the light that reaches it."""
 
 
