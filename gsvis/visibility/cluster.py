@@ -28,7 +28,7 @@ def check_address(address: str) -> str:
     Raises:
         ValueError: If it does not.
     """
-    if not re.fullmatch(r"(tcp|tls)://[^\s/:]*[^\s/]:\d{1,5}", address):
+    if not re.fullmatch(r"(tcp|tls)://(\[[0-9A-Fa-f:.%]+\]|[^\s/:\[\]]+):\d{1,5}", address):
         raise ValueError(f"scheduler: expected an address such as tcp://10.0.0.5:8786, got {address!r}")
     return address
 
