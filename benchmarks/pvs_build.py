@@ -1,0 +1,161 @@
+"""What does building visible sets cost against dense rays and dense cubemap images, and how does it grow?
+
+Showroom LOD 3, cells of the default grid, two threads for everything. Dense means 27 viewpoints drawn in the cell, six
+faces of 128 x 128 rays or pixels each; some of the 27 are timed and the rest is extrapolated, the details say how many.
+Growth: with the number of Gaussians (random parts of LOD 3, then LOD 2), with cells, and with worker processes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, realdata, write_result
+
+from gsvis.io import load_scene
+from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
+from gsvis.render import view_weights
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility.build import Workers, build_pvs
+from gsvis.visibility.cells import CellGrid
+from gsvis.visibility.look import Look
+from gsvis.visibility.pvs import PvsConfig, see_cell
+from gsvis.visibility.viewpoints import CellViewpoints
+
+DENSE, SIZE = 27, 128
+
+
+def clock(fn: Any) -> float:
+    began = time.perf_counter()
+    fn()
+    return time.perf_counter() - began
+
+
+def against_dense(
+    g: Gaussians, places: CellViewpoints, cells: list[int], config: PvsConfig, timed: int
+) -> list[dict[str, Any]]:
+    look, tracer = Look(g, config.method, config.size, config.tau), Tracer(EllipsoidProxies.from_scene(g))
+    rng, rows = np.random.default_rng(1), []
+    see_cell(look, places.spread(cells[0], 1), config)
+    visible_from(tracer, places.draw(cells[0], 1, rng), size=8)
+    view_weights(g, Cameras.cubemap(places.draw(cells[0], 1, rng), 8))
+    for cell in cells:
+        eyes = places.draw(cell, timed, rng)
+        views: list[Any] = []
+        build = clock(lambda c=cell, v=views: v.append(see_cell(look, places.spread(c, config.max_viewpoints), config)))
+        raster = clock(lambda e=eyes: [view_weights(g, Cameras.cubemap(eye[None], SIZE)) for eye in e])
+        rays = clock(lambda e=eyes: [visible_from(tracer, eye[None], size=SIZE) for eye in e])
+        rows.append(
+            {
+                "cell": cell,
+                "viewpoints": views[0].viewpoints,
+                "visible": len(views[0].ids),
+                "build_s": build,
+                "dense_raster_s": raster * DENSE / timed,
+                "dense_rays_s": rays * DENSE / timed,
+            }
+        )
+        print(rows[-1], file=sys.stderr)
+    return rows
+
+
+def growth(folder: Path, g: Gaussians, space: NavigableSpace, grid: CellGrid, config: PvsConfig) -> dict[str, Any]:
+    places, rng = CellViewpoints(grid, space), np.random.default_rng(2)
+    some = sorted(rng.choice(len(grid), 3, replace=False).tolist())
+    by_count = []
+    finer = load_scene(folder / "scenes/showroom/lod-meta.json", lod=2)
+    for scene in (g[np.sort(rng.permutation(len(g))[: len(g) // 4])], g[np.sort(rng.permutation(len(g))[: len(g) // 2])],
+                  g, finer):  # fmt: skip
+        look = Look(scene, config.method, config.size, config.tau)
+        seen: list[int] = []
+        taken = clock(
+            lambda k=look, s=seen: s.extend(
+                see_cell(k, places.spread(c, config.max_viewpoints), config).viewpoints for c in some
+            )
+        )
+        by_count.append({"gaussians": len(scene), "seconds_a_viewpoint": taken / sum(seen)})
+        print(by_count[-1], file=sys.stderr)
+    middle = grid.coords[len(grid) // 2]
+    nearest = np.argsort(np.linalg.norm(grid.coords - middle, axis=1), kind="stable")
+    by_cells, by_workers = [], []
+    for count, workers in ((4, 1), (8, 1), (16, 1), (16, 2)):
+        coords = grid.coords[np.sort(nearest[:count])]
+        part = CellGrid(grid.origin, grid.cell_size, grid.shape, coords, grid.up)
+        with tempfile.TemporaryDirectory() as place:
+            taken = clock(
+                lambda p=part, w=workers, f=place: build_pvs(
+                    g, p, space, Path(f) / "x.pvs", config, workers=Workers(w)
+                ).close()
+            )
+        row = {"cells": count, "workers": workers, "seconds": taken}
+        (by_workers if workers > 1 else by_cells).append(row)
+        print(row, file=sys.stderr)
+    return {"gaussians": by_count, "cells": by_cells, "workers": [by_cells[-1], *by_workers]}
+
+
+def plot(path: Path, found: dict[str, Any]) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+    lines = (
+        ([r["gaussians"] / 1e6 for r in found["gaussians"]], [r["seconds_a_viewpoint"] for r in found["gaussians"]],
+         "million Gaussians", "seconds a viewpoint"),
+        ([r["cells"] for r in found["cells"]], [r["seconds"] for r in found["cells"]], "cells", "seconds"),
+        ([r["workers"] for r in found["workers"]], [r["seconds"] for r in found["workers"]],
+         "worker processes, 16 cells", "seconds"),
+    )  # fmt: skip
+    for axis, (x, y, across, up) in zip(axes, lines, strict=True):
+        axis.plot(x, y, "o-", color="#2a6fb0")
+        axis.set(xlabel=across, ylabel=up, ylim=(0, None), xlim=(0, None))
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[2].set_xticks([1, 2])
+    figure.suptitle("Building visible sets of showroom LOD 3, hybrid")
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
+    parser.add_argument("--cells", type=int, default=10)
+    parser.add_argument("--timed", type=int, default=3, help=f"of the {DENSE} dense viewpoints")
+    parser.add_argument("--no-growth", action="store_true")
+    options = parser.parse_args()
+    folder = realdata()
+    g = load_scene(folder / "scenes/showroom/lod-meta.json", lod=3)
+    space = NavigableSpace.from_scene(g)
+    grid, config = CellGrid.over(space, max_cells=256), PvsConfig()
+    cells = sorted(np.random.default_rng(0).choice(len(grid), options.cells, replace=False).tolist())
+    rows = against_dense(g, CellViewpoints(grid, space), cells, config, options.timed)
+    found = {} if options.no_growth else growth(folder, g, space, grid, config)
+    if found and options.out:
+        plot(options.out.with_suffix(".png"), found)
+    total = {name: sum(row[name] for row in rows) for name in ("build_s", "dense_raster_s", "dense_rays_s")}
+    figures = [
+        {"name": "building over dense ray casting", "target": 0.1, "reached": total["build_s"] / total["dense_rays_s"],
+         "unit": "ratio", "better": "lower"},
+        {"name": "building over dense cubemap images", "target": 1 / 3,
+         "reached": total["build_s"] / total["dense_raster_s"], "unit": "ratio", "better": "lower"},
+        {"name": "seconds a cell", "target": None, "reached": total["build_s"] / len(rows), "unit": "s",
+         "better": "lower"},
+        {"name": "viewpoints a cell", "target": None, "reached": float(np.mean([row["viewpoints"] for row in rows])),
+         "unit": "", "better": "lower"},
+    ]  # fmt: skip
+    write_result(
+        options.out,
+        "What does building visible sets cost against dense rays and dense images, and how does it grow?",
+        figures,
+        {"grid": len(grid), "config": config.as_dict(), "timed": options.timed, "cells": rows, "growth": found},
+    )
+
+
+if __name__ == "__main__":
+    main()
