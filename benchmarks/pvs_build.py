@@ -71,8 +71,8 @@ def growth(folder: Path, g: Gaussians, space: NavigableSpace, grid: CellGrid, co
     some = sorted(rng.choice(len(grid), 3, replace=False).tolist())
     by_count = []
     finer = load_scene(folder / "scenes/showroom/lod-meta.json", lod=2)
-    for scene in (g[np.sort(rng.permutation(len(g))[: len(g) // 4])], g[np.sort(rng.permutation(len(g))[: len(g) // 2])],
-                  g, finer):  # fmt: skip
+    parts = [g[np.sort(rng.permutation(len(g))[: len(g) // part])] for part in (4, 2)]
+    for scene in (*parts, g, finer):
         look = Look(scene, config.method, config.size, config.tau)
         seen: list[int] = []
         taken = clock(

@@ -97,10 +97,10 @@ def _members(masks, keys, bit):
 def splat_faces(near, covars, eye, size, masks, keys, faces, spent, light, depths, out_ids, out_values, counts):
     """Splat what each face may see, front to back.
 
-    `covars` (M, 6) float32; `keys` are the squared distances as uint32 bits, `faces` the six in the order of work. `light` (6, S, S + LANES) starts as 1, its
-    margin as 0, and ends as the transmittance behind everything; `depths` (6, S, S) starts as inf and ends as the
-    distance at which it fell below `spent`. Face k finds counts[k] Gaussians that some light reaches: out_ids[k], and
-    in out_values[k] the largest weight and the largest light in front.
+    `covars` (M, 6) float32; `keys` are the squared distances as uint32 bits, `faces` the six in the order of work.
+    `light` (6, S, S + LANES) starts as 1, its margin as 0, and ends as the transmittance behind everything; `depths`
+    (6, S, S) starts as inf and ends as the distance at which it fell below `spent`. Face k finds counts[k] Gaussians
+    that some light reaches: out_ids[k], and in out_values[k] the largest weight and the largest light in front.
     """
     for n in prange(6):
         face = faces[n]

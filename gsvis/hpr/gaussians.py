@@ -88,7 +88,9 @@ class OcclusionHull:
         return cls(eye, size, _through_hull(depths, size, margin), g, toward, shapes)
 
     @classmethod
-    def from_depths(cls, g: Gaussians, viewpoint: ArrayLike, depths: ArrayLike, *, margin: float = 0.1) -> OcclusionHull:
+    def from_depths(
+        cls, g: Gaussians, viewpoint: ArrayLike, depths: ArrayLike, *, margin: float = 0.1
+    ) -> OcclusionHull:
         """The hull of ends of light that are known already, such as those of a z-buffer.
 
         Args:
