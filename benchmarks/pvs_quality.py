@@ -42,6 +42,9 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="a store of the scene; without it the drawn cells are built")
     parser.add_argument("--max-cells", type=int, default=256, help="of the grid, without --store")
     parser.add_argument("--method", default=PvsConfig.method, help="of building, without --store")
+    parser.add_argument(
+        "--size", type=int, default=PvsConfig.size, help="pixels of a face in building, without --store"
+    )
     parser.add_argument("--cells", type=int, default=10, help="cells measured")
     parser.add_argument("--viewpoints", type=int, default=4, help="fresh ones a cell")
     parser.add_argument("--dense", type=int, default=27, help="viewpoints of the dense union; 0 for none")
@@ -62,7 +65,12 @@ def main() -> None:
             grid = drawn(whole, options.cells, options.seed)
             grid_cells, start = len(whole), time.perf_counter()
             store = build_pvs(
-                g, grid, space, Path(folder) / "drawn.pvs", PvsConfig(method=options.method), progress=said
+                g,
+                grid,
+                space,
+                Path(folder) / "drawn.pvs",
+                PvsConfig(method=options.method, size=options.size),
+                progress=said,
             )
             seconds_to_build = time.perf_counter() - start
         else:
