@@ -20,9 +20,9 @@ from gsvis.io.poses import load_path
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.visibility._corridor import corridor
 from gsvis.visibility.build import Estimate, Workers, build_pvs, estimate_pvs, journal_of
 from gsvis.visibility.cells import MAX_CELLS, CellGrid
-from gsvis.visibility.corridor import corridor
 from gsvis.visibility.pvs import PvsConfig
 from gsvis.visibility.store import VisibilityStore
 

@@ -1,14 +1,102 @@
-"""Visibility of a whole scene: which Gaussians its views need, and from how many directions each can be seen."""
+"""Visibility of a whole scene: what views need, what each cell sees, and from how many directions each can be seen.
 
-from gsvis.visibility.analysis import (
-    FACE_LIMITS,
-    PAPER,
-    Agreement,
-    Analysis,
-    AnalysisConfig,
-    DirectionCdf,
-    Settling,
-    analyze,
-)
+    space = NavigableSpace.from_scene(scene)
+    grid = CellGrid.over(space, max_cells=256)
+    with build_pvs(scene, grid, space, "scene.pvs") as store:
+        ids = store.visible_ids(store.cell_at(eye))
 
-__all__ = ["FACE_LIMITS", "PAPER", "Agreement", "Analysis", "AnalysisConfig", "DirectionCdf", "Settling", "analyze"]
+Names are imported when first used: workers that look from cells need no ray tracer.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gsvis.visibility._corridor import corridor
+    from gsvis.visibility.analysis import (
+        FACE_LIMITS,
+        PAPER,
+        Agreement,
+        Analysis,
+        AnalysisConfig,
+        DirectionCdf,
+        Settling,
+        analyze,
+    )
+    from gsvis.visibility.build import Estimate, Workers, build_pvs, estimate_pvs
+    from gsvis.visibility.cells import CellGrid
+    from gsvis.visibility.cluster import connect
+    from gsvis.visibility.pvs import PvsConfig
+    from gsvis.visibility.quality import Quality, QualityConfig, measure_quality
+    from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
+    from gsvis.visibility.viewpoints import CellViewpoints
+    from gsvis.visibility.walk import WalkConfig, WalkVisibility, seen_over_walk
+    from gsvis.visibility.why import Why
+
+__all__ = [
+    "FACE_LIMITS",
+    "PAPER",
+    "Agreement",
+    "Analysis",
+    "AnalysisConfig",
+    "CellGrid",
+    "CellSet",
+    "CellViewpoints",
+    "DirectionCdf",
+    "Estimate",
+    "PvsConfig",
+    "Quality",
+    "QualityConfig",
+    "Settling",
+    "StoreInfo",
+    "VisibilityStore",
+    "WalkConfig",
+    "WalkVisibility",
+    "Why",
+    "Workers",
+    "analyze",
+    "build_pvs",
+    "connect",
+    "corridor",
+    "estimate_pvs",
+    "measure_quality",
+    "seen_over_walk",
+    "write_store",
+]
+
+_HOMES = {
+    "_corridor": ("corridor",),
+    "analysis": (
+        "FACE_LIMITS",
+        "PAPER",
+        "Agreement",
+        "Analysis",
+        "AnalysisConfig",
+        "DirectionCdf",
+        "Settling",
+        "analyze",
+    ),
+    "build": ("Estimate", "Workers", "build_pvs", "estimate_pvs"),
+    "cells": ("CellGrid",),
+    "cluster": ("connect",),
+    "pvs": ("PvsConfig",),
+    "quality": ("Quality", "QualityConfig", "measure_quality"),
+    "store": ("CellSet", "StoreInfo", "VisibilityStore", "write_store"),
+    "viewpoints": ("CellViewpoints",),
+    "walk": ("WalkConfig", "WalkVisibility", "seen_over_walk"),
+    "why": ("Why",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
