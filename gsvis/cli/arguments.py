@@ -288,7 +288,7 @@ class Pvs:
     """Axis that points upwards in the scene, such as -y."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], _PLAIN] = "hybrid"
     """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
-    size: Annotated[int | None, _FACE_PIXELS, _hint("384")] = None
+    size: Annotated[int | None, _FACE_PIXELS, _hint("320")] = None
     """Pixels or rays along a side of the six faces around a viewpoint."""
     tau: Annotated[float, _TAU, _hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""

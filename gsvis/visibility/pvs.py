@@ -44,7 +44,7 @@ class PvsConfig:
 
     method: str = "hybrid"
     tau: float = TAU
-    size: int = 384
+    size: int = 320
     growth: float = 0.01
     patience: int = 2
     min_viewpoints: int = 6
