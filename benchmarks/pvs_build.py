@@ -128,6 +128,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=10)
     parser.add_argument("--timed", type=int, default=3, help=f"of the {DENSE} dense viewpoints")
     parser.add_argument("--no-growth", action="store_true")
+    parser.add_argument("--plot", type=Path, help="draw the growth there as PNG")
     options = parser.parse_args()
     folder = realdata()
     g = load_scene(folder / "scenes/showroom/lod-meta.json", lod=3)
@@ -136,8 +137,8 @@ def main() -> None:
     cells = sorted(np.random.default_rng(0).choice(len(grid), options.cells, replace=False).tolist())
     rows = against_dense(g, CellViewpoints(grid, space), cells, config, options.timed)
     found = {} if options.no_growth else growth(folder, g, space, grid, config)
-    if found and options.out:
-        plot(options.out.with_suffix(".png"), found)
+    if found and options.plot:
+        plot(options.plot, found)
     total = {name: sum(row[name] for row in rows) for name in ("build_s", "dense_raster_s", "dense_rays_s")}
     figures = [
         {"name": "building over dense ray casting", "target": 0.1, "reached": total["build_s"] / total["dense_rays_s"],
