@@ -62,7 +62,7 @@ class Status(AbstractContextManager["Status"]):
     def __call__(self, stage: str, done: int, total: int) -> None:
         """The progress callback (gsvis.progress.Progress)."""
         now = time.perf_counter()
-        first = stage not in self._starts or done == 0
+        first = stage not in self._starts or (done == 0 and stage in self.seconds)  # begun, or begun once more
         if first:
             self._starts[stage] = now, done
         began, before = self._starts[stage]

@@ -88,12 +88,11 @@ class CellGrid:
             ValueError: If an argument is out of range, or `cell_size` needs more than `max_cells` cells.
         """
         _check.positive_int("max_cells", max_cells)
-        voxels = np.argwhere(space.free)
         if cell_size is not None:
             if not (np.isfinite(cell_size) and cell_size > 0):
                 raise ValueError(f"cell_size: expected a finite number > 0, got {cell_size!r}")
             side = max(1, round(cell_size / space.voxel_size))
-            coords = np.unique(voxels // side, axis=0)
+            coords = _boxes(space.free, side)
             if len(coords) > max_cells:
                 raise ValueError(
                     f"cell_size: expected at most {max_cells:,} cells, got {len(coords):,} of side"
@@ -103,12 +102,12 @@ class CellGrid:
             low, high = 1, max(space.free.shape)  # the number of cells falls as they grow, but for odd borders
             while low < high:
                 middle = (low + high) // 2
-                if len(np.unique(voxels // middle, axis=0)) <= max_cells:
+                if len(_boxes(space.free, middle)) <= max_cells:
                     high = middle
                 else:
                     low = middle + 1
             side = low
-            coords = np.unique(voxels // side, axis=0)
+            coords = _boxes(space.free, side)
         shape = tuple(-(-n // side) for n in space.free.shape)
         return cls(space.origin, side * space.voxel_size, shape, coords.astype(np.int32), space.up)
 
@@ -177,3 +176,10 @@ class CellGrid:
         flats: I64 = self._flat  # type: ignore[attr-defined]
         at = np.minimum(np.searchsorted(flats, flat), len(flats) - 1)
         return np.where(inside & (flats[at] == flat), at, -1)
+
+
+def _boxes(free: NDArray[np.bool_], side: int) -> I64:
+    """(C, 3) boxes of `side` voxels along each axis that hold a free one, in lexicographic order."""
+    padded = np.pad(free, [(0, -n % side) for n in free.shape])
+    x, y, z = (n // side for n in padded.shape)
+    return np.argwhere(padded.reshape(x, side, y, side, z, side).any(axis=(1, 3, 5)))

@@ -1,0 +1,262 @@
+"""`gsvis pvs` in this process and as one of its own: what it says, refuses, keeps and leaves behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.cli import main
+from gsvis.io import save_scene
+from gsvis.io.poses import write_poses
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.procedural import two_rooms
+from gsvis.visibility import PvsConfig, VisibilityStore
+
+Capture = pytest.CaptureFixture[str]
+QUICK = ["--cells", "8", "--size", "16", "--workers", "1", "--max-viewpoints", "6"]
+BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
+GSVIS = [sys.executable, "-m", "gsvis.cli"]
+
+
+@pytest.fixture
+def ply(tmp_path: Path) -> Path:
+    (tmp_path / "in").mkdir()
+    save_scene(two_rooms(1000, sh_degree=0).gaussians, tmp_path / "in" / "rooms.ply")
+    return tmp_path / "in" / "rooms.ply"
+
+
+def document(capsys: Capture, *words: object) -> dict:
+    assert main(["pvs", *map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def refused(capsys: Capture, *words: object) -> str:
+    assert main(["pvs", *map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Traceback" not in err
+    return " ".join(err.split())
+
+
+def test_a_store_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "new" / "rooms.pvs"
+    assert main(["pvs", str(ply), "-o", str(out), *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 80
+    for told in ("visible from a cell", "viewpoints a cell", "bits a visible Gaussian"):
+        assert told in text
+    assert [path.name for path in out.parent.iterdir()] == ["rooms.pvs"]
+    found = document(capsys, ply, "-o", out, *QUICK)
+    assert (found["format"], found["version"], found["out"]) == ("gsvis-pvs", 1, str(out))
+    with VisibilityStore.open(out) as store:
+        assert found["cells"] == len(store) <= 8
+        assert found["visible_share"]["mean"] == pytest.approx(store.visible_counts.mean() / store.gaussians)
+        assert found["bytes"] == out.stat().st_size
+        assert found["viewpoints"]["total"] == store.viewpoints.sum()
+
+
+def test_the_space_may_be_a_box(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    found = document(capsys, ply, "-o", tmp_path / "a.pvs", *QUICK, *BOX)
+    assert found["space"]["rule"] == "box"
+    with VisibilityStore.open(tmp_path / "a.pvs") as store:
+        assert store.cell_at((2.0, 2.0, 1.5)) >= 0
+        assert store.cell_at((6.0, 2.0, 1.5)) == -1
+    sized = document(capsys, ply, "-o", tmp_path / "a.pvs", "--cell-size", "1.5", *QUICK[2:], *BOX)
+    assert sized["grid"]["cell_size"] == pytest.approx(1.5, rel=0.05)
+
+
+def test_the_space_may_lie_along_a_path(tmp_path: Path, capsys: Capture) -> None:
+    line = np.linspace((1.0, 2.0, 1.5), (3.0, 2.0, 1.5), 20)
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (20, 1))
+    write_poses(HeadPath(np.arange(20) / 10, line, still), tmp_path / "walk.csv")
+    words = ["builtin:two_rooms", "-o", tmp_path / "walk.pvs", "--path", tmp_path / "walk.csv", *QUICK]
+    found = document(capsys, *words, "--margin", "0.3")
+    assert found["space"]["volume"] < 3.0
+    with VisibilityStore.open(tmp_path / "walk.pvs") as store:
+        assert (store.grid.cell_at(line) >= 0).all()
+        assert store.cell_at((6.0, 2.0, 1.5)) == -1
+    write_poses(HeadPath(np.arange(20) / 10, line * 100 + 900, still), tmp_path / "walk.csv")
+    assert "--retarget" in refused(capsys, *words)
+    assert document(capsys, *words, "--retarget")["cells"] >= 1
+
+
+def test_a_dry_run_tells_the_cost_and_writes_nothing(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    words = [ply, "-o", tmp_path / "out" / "a.pvs", *QUICK, *BOX, "--dry-run"]
+    assert main(["pvs", *map(str, words)]) == 0
+    text = capsys.readouterr().out
+    for told in ("time", "memory", "disk", "Nothing was written."):
+        assert told in text
+    estimate = document(capsys, *words)["estimate"]
+    assert estimate["finished"] == 0
+    assert min(estimate[name] for name in ("seconds", "memory", "disk", "working_disk", "cells", "workers")) > 0
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
+    ply: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    base = [ply, "-o", tmp_path / "a.pvs"]
+    (tmp_path / "walk.csv").write_text("t,x,y,z,qw,qx,qy,qz\n0,1,1,1,1,0,0,0\n")
+    walk = ["--path", tmp_path / "walk.csv"]
+    assert "--path: expected none with --box" in refused(capsys, *base, *BOX, *walk)
+    assert "--margin: expected --path" in refused(capsys, *base, "--margin", "1")
+    assert "--retarget: expected --path" in refused(capsys, *base, "--retarget")
+    assert "no.csv: no such file" in refused(capsys, *base, "--path", tmp_path / "no.csv")
+    assert "--up" in refused(capsys, *base, "--up", "up")
+    assert "expected an address" in refused(capsys, *base, "--scheduler", "here")
+    cluster = ["--scheduler", "tcp://127.0.0.1:1"]
+    assert "--workers: expected none with --scheduler" in refused(capsys, *base, *cluster, "--workers", "2")
+    assert "--max-memory: expected none" in refused(capsys, *base, *cluster, "--max-memory", "2GB")
+    assert "expected at least" in refused(capsys, *base, *QUICK, *BOX, "--max-memory", "20MB")
+    assert "make them larger" in refused(capsys, *base, *QUICK, "--cell-size", "0.2", *BOX)
+    assert not (tmp_path / "a.pvs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--max-memory", "4"], "4GB"),
+        (["--max-memory", "lots"], "4GB"),
+        (["--max-memory", "0GB"], "4GB"),
+        (["--cells", "0"], "1 to 100000"),
+        (["--size", "3"], "4 to 4096"),
+        (["--tau", "0.6"], "0.5"),
+        (["--growth", "2"], "share"),
+        (["--method", "magic"], "hybrid"),
+        (["--workers", "0"], "at least 1"),
+        (["--box", "1", "1", "1", "0", "2", "2"], "X0 < X1"),
+    ],
+)
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
+    assert told in refused(capsys, "builtin:two_rooms", "-o", "x.pvs", *words)
+    assert not Path("x.pvs").exists()
+
+
+@pytest.mark.parametrize(
+    ("said", "size"), [("4GB", 4e9), ("2GiB", 2**31), ("500MB", 5e8), ("1.5 gb", 1.5e9), ("64kib", 65536)]
+)
+def test_sizes_are_in_powers_of_ten_or_of_two(said: str, size: float) -> None:
+    from gsvis.cli import parse
+
+    assert parse(["pvs", "x", "-o", "y", "--max-memory", said]).max_memory == size
+
+
+def test_what_is_no_store_is_not_replaced(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    before = ply.read_bytes()
+    assert "something else" in refused(capsys, ply, "-o", ply, *QUICK)
+    assert ply.read_bytes() == before
+    assert "folder" in refused(capsys, ply, "-o", tmp_path, *QUICK)
+    assert "rooms.ply" in refused(capsys, ply, "-o", ply / "below.pvs", *QUICK)
+    (tmp_path / "cut.pvs").write_bytes(b"\x93GSPVS\r\n and the rest is lost")
+    assert main(["pvs", str(ply), "-o", str(tmp_path / "cut.pvs"), *QUICK, *BOX]) == 0
+    VisibilityStore.open(tmp_path / "cut.pvs").close()
+
+
+def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scene.ply").touch()
+    base = [tmp_path / "scene.ply", "-o", tmp_path / "a.pvs", *QUICK]
+    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    assert "nothing to see" in refused(capsys, *base)
+    block = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 9]], [0.99], np.zeros((1, 1, 3)))
+    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: block)
+    assert "something solid; give" in refused(capsys, *base, "--box", "-1", "-1", "-1", "1", "1", "1")
+    faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)))
+    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
+    assert "--box" in refused(capsys, *base)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.ply"]
+
+
+def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
+    assert main(["pvs", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for value in (PvsConfig.size, f"{PvsConfig.growth:g}", PvsConfig.max_viewpoints):
+        assert f"(default: {value})" in text
+
+
+def test_the_time_left_does_not_count_what_was_done_before(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    from gsvis.cli import terminal
+
+    clock = iter(np.arange(0.0, 1000.0, 20.0))
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(clock)))
+    with terminal.Status() as status:
+        status("cells", 90, 100)
+        status("cells", 91, 100)
+    assert "91 of 100, about 6 min 00 s left" in capsys.readouterr().err
+
+
+def started(*words: object) -> subprocess.Popen[str]:
+    command = [*GSVIS, "pvs", *map(str, words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def wait_for_cells(process: subprocess.Popen[str], folder: Path, count: int) -> None:
+    deadline = time.monotonic() + 60
+    while len(list(folder.glob("*.partial-*/cell-*.bin"))) < count:
+        assert process.poll() is None, "ended before it could be stopped"
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def members(group: int) -> list[str]:
+    """Processes of a process group that are alive."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, leader = stat.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(leader) == group and state != "Z":
+            found.append(stat.parent.name)
+    return found
+
+
+LONG = ["builtin:two_rooms", "--cells", "16", "--size", "64", "--max-viewpoints", "8"]
+
+
+def all_gone(group: int) -> bool:
+    deadline = time.monotonic() + 20
+    while members(group) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return not members(group)
+
+
+def test_killed_interrupted_and_finished(tmp_path: Path) -> None:
+    out = tmp_path / "rooms.pvs"
+    killed = started(*LONG, "-o", out, "--workers", "2")
+    wait_for_cells(killed, tmp_path, 2)
+    killed.kill()
+    assert all_gone(killed.pid)  # its workers have noticed
+    killed.communicate()
+    earlier = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
+    assert not out.exists()
+    stopped = started(*LONG, "-o", out, "--workers", "2")
+    wait_for_cells(stopped, tmp_path, len(earlier) + 2)
+    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does
+    said, told = stopped.communicate()
+    assert (stopped.returncode, said) == (130, "")
+    last = told.splitlines()[-1]
+    assert "Traceback" not in told
+    assert last.startswith("gsvis: interrupted; ")
+    assert "the same command goes on from there" in last
+    assert all_gone(stopped.pid)
+    now = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
+    assert earlier.items() <= now.items()
+    assert f"{len(now)} of" in last
+    finished = started(*LONG, "-o", out, "--workers", "1", "--json")
+    said, told = finished.communicate()
+    assert finished.returncode == 0, told
+    assert json.loads(said)["format"] == "gsvis-pvs"
+    assert main(["pvs", *LONG, "-o", str(tmp_path / "at_once.pvs"), "--workers", "1"]) == 0
+    assert out.read_bytes() == (tmp_path / "at_once.pvs").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["at_once.pvs", "rooms.pvs"]
