@@ -48,10 +48,12 @@ __all__ = ["Estimate", "Workers", "build_pvs", "estimate_pvs", "journal_of"]
 
 _PLAN = 1  # raised whenever the same plan would give other bytes
 
-# Measured peaks (docs/design/007): bytes of an interpreter with its libraries, and bytes for each Gaussian.
-_BASE = {"hybrid": 330 << 20, "raster": 700 << 20, "raycast": 600 << 20}
-_PER_GAUSSIAN = {"hybrid": 320, "raster": 700, "raycast": 900}
-_PER_PIXEL = 6 * 24  # of the six faces
+# Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian.
+_BASE = {"hybrid": 190 << 20, "raster": 380 << 20, "raycast": 260 << 20}
+_PER_GAUSSIAN = {"hybrid": 230, "raster": 420, "raycast": 680}
+_PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # of the six faces
+_PARENT_BASE = 220 << 20
+_PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and what reading leaves
 _SCENE_FILE = 56  # bytes of the scene that workers map
 
 _BITS = 5.0  # of a set and its classes, for each visible Gaussian of a cell
@@ -141,7 +143,7 @@ def build_pvs(
         OSError: If the disk is full or cannot be written; finished cells are kept.
     """
     config, workers = config or PvsConfig(), workers or Workers()
-    count = _fitting(len(g), config, workers)
+    count = _fitting(g, config, workers)
     viewpoints = CellViewpoints(grid, space)
     _check_content(g)
     target, plan = Path(path), _plan(g, grid, space, config)
@@ -195,7 +197,7 @@ def estimate_pvs(
         ValueError: If the memory cannot suffice, or the grid was cut from another space.
     """
     config, workers = config or PvsConfig(), workers or Workers()
-    count = _fitting(len(g), config, workers)
+    count = _fitting(g, config, workers)
     viewpoints = CellViewpoints(grid, space)
     _check_content(g)
     _check.positive_int("sample", sample)
@@ -219,7 +221,7 @@ def estimate_pvs(
         finished=finished,
         workers=count,
         seconds=seconds / _speed_up(count, workers),
-        memory=_parent(len(g), config) + count * _worker(len(g), config) if shared else _alone(len(g), config),
+        memory=_parent(g) + count * _worker(g, config) if shared else _alone(g, config),
         disk=int(bits / 8.0 / len(some) * len(grid)) + _DISK_PER_GAUSSIAN * len(g),
         working_disk=int(taken / len(some) * len(grid)) + (_SCENE_FILE * len(g) if shared else 0),
     )
@@ -313,17 +315,20 @@ def _write(
         writer.finish(directions, progress=progress)
 
 
-def _parent(gaussians: int, config: PvsConfig) -> int:
-    return _BASE["hybrid"] + 260 * gaussians if config else 0
+def _parent(g: Gaussians) -> int:
+    """Bytes of the process that gives out the work and writes the store."""
+    return _PARENT_BASE + _PARENT_PER_GAUSSIAN * len(g) + g.nbytes
 
 
-def _worker(gaussians: int, config: PvsConfig) -> int:
-    pixels = _PER_PIXEL * config.size**2
-    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * gaussians + pixels
+def _worker(g: Gaussians, config: PvsConfig) -> int:
+    """Bytes of a process that looks."""
+    pixels = _PER_PIXEL[config.method] * config.size**2
+    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * len(g) + pixels
 
 
-def _alone(gaussians: int, config: PvsConfig) -> int:
-    return max(_parent(gaussians, config), _worker(gaussians, config))
+def _alone(g: Gaussians, config: PvsConfig) -> int:
+    """Bytes of a process that does both, one after the other."""
+    return max(_parent(g), _worker(g, config) + g.nbytes + _PARENT_PER_GAUSSIAN // 4 * len(g))
 
 
 def _speed_up(count: int, workers: Workers) -> float:
@@ -334,15 +339,15 @@ def _speed_up(count: int, workers: Workers) -> float:
     return max(1.0, min(count, cores) * _PROCESSES_OVER_THREADS / cores) if count > 1 else 1.0
 
 
-def _fitting(gaussians: int, config: PvsConfig, workers: Workers) -> int:
+def _fitting(g: Gaussians, config: PvsConfig, workers: Workers) -> int:
     """How many processes fit the memory; 1 means that this process works itself."""
     if workers.max_memory is None or workers.executor is not None:
         return workers.count
-    alone = _alone(gaussians, config)
+    alone = _alone(g, config)
     if workers.max_memory < alone:
         raise ValueError(
-            f"max_memory: expected at least {alone / 1e9:.2g} GB for {gaussians:,} Gaussians,"
+            f"max_memory: expected at least {alone / 1e9:.2g} GB for {len(g):,} Gaussians,"
             f" got {workers.max_memory / 1e9:.2g} GB; raise it, or take a coarser level of the scene"
         )
-    room = (workers.max_memory - _parent(gaussians, config)) // _worker(gaussians, config)
+    room = (workers.max_memory - _parent(g)) // _worker(g, config)
     return int(min(workers.count, room)) if room >= 2 else 1
