@@ -1,8 +1,8 @@
 """Does `gsvis pvs` stay under the memory cap that was set?
 
 Runs the command on showroom LOD 3 (747k Gaussians), few cells and few viewpoints each, under caps of 2, 4 and 8 GB,
-with as many workers as the cap allows, and samples the proportional set size (PSS: shared pages are split among those who
-share them) of all its processes together. Peaks shorter than the time between two samples may go unseen.
+with as many workers as the cap allows, and samples the proportional set size (PSS: shared pages are split among those
+who share them) of all its processes together. Peaks shorter than the time between two samples may go unseen.
 """
 
 from __future__ import annotations
