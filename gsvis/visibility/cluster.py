@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from typing import Any
 
@@ -97,9 +97,11 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
                 scatter=lambda scene: client.scatter(scene, broadcast=True, hash=False),
             )
         finally:
-            client.unregister_worker_plugin(_PLUGIN)
+            with suppress(Exception):  # a scheduler that has gone must not hide the error that tells it
+                client.unregister_worker_plugin(_PLUGIN)
     finally:
-        client.close()
+        with suppress(Exception):
+            client.close()
 
 
 def _check_versions(client: Any) -> None:
