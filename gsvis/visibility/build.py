@@ -49,8 +49,8 @@ __all__ = ["Estimate", "Workers", "build_pvs", "estimate_pvs", "journal_of"]
 _PLAN = 1  # raised whenever the same plan would give other bytes
 
 # Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian.
-_BASE = {"hybrid": 190 << 20, "raster": 380 << 20, "raycast": 260 << 20}
-_PER_GAUSSIAN = {"hybrid": 230, "raster": 420, "raycast": 680}
+_BASE = {"hybrid": 150 << 20, "raster": 380 << 20, "raycast": 260 << 20}
+_PER_GAUSSIAN = {"hybrid": 190, "raster": 420, "raycast": 680}
 _PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # of the six faces
 _PARENT_BASE = 220 << 20
 _PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and what reading leaves
