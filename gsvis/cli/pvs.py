@@ -214,7 +214,7 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
         ("Gaussians", f"{len(plan.source.gaussians):,}"),
         ("where eyes may be", f"{plan.space.rule}, {plan.space.volume:.3g} cubic units"),
         ("cells", f"{len(plan.grid):,} of side {plan.grid.cell_size:.3g}, in {x} x {y} x {z} boxes"),
-        ("method", f"{shown.method}, 6 x {shown.size} x {shown.size} pixels a viewpoint, tau {shown.tau:.3g}"),
+        ("method", f"{shown.method}, six faces of {shown.size} pixels, tau {shown.tau:.3g}"),
     ]
 
 
