@@ -115,6 +115,14 @@ def _centres(sample: U64, count: int) -> U64:
 
 
 def _nearest(signatures: U64, centres: U64) -> NDArray[np.int64]:
+    if signatures.shape[1] == 1:  # few cells have few different signatures
+        distinct, which = np.unique(signatures[:, 0], return_inverse=True)
+        if 4 * len(distinct) < len(signatures):
+            return np.asarray(_nearest_of(distinct[:, None], centres)[which])
+    return _nearest_of(signatures, centres)
+
+
+def _nearest_of(signatures: U64, centres: U64) -> NDArray[np.int64]:
     labels = np.zeros(len(signatures), np.int64)
     kernels.nearest_centres(np.ascontiguousarray(signatures), centres, labels)
     return labels

@@ -1,6 +1,6 @@
 """Potentially visible sets: for each cell the Gaussians that some viewpoint in it sees (paper, section 6.2).
 
-Viewpoints are added to a cell, corners first, until the set has stopped growing, so that the stopping rule and not
+Viewpoints are added to a cell, its rim first, until the set has stopped growing, so that the stopping rule and not
 luck decides how much is found. Here is what one cell sees; `build.py` does it for all cells. Scene frame and units.
 """
 

@@ -50,7 +50,7 @@ class CellViewpoints:
         return int(self._starts[cell + 1] - self._starts[cell])
 
     def spread(self, cell: int, count: int) -> F64:
-        """At most `count` viewpoints of a cell, each as far as can be from those before it: corners come first.
+        """At most `count` viewpoints of a cell, each as far as can be from those before it: the rim comes first.
 
         Args:
             cell: Its number.
