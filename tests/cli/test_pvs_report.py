@@ -16,9 +16,9 @@ from gsvis.cli.source import load_source
 from gsvis.io import save_scene
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
+from gsvis.visibility import corridor
 from gsvis.visibility.build import build_pvs
 from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.corridor import corridor
 from gsvis.visibility.pvs import PvsConfig
 from gsvis.visibility.store import VisibilityStore
 
