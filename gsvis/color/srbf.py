@@ -1,0 +1,221 @@
+"""Colours as a base and a few spherical radial basis functions (SRBF) a Gaussian.
+
+Directions are unit vectors from the eye to the Gaussian, in the scene's frame, as for SH. A term is one SRBF of one
+function of one Gaussian: two spherical coordinates, a decay, one or more intensities. Terms lie behind each other
+Gaussian by Gaussian, the most useful first. Nothing here knows how terms are found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color.variants import Variant, variant
+
+__all__ = ["SrbfColors", "spherical_coordinates", "srbf", "unit_vectors"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+MAX_DECAY = 1e4
+
+
+def srbf(x: ArrayLike, c: ArrayLike, decay: ArrayLike) -> F64:
+    """Value of spherical radial basis functions: exp(decay (x . c - 1)), 1 at the centre.
+
+    Args:
+        x: (..., 3) unit vectors.
+        c: (..., 3) centres, unit vectors.
+        decay: (...) lambda, > 0; the larger, the narrower.
+
+    Returns:
+        Values of the broadcast shape, in (0, 1].
+
+    References:
+        SRBF-Gaussian, equation 3.
+
+    Examples:
+        >>> srbf([[0, 0, 1], [1, 0, 0]], [0, 0, 1], 2.0).round(4).tolist()
+        [1.0, 0.1353]
+    """
+    cosines = np.einsum("...i,...i->...", np.asarray(x, np.float64), np.asarray(c, np.float64))
+    return np.asarray(np.exp(np.asarray(decay, np.float64) * (cosines - 1.0)))
+
+
+def unit_vectors(coordinates: ArrayLike) -> F64:
+    """(..., 3) unit vectors of (..., 2) spherical coordinates: polar angle from +z, azimuth from +x towards +y."""
+    theta, phi = np.moveaxis(np.asarray(coordinates, np.float64), -1, 0)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def spherical_coordinates(vectors: ArrayLike) -> F64:
+    """(..., 2) polar angle in [0, pi] and azimuth in [-pi, pi] of (..., 3) vectors of any length > 0."""
+    x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+    return np.stack([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SrbfColors:
+    """Colours of N Gaussians: base colours and T terms, validated, read-only.
+
+    Args:
+        variant: One of `VARIANTS`.
+        base: (N, 3) base colours in the variant's space: RGB (not clipped), or HSL, HSV, YUV of RGB / `scales`.
+        scales: (N,) > 0; what RGB was divided by to fit its space. 1 for variants whose space is RGB.
+        axes: (N, num_axes, 3) unit RGB directions along which terms move the colour.
+        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in the order to be sent.
+        functions: (T,) uint8, index into the variant's functions.
+        centers: (T, 2) polar angle and azimuth of the centre, radians.
+        decays: (T,) lambda of equation 3, > 0.
+        intensities: (T, I), I as the variant has it.
+
+    Raises:
+        ValueError: If a shape, an order or a value does not fit; the message names the argument.
+
+    References:
+        SRBF-Gaussian, equations 1 to 5.
+    """
+
+    variant: str
+    base: F32
+    scales: F32
+    axes: F32
+    offsets: NDArray[np.int64]
+    functions: NDArray[np.uint8]
+    centers: F32
+    decays: F32
+    intensities: F32
+
+    def __post_init__(self) -> None:
+        kind = variant(self.variant)
+        base = _check.floats("base", self.base, ("N", 3))
+        n = len(base)
+        offsets = _check.integers("offsets", self.offsets, (n + 1,))
+        if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
+            raise ValueError("offsets: expected to start at 0 and never to fall, got another order")
+        t = int(offsets[-1])
+        functions = _check.integers("functions", self.functions, (t,), np.uint8)
+        arrays: dict[str, NDArray[Any]] = {
+            "base": base,
+            "scales": _check.floats("scales", self.scales, (n,)),
+            "axes": _check.floats("axes", self.axes, (n, kind.num_axes, 3)),
+            "offsets": offsets,
+            "functions": functions,
+            "centers": _check.floats("centers", self.centers, (t, 2)),
+            "decays": _check.floats("decays", self.decays, (t,)),
+            "intensities": _check.floats("intensities", self.intensities, (t, kind.intensities)),
+        }
+        _check.in_range("scales", arrays["scales"], 0.0, np.inf, open_low=True)
+        _check.in_range("decays", arrays["decays"], 0.0, MAX_DECAY, open_low=True)
+        if t and int(functions.max()) >= len(kind.functions):
+            raise ValueError(
+                f"functions: expected below {len(kind.functions)} for {kind.name!r}, got {functions.max()}"
+            )
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @classmethod
+    def without_terms(cls, rgb: ArrayLike) -> SrbfColors:
+        """Colours that do not depend on direction, as the `rgb` variant.
+
+        Args:
+            rgb: (N, 3) colours.
+        """
+        base = _check.floats("rgb", rgb, ("N", 3))
+        n = len(base)
+        counts, none = np.zeros(n + 1, np.int64), np.zeros(0, np.float32)
+        functions = np.zeros(0, np.uint8)
+        pairs, triples = none.reshape(0, 2), none.reshape(0, 3)
+        ones, axes = np.ones(n, np.float32), np.zeros((n, 0, 3), np.float32)
+        return cls("rgb", base, ones, axes, counts, functions, pairs, none, triples)
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    def __repr__(self) -> str:
+        return f"SrbfColors({self.variant!r}, {len(self):,} Gaussians, {self.num_terms:,} terms)"
+
+    @property
+    def kind(self) -> Variant:
+        """What the variant means."""
+        return variant(self.variant)
+
+    @property
+    def num_terms(self) -> int:
+        """T."""
+        return len(self.functions)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(N,) terms of each Gaussian over all its functions."""
+        return np.diff(self.offsets)
+
+    @property
+    def gaussian_ids(self) -> NDArray[np.int64]:
+        """(T,) the Gaussian each term belongs to."""
+        return np.repeat(np.arange(len(self)), self.counts)
+
+    @property
+    def ranks(self) -> NDArray[np.int64]:
+        """(T,) place of each term in the order of its Gaussian, from 0."""
+        return np.arange(self.num_terms) - np.repeat(self.offsets[:-1], self.counts)
+
+    def amplitudes(self) -> F32:
+        """(T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
+        kind, ids = self.kind, self.gaussian_ids
+        if kind.components:  # multiplicative: ref * (1 + sum)
+            component = np.asarray(kind.components, np.int64)[self.functions]
+            added = np.zeros((self.num_terms, 3), np.float32)
+            rows = np.arange(self.num_terms)
+            added[rows, component] = self.intensities[:, 0] * self.base[ids, component]
+            return added
+        if kind.num_axes == 0:
+            return self.intensities
+        if kind.intensities == 1:
+            return np.asarray(self.intensities * self.axes[ids, self.functions])
+        return np.asarray(np.einsum("ti,tic->tc", self.intensities, self.axes[ids]))
+
+    def __getitem__(self, index: Any) -> SrbfColors:
+        """The colours of the Gaussians at a slice, a mask, an index array, or one integer."""
+        if isinstance(index, int | np.integer):
+            index = np.asarray([index])
+        chosen = np.arange(len(self))[index]
+        counts = self.counts[chosen]
+        offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+        terms = np.arange(offsets[-1]) + np.repeat(self.offsets[chosen] - offsets[:-1], counts)
+        return SrbfColors(
+            self.variant, self.base[chosen], self.scales[chosen], self.axes[chosen], offsets, self.functions[terms],
+            self.centers[terms], self.decays[terms], self.intensities[terms],
+        )  # fmt: skip
+
+    def keep(self, terms: ArrayLike) -> SrbfColors:
+        """The same Gaussians with some of their terms, in the same order.
+
+        Args:
+            terms: (T,) bool, which to keep.
+
+        Raises:
+            ValueError: If it is not a mask of T terms.
+        """
+        mask = np.asarray(terms)
+        if mask.dtype != bool or mask.shape != (self.num_terms,):
+            raise ValueError(f"terms: expected bool of shape ({self.num_terms},), got {mask.dtype} of {mask.shape}")
+        kept = np.concatenate([np.zeros(1, np.int64), np.cumsum(mask, dtype=np.int64)])
+        return SrbfColors(
+            self.variant, self.base, self.scales, self.axes, kept[self.offsets], self.functions[mask],
+            self.centers[mask], self.decays[mask], self.intensities[mask],
+        )  # fmt: skip
+
+    def first(self, count: int) -> SrbfColors:
+        """The first terms of each Gaussian: 0 leaves the base colours, more refine them.
+
+        Args:
+            count: Terms to keep for each Gaussian at most.
+        """
+        return self.keep(self.ranks < _check.positive_int("count", count, at_least=0))

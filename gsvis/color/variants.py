@@ -1,0 +1,68 @@
+"""The ways to split a colour into a base and functions of direction that spherical radial basis functions describe.
+
+A variant names the space its base colour lives in, its functions, and how many intensities a term of each has. Terms
+add to the base in that space; then the colour goes back to RGB. Table 3 of the paper and our own, side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gsvis import _check
+
+__all__ = ["DEFAULT_VARIANT", "VARIANTS", "Variant", "variant"]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How base and terms make a colour.
+
+    Attributes:
+        name: As given to `fit_srbf`.
+        space: Space of the base colour and of what terms add to it: "rgb", "hsl", "hsv" or "yuv".
+        functions: Names of the functions that terms belong to.
+        intensities: Numbers that a term carries: 1, or one for each axis or channel that shares it.
+        components: For each function, the component of the space that it multiplies: f = ref * (1 + sum of terms);
+            empty where terms add instead.
+        num_axes: Colour axes stored with each Gaussian, along which terms add.
+    """
+
+    name: str
+    space: str
+    functions: tuple[str, ...]
+    intensities: int = 1
+    components: tuple[int, ...] = ()
+    num_axes: int = 0
+
+
+VARIANTS: dict[str, Variant] = {
+    v.name: v
+    for v in (
+        Variant("hsl", "hsl", ("saturation", "lightness"), components=(1, 2)),
+        Variant("hsl-l", "hsl", ("lightness",), components=(2,)),
+        Variant("hsv", "hsv", ("value",), components=(2,)),
+        Variant("yuv", "yuv", ("luma",), components=(0,)),
+        Variant("axis", "rgb", ("axis 1",), num_axes=1),
+        Variant("axes", "rgb", ("axes",), intensities=2, num_axes=2),
+        Variant("axes-split", "rgb", ("axis 1", "axis 2"), num_axes=2),
+        Variant("rgb", "rgb", ("rgb",), intensities=3),
+    )
+}
+"""All variants by name: the paper's first, then ours.
+
+`hsl` fixes hue, `hsl-l` hue and saturation, `hsv` hue and saturation, `yuv` both chroma components (paper, table 3).
+`axis` lets terms move the colour along the first principal direction of its RGB values over the visible directions;
+`axes` along the first two, each term with an intensity for either; `axes-split` has terms of its own for each of the
+two; `rgb` gives each term an RGB intensity and needs no axes.
+"""
+
+DEFAULT_VARIANT = "rgb"
+
+
+def variant(name: str) -> Variant:
+    """The variant of a name.
+
+    Raises:
+        ValueError: If there is none; the message lists those that are.
+    """
+    return VARIANTS[_check.one_of("variant", name, tuple(VARIANTS))]
