@@ -15,7 +15,8 @@ from numba import get_num_threads
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gsvis.render import _kernels_project, _kernels_sh, _kernels_tiles
+from gsvis.color import _kernels_sh
+from gsvis.render import _kernels_project, _kernels_tiles
 
 __all__ = ["Projected", "View", "rasterize_cpu"]
 
@@ -152,7 +153,9 @@ class _Rasterize(torch.autograd.Function):
         features = np.empty((len(projected.ids), 4), np.float32)
         features[:, 3] = projected.depths
         if colours is None:
-            _kernels_sh.colours_from_sh(projected.ids, scene.means, scene.sh0, scene.shN, degree, view.eye, features)
+            _kernels_sh.colours_from_sh(
+                projected.ids, scene.means, scene.sh0, scene.shN, degree, view.eye, np.float32(0.0), features
+            )
         else:
             features[:, :3] = colours[projected.ids]
         shape = (view.height, view.width)

@@ -1,7 +1,7 @@
 """Kernels that turn SH coefficients into colours from one eye, and carry gradients back.
 
 Directions run from the eye to the Gaussian; colour = max(0.5 + SH, 0). The basis is that of `gsvis.scene.sh`, here
-with its derivatives; `tests/render/test_sh_kernels.py` compares the two.
+with its derivatives; `tests/color/test_sh_kernels.py` compares the two.
 """
 
 from __future__ import annotations
@@ -12,26 +12,42 @@ from numba import njit, prange
 from gsvis.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
 _BLOCK = 512
+_FACTORS = (SH_C0, SH_C1, *SH_C2, *SH_C3)
+_FACTORS_32 = tuple(np.float32(f) for f in _FACTORS)
+
+
+@njit(cache=True, fastmath={"contract"})
+def _band_1(x, y, z, f):
+    return -f[1] * y, f[1] * z, -f[1] * x
+
+
+@njit(cache=True, fastmath={"contract"})
+def _band_2(x, y, z, f):
+    xx, yy, zz = x * x, y * y, z * z
+    return f[2] * x * y, f[3] * y * z, f[4] * (zz + zz - xx - yy), f[5] * x * z, f[6] * (xx - yy)
+
+
+@njit(cache=True, fastmath={"contract"})
+def _band_3(x, y, z, f):
+    xx, yy, zz = x * x, y * y, z * z  # sums, not factors: an integer factor would widen float32
+    xx3, yy3, zz2 = xx + xx + xx, yy + yy + yy, zz + zz
+    around = zz2 + zz2 - xx - yy
+    return (
+        f[7] * y * (xx3 - yy), f[8] * x * y * z, f[9] * y * around, f[10] * z * (zz2 - xx3 - yy3),
+        f[11] * x * around, f[12] * z * (xx - yy), f[13] * x * (xx - yy3),
+    )  # fmt: skip
 
 
 @njit(cache=True)
 def basis(x, y, z, degree, out):
-    """SH basis at a unit vector into out (16,)."""
+    """SH basis at a unit vector into out (16,), in float64."""
     out[0] = SH_C0
-    if degree < 1:
-        return
-    out[1], out[2], out[3] = -SH_C1 * y, SH_C1 * z, -SH_C1 * x
-    if degree < 2:
-        return
-    xx, yy, zz = x * x, y * y, z * z
-    out[4], out[5] = SH_C2[0] * x * y, SH_C2[1] * y * z
-    out[6], out[7], out[8] = SH_C2[2] * (2 * zz - xx - yy), SH_C2[3] * x * z, SH_C2[4] * (xx - yy)
-    if degree < 3:
-        return
-    out[9], out[10] = SH_C3[0] * y * (3 * xx - yy), SH_C3[1] * x * y * z
-    out[11], out[12] = SH_C3[2] * y * (4 * zz - xx - yy), SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
-    out[13], out[14] = SH_C3[4] * x * (4 * zz - xx - yy), SH_C3[5] * z * (xx - yy)
-    out[15] = SH_C3[6] * x * (xx - 3 * yy)
+    if degree >= 1:
+        out[1], out[2], out[3] = _band_1(x, y, z, _FACTORS)
+    if degree >= 2:
+        out[4], out[5], out[6], out[7], out[8] = _band_2(x, y, z, _FACTORS)
+    if degree >= 3:
+        out[9], out[10], out[11], out[12], out[13], out[14], out[15] = _band_3(x, y, z, _FACTORS)
 
 
 @njit(cache=True)
@@ -62,28 +78,50 @@ def basis_slopes(x, y, z, degree, out):
 
 
 @njit(cache=True)
-def _direction(mean, eye):
-    x, y, z = np.float64(mean[0]) - eye[0], np.float64(mean[1]) - eye[1], np.float64(mean[2]) - eye[2]
+def _direction(x, y, z):
+    """Unit vector along the offset from the eye, and the offset's length; +z for an eye at the very centre."""
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
         return 0.0, 0.0, 1.0, 1.0
-    return x / length, y / length, z / length, length
+    inverse = 1.0 / length
+    return x * inverse, y * inverse, z * inverse, length
+
+
+@njit(cache=True, fastmath={"contract"})
+def _plus_band(colour, band, higher, i, first):
+    """Colour plus the terms of one band, the coefficients of which start at higher[i, first]; the loop unrolls."""
+    red, green, blue = colour
+    for k in range(len(band)):
+        red += band[k] * higher[i, first + k, 0]
+        green += band[k] * higher[i, first + k, 1]
+        blue += band[k] * higher[i, first + k, 2]
+    return red, green, blue
+
+
+@njit(cache=True, fastmath={"contract"}, inline="always")  # a call would count references to the arrays each time
+def _colour(i, means, sh0, higher, degree, eye):
+    """Red, green, blue of Gaussian i, unclipped: the direction in float64, the rest in float32."""
+    f, half = _FACTORS_32, np.float32(0.5)
+    colour = half + f[0] * sh0[i, 0, 0], half + f[0] * sh0[i, 0, 1], half + f[0] * sh0[i, 0, 2]
+    if degree == 0:
+        return colour
+    x64, y64, z64, _ = _direction(means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2])
+    x, y, z = np.float32(x64), np.float32(y64), np.float32(z64)
+    colour = _plus_band(colour, _band_1(x, y, z, f), higher, i, 0)
+    if degree >= 2:
+        colour = _plus_band(colour, _band_2(x, y, z, f), higher, i, 3)
+    if degree >= 3:
+        colour = _plus_band(colour, _band_3(x, y, z, f), higher, i, 8)
+    return colour
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_from_sh(ids, means, sh0, higher, degree, eye, features):
-    """Colours of the Gaussians ids (M,) into features[:, :3]; `higher` is shN."""
+def colours_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
+    """Colours of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
     for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
-        values = np.empty(16)
         for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
-            i = ids[j]
-            x, y, z, _ = _direction(means[i], eye)
-            basis(x, y, z, degree, values)
-            for c in range(3):
-                colour = 0.5 + values[0] * sh0[i, 0, c]
-                for k in range(1, (degree + 1) ** 2):
-                    colour += values[k] * higher[i, k - 1, c]
-                features[j, c] = max(colour, 0.0)
+            red, green, blue = _colour(ids[j], means, sh0, higher, degree, eye)
+            features[j, 0], features[j, 1], features[j, 2] = max(red, lowest), max(green, lowest), max(blue, lowest)
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -98,7 +136,7 @@ def colours_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_f
                     if features[j, c] > 0.0:
                         v_sh0[i, 0, c] += v_features[j, c] * SH_C0
                 continue
-            x, y, z, length = _direction(means[i], eye)
+            x, y, z, length = _direction(means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2])
             basis(x, y, z, degree, values)
             basis_slopes(x, y, z, degree, slopes)
             dx, dy, dz = 0.0, 0.0, 0.0
