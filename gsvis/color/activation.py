@@ -1,0 +1,210 @@
+"""Which terms matter: equation 7 of the paper, for one eye and for all eyes in a box.
+
+A term's contribution is the largest absolute change that it makes in a channel of its Gaussian's RGB colour, where 1 is
+white; it is active where that is above epsilon. Scene frame and units. Knows nothing of what can be seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color import _kernels_activation as kernels
+from gsvis.color._kernels_rgb import SPACES
+from gsvis.color.srbf import SrbfColors, unit_vectors
+
+__all__ = ["Activation", "active", "active_in_box", "contributions"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ROUNDING = 1e-4  # relative, and 4 float32 steps of the colour: what the conversion of a space may add to a change
+_STEPS = 4.0 * float(np.finfo(np.float32).eps)
+
+
+class Activation:
+    """Terms made ready to be asked, again and again, which of them are active.
+
+    Args:
+        colors: N Gaussians with T terms.
+        means: (N, 3) centres of the Gaussians.
+        epsilon: Contribution above which a term is active, >= 0.
+
+    Attributes:
+        colors: As given.
+        epsilon: As given.
+
+    Raises:
+        ValueError: If lengths differ or epsilon is negative or not finite.
+
+    References:
+        SRBF-Gaussian, section 6.2, equation 7.
+    """
+
+    def __init__(self, colors: SrbfColors, means: ArrayLike, epsilon: float) -> None:
+        if not isinstance(colors, SrbfColors):
+            raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
+        if not (isinstance(epsilon, int | float | np.floating) and 0.0 <= epsilon < np.inf):
+            raise ValueError(f"epsilon: expected a finite change of colour of at least 0, got {epsilon!r}")
+        self.colors, self.epsilon = colors, float(epsilon)
+        self._means = _check.floats("means", means, ("N", 3))
+        _check.same_length(colors=colors.base, means=self._means)
+        self._centers = unit_vectors(colors.centers).astype(np.float32)
+        self._amplitudes = colors.amplitudes()
+        reaches = _reaches(colors, self._amplitudes)
+        self._reaches = reaches
+        self._cos_caps, self._sin_caps = self._caps(reaches)
+
+    def __repr__(self) -> str:
+        return f"Activation({self.colors!r}, epsilon {self.epsilon:g})"
+
+    def contributions(self, eye: ArrayLike) -> F32:
+        """(T,) largest change of a channel that each term makes as an eye (3,) sees it; see `contributions`."""
+        at, colors = _check.floats("eye", eye, (3,), np.float64), self.colors
+        additive = colors.kind.space == "rgb"
+        factors = self._reaches if additive else np.ones(colors.num_terms)
+        found = np.zeros(colors.num_terms)
+        kernels.responses(self._means, colors.offsets, self._centers, colors.decays, factors, at, found)
+        if additive:
+            return found.astype(np.float32)
+        out = np.zeros(colors.num_terms, np.float32)
+        code = SPACES[colors.kind.space]
+        kernels.changes(code, colors.base, colors.scales, colors.offsets, self._amplitudes, found, out)
+        return out
+
+    def active(self, eye: ArrayLike, visible: ArrayLike | None = None) -> Mask:
+        """(T,) bool, the terms that are active for an eye.
+
+        Args:
+            eye: (3,) position.
+            visible: (V,) Gaussians whose terms are asked for; None means all. The terms of others are not active.
+        """
+        return np.asarray((self.contributions(eye) > np.float32(self.epsilon)) & self._of(visible))
+
+    def active_in_box(self, low: ArrayLike, high: ArrayLike, visible: ArrayLike | None = None) -> Mask:
+        """(T,) bool, the terms that may be active for some eye in a box; none that is active for one is missing.
+
+        The directions from the box to a Gaussian are bounded by a cone around the one from its middle, so some terms
+        may be given that no eye needs.
+
+        Args:
+            low: (3,) lowest corner of the box.
+            high: (3,) highest corner.
+            visible: (V,) Gaussians whose terms are asked for; None means all. Only these cost anything.
+
+        Raises:
+            ValueError: If the corners are in the wrong order or an id is none of the N.
+        """
+        first, last = _check.floats("low", low, (3,), np.float64), _check.floats("high", high, (3,), np.float64)
+        if (first > last).any():
+            raise ValueError(f"low: expected at most high, {last.tolist()}, got {first.tolist()}")
+        ids = np.arange(len(self.colors)) if visible is None else self._ids(visible)
+        out = np.zeros(self.colors.num_terms, np.bool_)
+        caps = self._cos_caps, self._sin_caps
+        kernels.mark_terms(ids, self._means, self.colors.offsets, self._centers, *caps, first, last, out)
+        return out
+
+    def _ids(self, visible: ArrayLike) -> NDArray[np.int64]:
+        ids = _check.integers("visible", visible, ("V",))
+        if len(ids) and not 0 <= ids.min() <= ids.max() < len(self.colors):
+            raise ValueError(f"visible: expected ids in [0, {len(self.colors)}), got {ids.min()} to {ids.max()}")
+        return ids
+
+    def _of(self, visible: ArrayLike | None) -> Mask:
+        """The terms of the Gaussians asked for."""
+        asked = np.ones(len(self.colors), bool)
+        if visible is not None:
+            asked[:] = False
+            asked[self._ids(visible)] = True
+        return np.repeat(asked, self.colors.counts)
+
+    def _caps(self, reaches: F64) -> tuple[F32, F32]:
+        """Cosine and sine of the angle from its centre within which each term can be active; NEVER where it cannot."""
+        epsilon = np.full(len(reaches), self.epsilon)
+        if self.colors.kind.space != "rgb":
+            steps = _STEPS * self.colors.scales[self.colors.gaussian_ids].astype(np.float64)
+            epsilon = np.maximum((1.0 - _ROUNDING) * epsilon - steps, 0.0)
+        possible = reaches > epsilon
+        with np.errstate(divide="ignore"):
+            ratio = np.log(np.where(possible, epsilon, 1.0) / np.where(possible, reaches, 1.0))
+        cosines = np.clip(1.0 + ratio / self.colors.decays.astype(np.float64), -1.0, 1.0)
+        sines = np.sqrt(1.0 - cosines**2)
+        return np.where(possible, cosines, kernels.NEVER).astype(np.float32), sines.astype(np.float32)
+
+
+def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
+    """What each term changes in what an eye sees.
+
+    Where terms add in RGB it is the largest amplitude times the lobe, G(x; c, lambda): what the term adds before
+    negative colours are clipped, and thus never too little. In HSL, HSV and YUV it is the largest difference of the
+    final colour with all terms and with all but this one.
+
+    Args:
+        colors: N Gaussians with T terms.
+        means: (N, 3) centres of the Gaussians.
+        eye: (3,) position.
+
+    Returns:
+        (T,) float32, >= 0, where 1 is the step from black to white.
+
+    Raises:
+        ValueError: If a shape is wrong or a value is not finite.
+
+    References:
+        SRBF-Gaussian, section 6.2, equation 7.
+    """
+    return Activation(colors, means, 0.0).contributions(eye)
+
+
+def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float) -> Mask:
+    """(T,) bool, the terms whose contribution for an eye (3,) is above epsilon.
+
+    Args:
+        colors: N Gaussians with T terms.
+        means: (N, 3) centres of the Gaussians.
+        eye: (3,) position.
+        epsilon: Change of colour from which a term matters, >= 0.
+
+    Examples:
+        >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0],
+        ...                   [[0, 0]], [10.0], [[0.2, 0, 0]])
+        >>> [bool(active(lobe, [[0, 0, 0]], eye, 0.01)[0]) for eye in ([0, 0, -1], [1, 0, 0], [0, 0, 1])]
+        [True, False, False]
+    """
+    return Activation(colors, means, epsilon).active(eye)
+
+
+def active_in_box(colors: SrbfColors, means: ArrayLike, low: ArrayLike, high: ArrayLike, epsilon: float) -> Mask:
+    """(T,) bool, the terms that may be active for some eye in a box; see `Activation.active_in_box`."""
+    return Activation(colors, means, epsilon).active_in_box(low, high)
+
+
+def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
+    """(T,) bound of the change of a channel for each unit of the lobe.
+
+    With S and L in [0, 1] a channel of HSL is L - S min(L, 1 - L) w, |w| <= 1: its slope by L is at most 1 + S, its
+    slope by S at most min(L, 1 - L). A channel of HSV is V (1 - S w), 0 <= w <= 1: slope at most 1 by V. Luma moves
+    all channels alike. What S and L can be follows from the signs of the amplitudes, since lobes lie in (0, 1].
+    """
+    sizes = np.abs(amplitudes.astype(np.float64))
+    kind, ids = colors.kind, colors.gaussian_ids
+    if kind.space == "rgb":
+        return np.asarray(sizes.max(axis=1, initial=0.0))
+    scaled = colors.scales.astype(np.float64)[ids]
+    if kind.space != "hsl":
+        return np.asarray(scaled * sizes.max(axis=1, initial=0.0))
+    base = colors.base.astype(np.float64)
+
+    def bound(component: int, sign: float) -> F64:
+        """(T,) lowest (sign -1) or highest (1) value that a component takes."""
+        change = np.maximum(sign * amplitudes[:, component].astype(np.float64), 0.0)
+        ends = base[:, component] + sign * np.bincount(ids, change, len(colors))
+        return np.asarray(np.clip(ends, 0.0, 1.0)[ids])
+
+    by_lightness = 1.0 + bound(1, 1.0)
+    darkest, lightest = bound(2, -1.0), bound(2, 1.0)
+    middle = np.clip(0.5, darkest, lightest)
+    by_saturation = np.minimum(middle, 1.0 - middle)
+    return np.asarray(scaled * np.maximum(sizes[:, 1] * by_saturation, sizes[:, 2] * by_lightness))
