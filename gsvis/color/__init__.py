@@ -1,1 +1,31 @@
 """Colour that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
+
+from gsvis.color.spaces import (
+    hsl_to_rgb,
+    hsv_to_rgb,
+    hue_vector,
+    rgb_by_hsl_lightness,
+    rgb_by_hsl_saturation,
+    rgb_by_hsv_saturation,
+    rgb_by_hsv_value,
+    rgb_by_yuv_luma,
+    rgb_to_hsl,
+    rgb_to_hsv,
+    rgb_to_yuv,
+    yuv_to_rgb,
+)
+
+__all__ = [
+    "hsl_to_rgb",
+    "hsv_to_rgb",
+    "hue_vector",
+    "rgb_by_hsl_lightness",
+    "rgb_by_hsl_saturation",
+    "rgb_by_hsv_saturation",
+    "rgb_by_hsv_value",
+    "rgb_by_yuv_luma",
+    "rgb_to_hsl",
+    "rgb_to_hsv",
+    "rgb_to_yuv",
+    "yuv_to_rgb",
+]

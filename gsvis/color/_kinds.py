@@ -1,0 +1,52 @@
+"""Which kind of array a colour function was given: one formula serves NumPy and torch.
+
+Colours have three channels on the last axis. NumPy arguments are checked whole; tensors are checked by shape and type
+only, because looking at values would wait for the device. Nothing here imports torch: whoever passes a tensor has.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+
+from gsvis import _check
+
+__all__ = ["channels", "is_tensor", "numbers"]
+
+
+def is_tensor(value: Any) -> bool:
+    """Whether the value is a torch tensor."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
+def numbers(name: str, value: Any) -> tuple[Any, Any]:
+    """The module that computes with the value, numpy or torch, and the value as finite floats of any shape."""
+    if is_tensor(value):
+        if not value.is_floating_point():
+            raise ValueError(f"{name}: expected a float tensor, got {value.dtype}; convert it, bytes divided by 255")
+        return sys.modules["torch"], value
+    array = np.asarray(value)
+    if array.dtype == np.uint8:
+        raise ValueError(f"{name}: expected floats, got bytes; divide them by 255")
+    dtype = np.float64 if array.dtype == np.float64 else np.float32
+    return np, _check.floats(name, value, array.shape, dtype)
+
+
+def channels(name: str, value: Any, least: tuple[float, ...], most: tuple[float, ...], remedy: str) -> Any:
+    """The module, and the three channels as (..., 1), in their ranges if they are NumPy's."""
+    xp, array = numbers(name, value)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise ValueError(f"{name}: expected shape (..., 3), got {tuple(array.shape)}")
+    parts = [array[..., k : k + 1] for k in range(3)]
+    if xp is np:
+        for part, low, high in zip(parts, least, most, strict=True):
+            if (low, high) == (-np.inf, np.inf):
+                continue
+            try:
+                _check.in_range(name, part, low, high)
+            except ValueError as error:
+                raise ValueError(f"{error}; {remedy}") from None
+    return xp, *parts
