@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.raycast import _kernels_directions
-from gsvis.raycast.icosphere import icosphere
 from gsvis.raycast.tracer import TAU, Tracer
 from gsvis.raycast.visible import visible_in
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import NUM_FACES, face_directions, face_shares, icosphere
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = [
@@ -33,9 +33,6 @@ __all__ = [
     "trace_directions",
 ]
 
-NUM_FACES = 80
-"""Faces of the once-subdivided icosahedron."""
-
 _CHUNK = 4096
 
 U8 = NDArray[np.uint8]
@@ -46,26 +43,6 @@ def icosphere_faces() -> F64:
     """(80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
     vertices, faces = icosphere(1)
     return np.asarray(vertices[faces])
-
-
-def face_directions(rays_per_face: int = 1) -> F64:
-    """Directions spread over each face.
-
-    Args:
-        rays_per_face: 1, 4, 16 or 64: the centres of the face cut in that many parts.
-
-    Returns:
-        (80, rays_per_face, 3) unit vectors.
-
-    Raises:
-        ValueError: If `rays_per_face` is another number.
-    """
-    if rays_per_face not in (1, 4, 16, 64):
-        raise ValueError(f"rays_per_face: expected 1, 4, 16 or 64, got {rays_per_face!r}")
-    vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))
-    centres = vertices[faces].mean(axis=1)
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    return np.asarray(centres.reshape(NUM_FACES, rays_per_face, 3))
 
 
 def face_of(directions: ArrayLike) -> NDArray[np.int64]:
@@ -202,7 +179,7 @@ def solid_angle_fractions(
         ValueError: If an id is out of range.
     """
     chosen = tracer.chosen(ids)
-    rays, areas = face_directions(rays_per_face), _solid_angles(rays_per_face)
+    rays, areas = face_directions(rays_per_face), face_shares(rays_per_face)
     fractions = np.zeros(len(chosen))
     progress("directions", 0, rays_per_face)
     for k in range(rays_per_face):
@@ -218,19 +195,6 @@ def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], ra
     grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
     targets = hierarchy.positions[ids]
     _kernels_directions.trace_outward(*hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets)
-
-
-def _solid_angles(rays_per_face: int) -> F64:
-    """(80, rays_per_face) shares of the sphere of the parts whose centres `face_directions` gives; they sum to 1.
-
-    References:
-        Van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 1983.
-    """
-    vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))
-    a, b, c = np.swapaxes(vertices[faces], 0, 1)
-    volume = np.einsum("fi,fi->f", a, np.cross(b, c))
-    flat = 1.0 + np.einsum("fi,fi->f", a, b) + np.einsum("fi,fi->f", b, c) + np.einsum("fi,fi->f", c, a)
-    return np.asarray(2.0 * np.arctan2(volume, flat).reshape(NUM_FACES, rays_per_face) / (4.0 * np.pi))
 
 
 def direction_fractions(sets: ArrayLike) -> NDArray[np.float32]:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.raycast.icosphere import icosphere
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import icosphere
 
 if TYPE_CHECKING:
     import trimesh

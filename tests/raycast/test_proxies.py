@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsvis.raycast import EllipsoidProxies
-from gsvis.raycast.icosphere import icosphere
+from gsvis.scene.icosphere import icosphere
 from gsvis.raycast.proxies import reaches
 from gsvis.scene.gaussians import Gaussians
 from tests.raycast.scenes import scene

@@ -1,4 +1,4 @@
-"""The icosahedron and its subdivisions: unit vertices and outward triangles.
+"""The icosahedron and its subdivisions: unit vertices, outward triangles, the 80 faces of direction sets and their parts.
 
 Vertices (0, ±1, ±phi) and cyclic permutations, scaled to length 1; each subdivision cuts every face in four at its
 edge midpoints, pushed to the unit sphere. The order of vertices and faces is part of the file formats: never change it.
@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 
-__all__ = ["icosphere"]
+__all__ = ["NUM_FACES", "face_directions", "face_shares", "icosphere"]
+
+NUM_FACES = 80
+"""Faces of the once-subdivided icosahedron."""
 
 
 @lru_cache(maxsize=8)
@@ -63,3 +66,43 @@ def _subdivided(
     ab, bc, ca = (inverse.reshape(-1, 3) + len(vertices)).T
     parts = np.stack([np.stack(part, axis=1) for part in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))], axis=1)
     return np.concatenate([vertices, midpoints]), parts.reshape(-1, 3)
+
+
+def face_directions(rays_per_face: int = 1) -> NDArray[np.float64]:
+    """Directions spread over each of the 80 faces of the once-subdivided icosahedron.
+
+    Args:
+        rays_per_face: 1, 4, 16 or 64: the centres of the face cut in that many parts.
+
+    Returns:
+        (80, rays_per_face, 3) unit vectors.
+
+    Raises:
+        ValueError: If `rays_per_face` is another number.
+    """
+    centres = _corners(rays_per_face).mean(axis=1)
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    return np.asarray(centres.reshape(NUM_FACES, rays_per_face, 3))
+
+
+def face_shares(rays_per_face: int = 1) -> NDArray[np.float64]:
+    """(80, rays_per_face) shares of the sphere of the parts whose centres `face_directions` gives; they sum to 1.
+
+    Raises:
+        ValueError: If `rays_per_face` is not 1, 4, 16 or 64.
+
+    References:
+        Van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 1983.
+    """
+    a, b, c = np.swapaxes(_corners(rays_per_face), 0, 1)
+    volume = np.einsum("fi,fi->f", a, np.cross(b, c))
+    flat = 1.0 + np.einsum("fi,fi->f", a, b) + np.einsum("fi,fi->f", b, c) + np.einsum("fi,fi->f", c, a)
+    return np.asarray(2.0 * np.arctan2(volume, flat).reshape(NUM_FACES, rays_per_face) / (4.0 * np.pi))
+
+
+def _corners(rays_per_face: int) -> NDArray[np.float64]:
+    """(80 * rays_per_face, 3, 3) unit corners, the parts of a face behind each other."""
+    if rays_per_face not in (1, 4, 16, 64):
+        raise ValueError(f"rays_per_face: expected 1, 4, 16 or 64, got {rays_per_face!r}")
+    vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))
+    return np.asarray(vertices[faces])
