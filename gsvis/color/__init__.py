@@ -1,5 +1,15 @@
 """Colour that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
 
+from gsvis.color.epsilon import (
+    FLIP_JND,
+    EpsilonCalibration,
+    MetricObserver,
+    Observer,
+    Staircase,
+    StaircaseRule,
+    calibrate_epsilon,
+    replay,
+)
 from gsvis.color.spaces import (
     hsl_to_rgb,
     hsv_to_rgb,
@@ -16,9 +26,17 @@ from gsvis.color.spaces import (
 )
 
 __all__ = [
+    "FLIP_JND",
+    "EpsilonCalibration",
+    "MetricObserver",
+    "Observer",
+    "Staircase",
+    "StaircaseRule",
+    "calibrate_epsilon",
     "hsl_to_rgb",
     "hsv_to_rgb",
     "hue_vector",
+    "replay",
     "rgb_by_hsl_lightness",
     "rgb_by_hsl_saturation",
     "rgb_by_hsv_saturation",
