@@ -1,0 +1,104 @@
+"""Rising tables of numbers that quantised values point into, and the nearest entry of a value.
+
+A table is made of a few parameters, holds its ends exactly, and is all a decoder needs. Nothing here knows colours.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["bent", "circle", "companded", "geometric", "middles", "nearest", "octahedral", "unoctahedral"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U16 = NDArray[np.uint16]
+
+
+def bent(low: float, high: float, centre: float, knee: float, bits: int) -> F32:
+    """(2^bits,) from low to high: evenly spaced within `knee` of the centre, in even ratios outside.
+
+    The spacing d where it is even follows from the range; outside it is d |x - centre| / knee.
+
+    Args:
+        low: First entry.
+        high: Last entry, >= low.
+        centre: Middle of the even part.
+        knee: Half its width, > 0.
+        bits: 1 to 16.
+    """
+    ends = np.array([low, high]) - centre
+    far = knee * (1.0 + np.log(np.maximum(np.abs(ends) / knee, 1.0)))
+    start, stop = np.where(np.abs(ends) <= knee, ends, np.sign(ends) * far)
+    places = np.linspace(start, stop, 1 << bits)
+    outside = np.sign(places) * knee * np.exp(np.maximum(np.abs(places) / knee, 1.0) - 1.0)
+    return _with_ends(centre + np.where(np.abs(places) <= knee, places, outside), low, high)
+
+
+def geometric(low: float, high: float, bits: int) -> F32:
+    """(2^bits,) from low to high in even ratios, 0 < low <= high."""
+    return _with_ends(np.geomspace(low, high, 1 << bits), low, high)
+
+
+def companded(limit: float, floor: float, bits: int) -> F32:
+    """(2^bits - 1,) from -limit to limit, 0 in the middle, each entry's distance to the next growing with its size.
+
+    Entry i from the middle is floor (exp(k i) - 1): even steps of k floor near 0, ratios of exp(k) far from it.
+
+    Args:
+        limit: Last entry, >= 0.
+        floor: Size at which the one goes over into the other, > 0.
+        bits: 2 to 16.
+
+    References:
+        The mu-law of ITU-T G.711, mu = limit / floor.
+    """
+    half = (1 << (bits - 1)) - 1
+    side = floor * np.expm1(np.log1p(limit / floor) * np.arange(1, half + 1) / half)
+    return _with_ends(np.concatenate([-side[::-1], [0.0], side]), -limit, limit)
+
+
+def circle(low: float, turn: float, count: int) -> F32:
+    """(count + 1,) even steps from low once around; the last entry is the first, one turn on."""
+    return np.asarray(low + np.arange(count + 1) * (turn / count), np.float32)
+
+
+def _with_ends(values: F64, low: float, high: float) -> F32:
+    table: F32 = np.clip(values, low, high).astype(np.float32)
+    table[0], table[-1] = low, high
+    return table
+
+
+def middles(table: F32) -> F64:
+    """(len - 1,) where one entry of a table gives way to the next."""
+    return (table[1:].astype(np.float64) + table[:-1]) / 2.0
+
+
+def nearest(values: ArrayLike, table: F32) -> U16:
+    """Place of the nearest entry of a rising table, the lower one of two, in the shape of the values."""
+    return np.asarray(np.searchsorted(middles(table), np.asarray(values, np.float64)), np.uint16)
+
+
+def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
+    """Unit vectors (..., 3) as two integers of `bits` bits (..., 2): cells of the unfolded octahedron.
+
+    References:
+        Cigolle et al., "A survey of efficient representations for independent unit vectors", JCGT 2014.
+    """
+    v = np.asarray(vectors, np.float64)
+    v = v / np.maximum(np.abs(v).sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+    xy, below = v[..., :2], v[..., 2:] < 0
+    folded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)
+    cells = np.floor((np.where(below, folded, xy) + 1.0) * (1 << bits) / 2.0)
+    return np.asarray(np.clip(cells, 0, (1 << bits) - 1), np.uint16)
+
+
+def unoctahedral(cells: NDArray[np.integer[Any]], bits: int) -> F32:
+    """(..., 3) unit vectors at the centres of the cells of `octahedral`."""
+    xy = (cells.astype(np.float64) + 0.5) * 2.0 / (1 << bits) - 1.0
+    z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
+    unfolded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)
+    v = np.concatenate([np.where(z < 0, unfolded, xy), z], axis=-1)
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True), np.float32)

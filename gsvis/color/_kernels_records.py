@@ -1,0 +1,108 @@
+"""Kernels that find intensities for SRBFs whose centres and decays have been rounded.
+
+Inner products are means over the whole sphere, so nothing but the terms themselves is needed. Terms of different
+functions do not mix. float64; T terms of N Gaussians, Gaussian i from offsets[i] to offsets[i + 1].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["project", "round_jointly"]
+
+RIDGE = 1e-4
+"""Pull towards the intensities as they were, relative to each term's own energy."""
+
+
+@njit(cache=True, nogil=True)
+def _product(a, b):
+    """Mean over the sphere of two SRBFs, each as decay times centre (3,) and the decay."""
+    x, y, z = a[0] + b[0], a[1] + b[1], a[2] + b[2]
+    length = np.sqrt(x * x + y * y + z * z)
+    # sinh(length) / length exp(-both decays), without overflow
+    falling = -np.expm1(-2.0 * length) / (2.0 * length) if length > 1e-12 else 1.0
+    return np.exp(length - a[3] - b[3]) * falling
+
+
+@njit(cache=True, nogil=True)
+def _cholesky(matrix, count):
+    """Lower triangle in place, of a symmetric positive definite matrix."""
+    for j in range(count):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] * matrix[j, k]
+        matrix[j, j] = np.sqrt(max(matrix[j, j], 1e-300))
+        for i in range(j + 1, count):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+
+
+@njit(cache=True, nogil=True)
+def project(offsets, functions, lobes, rounded, intensities, out):
+    """The intensities (T, I) with which rounded SRBFs come nearest to the given ones, in the mean over the sphere.
+
+    lobes, rounded: (T, 4) decay times centre and decay, before and after rounding.
+    """
+    most = 0
+    for g in range(len(offsets) - 1):
+        most = max(most, offsets[g + 1] - offsets[g])
+    channels = intensities.shape[1]
+    gram, change = np.empty((most, most)), np.empty((most, channels))
+    for g in range(len(offsets) - 1):
+        start, count = offsets[g], offsets[g + 1] - offsets[g]
+        for j in range(count):
+            change[j] = 0.0
+            for k in range(count):
+                if functions[start + j] != functions[start + k]:
+                    gram[j, k] = 0.0
+                    continue
+                gram[j, k] = _product(rounded[start + j], rounded[start + k])
+                missing = _product(rounded[start + j], lobes[start + k]) - gram[j, k]
+                for c in range(channels):
+                    change[j, c] += missing * intensities[start + k, c]
+            gram[j, j] *= 1.0 + RIDGE
+        _cholesky(gram, count)
+        for c in range(channels):
+            for j in range(count):
+                for k in range(j):
+                    change[j, c] -= gram[j, k] * change[k, c]
+                change[j, c] /= gram[j, j]
+            for j in range(count - 1, -1, -1):
+                for k in range(j + 1, count):
+                    change[j, c] -= gram[k, j] * change[k, c]
+                change[j, c] /= gram[j, j]
+                out[start + j, c] = intensities[start + j, c] + change[j, c]
+
+
+@njit(cache=True, nogil=True)
+def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
+    """Intensities as places (T, I) in a table, each term making up for what rounding did to larger ones.
+
+    The largest term of a Gaussian has the largest step and goes first; what its rounding changed is spread over those
+    that follow by least squares in the mean over the sphere.
+    """
+    most = 0
+    for g in range(len(offsets) - 1):
+        most = max(most, offsets[g + 1] - offsets[g])
+    channels = intensities.shape[1]
+    gram, sizes, errors = np.empty((most, most)), np.empty(most), np.empty(most)
+    for g in range(len(offsets) - 1):
+        start, count = offsets[g], offsets[g + 1] - offsets[g]
+        for j in range(count):
+            sizes[j] = -np.abs(intensities[start + j]).max()
+        order = np.argsort(sizes[:count], kind="mergesort")[::-1] + start  # the largest last
+        for j in range(count):
+            for k in range(j + 1):
+                alike = functions[order[j]] == functions[order[k]]
+                gram[j, k] = _product(lobes[order[j]], lobes[order[k]]) if alike else 0.0
+            gram[j, j] *= 1.0 + RIDGE
+        _cholesky(gram, count)
+        for c in range(channels):
+            for j in range(count - 1, -1, -1):
+                value = intensities[order[j], c]
+                for k in range(j + 1, count):
+                    value -= gram[k, j] / gram[j, j] * errors[k]
+                place = np.searchsorted(middles, value)
+                out[order[j], c] = place
+                errors[j] = table[place] - intensities[order[j], c]

@@ -1,0 +1,463 @@
+"""Base colours and terms as they travel: integers of a few bits that point into tables, and what they cost.
+
+Tables are made of a handful of numbers for the whole scene (`Grids`), so quantising what was dequantised gives the
+same integers. Sizes are those of the records themselves, before any entropy coding. Nothing here writes a file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.color import _grids
+from gsvis.color import _kernels_records as kernels
+from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
+from gsvis.color.variants import Variant, variant
+
+__all__ = [
+    "PRECISIONS",
+    "Grids",
+    "Precision",
+    "QuantisedColors",
+    "bytes_per_base",
+    "bytes_per_term",
+    "quantise",
+    "quantise_centres",
+    "record_bytes",
+    "sh_bytes",
+]
+
+F32 = NDArray[np.float32]
+U16 = NDArray[np.uint16]
+Range = tuple[float, float]
+
+INTENSITY_FLOOR = 0.05
+"""Size of an intensity from which its steps grow with it."""
+BASE_KNEE = 0.5
+"""Half the width of the interval in which base colours have even steps: [0, 1], or [-1/2, 1/2] for U and V."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Bits of each part of a record.
+
+    Attributes:
+        name: For reports.
+        base: Each component of a base colour.
+        scale: The scale of a Gaussian, in variants that have one.
+        axis: Each of the two octahedral coordinates of an axis.
+        center: Polar angle of a term's centre; its azimuth has one more, which leaves the least mean error.
+        decay: Decay of a term.
+        intensity: Each intensity of a term.
+
+    Raises:
+        ValueError: If a number of bits is not in 2 to 16, or `center` above 15.
+    """
+
+    name: str
+    base: int
+    scale: int
+    axis: int
+    center: int
+    decay: int
+    intensity: int
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[1:]:
+            most = 15 if field.name == "center" else 16
+            bits = _check.positive_int(field.name, getattr(self, field.name), at_least=2)
+            if bits > most:
+                raise ValueError(f"{field.name}: expected 2 to {most} bits, got {bits}")
+
+
+PRECISIONS: dict[str, Precision] = {
+    p.name: p
+    for p in (
+        Precision("coarse", base=8, scale=8, axis=6, center=7, decay=5, intensity=6),
+        Precision("wire", base=10, scale=10, axis=8, center=8, decay=7, intensity=8),
+        Precision("fine", base=13, scale=14, axis=12, center=11, decay=10, intensity=12),
+    )
+}
+"""`wire` is the default: see docs/design/009-color-records.md for what each costs in image quality."""
+
+
+def _precision(value: Precision | str) -> Precision:
+    return value if isinstance(value, Precision) else PRECISIONS[_check.one_of("precision", value, tuple(PRECISIONS))]
+
+
+@dataclass(frozen=True)
+class Grids:
+    """The numbers behind all tables of a scene, all exact in float32.
+
+    Attributes:
+        variant: One of `VARIANTS`.
+        precision: Bits of each part.
+        base: Least and largest value of the three components; (0, 1) for hue, whose steps go around.
+        scales: Least and largest scale, > 0.
+        decays: Least and largest decay, in (0, 1e4].
+        intensity: Largest absolute intensity.
+
+    Raises:
+        ValueError: If a number is not finite, not in order, or out of its range.
+    """
+
+    variant: str
+    precision: Precision
+    base: tuple[Range, Range, Range]
+    scales: Range
+    decays: Range
+    intensity: float
+
+    def __post_init__(self) -> None:
+        variant(self.variant)
+        positive = np.finfo(np.float32).tiny
+        for name, pair, low, high in (
+            *(("base", pair, -1e30, 1e30) for pair in self.base),
+            ("scales", self.scales, positive, 1e30),
+            ("decays", self.decays, positive, MAX_DECAY),
+            ("intensity", (0.0, self.intensity), 0.0, 1e30),
+        ):
+            if not low <= pair[0] <= pair[1] <= high:  # worded so that NaN fails
+                raise ValueError(f"{name}: expected a range within [{low:g}, {high:g}], got {pair[0]:g} to {pair[1]:g}")
+
+    @classmethod
+    def of(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
+        """The narrowest ranges that hold all values of these colours: nothing is ever clipped."""
+        turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
+        ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
+        return cls(
+            colors.variant, _precision(precision), (ranges[0], ranges[1], ranges[2]),
+            _range(colors.scales, 1.0), _range(colors.decays, 1.0), _largest(colors.intensities),
+        )  # fmt: skip
+
+    @property
+    def kind(self) -> Variant:
+        """What the variant means."""
+        return variant(self.variant)
+
+    def base_table(self, component: int) -> F32:
+        """(2^bits,) values of a component of base colours."""
+        bits, space = self.precision.base, self.kind.space
+        if space in ("hsl", "hsv") and component == 0:
+            return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
+        centre = 0.0 if space == "yuv" and component > 0 else 0.5
+        return _grids.bent(*self.base[component], centre, BASE_KNEE, bits)
+
+    def scale_table(self) -> F32:
+        """(2^bits,) scales."""
+        return _grids.geometric(*self.scales, self.precision.scale)
+
+    def theta_table(self) -> F32:
+        """(2^bits,) polar angles, none at a pole."""
+        count = 1 << self.precision.center
+        return np.asarray((np.arange(count) + 0.5) * (np.pi / count), np.float32)
+
+    def phi_table(self) -> F32:
+        """(2^(bits + 1),) azimuths, from -pi."""
+        return _grids.circle(-np.pi, 2.0 * np.pi, 2 << self.precision.center)[:-1]
+
+    def decay_table(self) -> F32:
+        """(2^bits,) decays in even ratios."""
+        return _grids.geometric(*self.decays, self.precision.decay)
+
+    def intensity_table(self) -> F32:
+        """(2^bits - 1,) intensities, 0 in the middle."""
+        return _grids.companded(self.intensity, INTENSITY_FLOOR, self.precision.intensity)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QuantisedColors:
+    """Colours of N Gaussians and their T terms as integers, validated, read-only.
+
+    Args:
+        grids: What the integers point into.
+        base: (N, 3) uint16, places in the tables of the components.
+        scales: (N,) uint16, places in the table of scales; (0,) for variants in RGB, which have none.
+        axes: (N, num_axes, 2) uint16 octahedral coordinates.
+        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in the order to be sent.
+        functions: (T,) uint8, index into the variant's functions.
+        centers: (T, 2) uint16, places in the tables of polar angle and azimuth.
+        decays: (T,) uint16, places in the table of decays.
+        intensities: (T, I) uint16, places in the table of intensities.
+
+    Raises:
+        ValueError: If a shape or an order does not fit, or an integer points past its table.
+    """
+
+    grids: Grids
+    base: U16
+    scales: U16
+    axes: U16
+    offsets: NDArray[np.int64]
+    functions: NDArray[np.uint8]
+    centers: U16
+    decays: U16
+    intensities: U16
+
+    def __post_init__(self) -> None:
+        kind, p = self.grids.kind, self.grids.precision
+        n = len(self.base)
+        offsets = _check.integers("offsets", self.offsets, (n + 1,))
+        if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
+            raise ValueError("offsets: expected to start at 0 and never to fall, got another order")
+        t = int(offsets[-1])
+        arrays: dict[str, NDArray[Any]] = {"offsets": offsets}
+        for name, shape, most in (
+            ("base", (n, 3), (1 << p.base) - 1),
+            ("scales", (n if has_scales(kind) else 0,), (1 << p.scale) - 1),
+            ("axes", (n, kind.num_axes, 2), (1 << p.axis) - 1),
+            ("functions", (t,), len(kind.functions) - 1),
+            ("centers", (t, 2), (2 << p.center) - 1),
+            ("decays", (t,), (1 << p.decay) - 1),
+            ("intensities", (t, kind.intensities), (1 << p.intensity) - 2),
+        ):
+            dtype = np.uint8 if name == "functions" else np.uint16
+            arrays[name] = _check.integers(name, getattr(self, name), shape, dtype)
+            _check.in_range(name, arrays[name], 0, most)
+        _check.in_range("centers", arrays["centers"][:, 0], 0, (1 << p.center) - 1)
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    def __repr__(self) -> str:
+        g, sizes = self.grids, f"{len(self):,} Gaussians, {self.num_terms:,} terms"
+        return f"QuantisedColors({g.variant!r}, {g.precision.name!r}, {sizes})"
+
+    @property
+    def num_terms(self) -> int:
+        """T."""
+        return len(self.functions)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all records, packed bit by bit."""
+        return _packed(self.grids.kind, self.grids.precision, self.offsets)
+
+    def dequantised(self) -> SrbfColors:
+        """The colours that the records stand for."""
+        g = self.grids
+        base = np.stack([g.base_table(k)[self.base[:, k]] for k in range(3)], axis=1)
+        scales = g.scale_table()[self.scales] if has_scales(g.kind) else np.ones(len(self), np.float32)
+        centers = np.stack([g.theta_table()[self.centers[:, 0]], g.phi_table()[self.centers[:, 1]]], axis=1)
+        return SrbfColors(
+            g.variant, base, scales, _grids.unoctahedral(self.axes, g.precision.axis), self.offsets, self.functions,
+            centers, g.decay_table()[self.decays], g.intensity_table()[self.intensities],
+        )  # fmt: skip
+
+
+def quantise(
+    colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True, grids: Grids | None = None
+) -> QuantisedColors:
+    """Round colours to what records can say.
+
+    With `refit`, intensities are first adapted to the rounded centres and decays, and then rounded one after the other,
+    the largest of a Gaussian first, each making up for what rounding did to those before. Both are least squares in
+    the mean over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
+
+    A centre moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
+    a base component in [0, 1] by half an even step, an axis by at most 4.3 / 2^axis radians. Without `refit` an
+    intensity a moves by at most (|a| + 0.05) (exp(k / 2) - 1), k = log(1 + largest / 0.05) / (2^(intensity - 1) - 1).
+
+    Args:
+        colors: What to round.
+        precision: A name from `PRECISIONS`, or bits of one's own.
+        refit: Adapt intensities; False rounds each number by itself.
+        grids: Tables to use instead of the colours' own, such as those of a larger scene; `precision` is then
+            not looked at. Values outside their ranges are refused.
+
+    Raises:
+        ValueError: If the variant lives in RGB and a scale is not 1, or `grids` do not hold the colours.
+
+    Examples:
+        >>> packed = quantise(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
+        >>> packed.nbytes, packed.dequantised().base.round(3).tolist()
+        (5, [[0.0, 0.5, 1.0]])
+    """
+    own = Grids.of(colors, precision)
+    g = own if grids is None else grids
+    if grids is not None:
+        _within(own, grids)
+    kind = colors.kind
+    if not has_scales(kind) and np.any(colors.scales != 1.0):
+        raise ValueError(f"scales: expected 1 for {kind.name!r}, whose space is RGB, got {colors.scales.max():g}")
+    base = np.empty((len(colors), 3), np.uint16)
+    for k in range(3):
+        if kind.space in ("hsl", "hsv") and k == 0:
+            base[:, k] = _around(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
+        else:
+            base[:, k] = _grids.nearest(colors.base[:, k], g.base_table(k))
+    centers, decays = _round_lobes(colors, g)
+    values = colors.intensities.astype(np.float64)
+    if refit:
+        lobes = _lobes(_centers_of(centers, g), g.decay_table()[decays])
+        values = _project(colors, lobes)
+        if grids is None:
+            g = replace(g, intensity=_largest(values))
+        intensities = _round_jointly(colors, lobes, values, g)
+    else:
+        intensities = _grids.nearest(values, g.intensity_table())
+    scales = _grids.nearest(colors.scales, g.scale_table()) if has_scales(kind) else np.zeros(0, np.uint16)
+    axes = _grids.octahedral(colors.axes, g.precision.axis)
+    return QuantisedColors(g, base, scales, axes, colors.offsets, colors.functions, centers, decays, intensities)
+
+
+def quantise_centres(colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True) -> SrbfColors:
+    """The colours with centres and decays as records can say them, and everything else exact.
+
+    A fit that knows directions and colours can then find intensities once more before `quantise` rounds them; it finds
+    the same centres and decays.
+
+    Args:
+        colors: What to round.
+        precision: A name from `PRECISIONS`, or bits of one's own.
+        refit: Adapt intensities as `quantise` does; False leaves them.
+    """
+    g = Grids.of(colors, precision)
+    places, decay_places = _round_lobes(colors, g)
+    centers, decays = _centers_of(places, g), g.decay_table()[decay_places]
+    intensities = _project(colors, _lobes(centers, decays)) if refit else colors.intensities
+    return SrbfColors(
+        colors.variant, colors.base, colors.scales, colors.axes, colors.offsets, colors.functions, centers, decays,
+        np.asarray(intensities, np.float32),
+    )  # fmt: skip
+
+
+def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:
+    """Bytes of one term of a variant: function where there are several, centre, decay, intensities.
+
+    Args:
+        name: The variant.
+        precision: A name from `PRECISIONS`, or bits of one's own; None for float32 throughout.
+
+    Examples:
+        >>> bytes_per_term("rgb"), bytes_per_term("axis"), bytes_per_term("rgb", None)
+        (6.0, 4.0, 24.0)
+    """
+    return _term_bits(variant(name), None if precision is None else _precision(precision)) / 8
+
+
+def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> float:
+    """Bytes of what a Gaussian has besides terms: base colour, and scale and axes where the variant has them.
+
+    Args:
+        name: The variant.
+        precision: As in `bytes_per_term`.
+    """
+    return _base_bits(variant(name), None if precision is None else _precision(precision)) / 8
+
+
+def record_bytes(colors: SrbfColors | QuantisedColors, precision: Precision | str | None = "wire") -> int:
+    """Bytes of the records of colours: bases, terms, and the bits that count the terms of each Gaussian.
+
+    Args:
+        colors: Whose.
+        precision: As in `bytes_per_term`; not looked at for colours that are quantised.
+    """
+    if isinstance(colors, QuantisedColors):
+        return colors.nbytes
+    return _packed(colors.kind, None if precision is None else _precision(precision), colors.offsets)
+
+
+def sh_bytes(degree: int, bits: int = 32) -> float:
+    """Bytes of the colour of one Gaussian as spherical harmonics, for comparison.
+
+    Args:
+        degree: 0 to 3.
+        bits: Bits of each coefficient: 32, 16, or 8.
+    """
+    if degree not in range(4):
+        raise ValueError(f"degree: expected 0 to 3, got {degree!r}")
+    return 3 * (degree + 1) ** 2 * _check.positive_int("bits", bits) / 8
+
+
+def has_scales(kind: Variant) -> bool:
+    """Whether the Gaussians of a variant have a scale."""
+    return kind.space != "rgb"
+
+
+def _term_bits(kind: Variant, p: Precision | None) -> int:
+    if p is None:
+        return (8 if len(kind.functions) > 1 else 0) + 32 * (3 + kind.intensities)
+    function = (len(kind.functions) - 1).bit_length()
+    return function + 2 * p.center + 1 + p.decay + kind.intensities * p.intensity
+
+
+def _base_bits(kind: Variant, p: Precision | None) -> int:
+    if p is None:
+        return 32 * (3 + has_scales(kind) + 3 * kind.num_axes)
+    return 3 * p.base + has_scales(kind) * p.scale + kind.num_axes * 2 * p.axis
+
+
+def _packed(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
+    count_bits = int(np.diff(offsets).max(initial=0)).bit_length()
+    n, t = len(offsets) - 1, int(offsets[-1])
+    return -(-(n * (_base_bits(kind, p) + count_bits) + t * _term_bits(kind, p)) // 8)
+
+
+def _range(values: F32, empty: float = 0.0) -> Range:
+    return (float(values.min()), float(values.max())) if len(values) else (empty, empty)
+
+
+def _largest(intensities: NDArray[np.floating[Any]]) -> float:
+    return float(np.float32(np.abs(intensities).max(initial=0.0)))
+
+
+def _within(own: Grids, given: Grids) -> None:
+    if own.variant != given.variant:
+        raise ValueError(f"grids: expected those of {own.variant!r}, got those of {given.variant!r}")
+    mine, theirs = asdict(own), asdict(given)
+    pairs = [("base", a, b) for a, b in zip(mine["base"], theirs["base"], strict=True)]
+    pairs += [(name, mine[name], theirs[name]) for name in ("scales", "decays")]
+    pairs.append(("intensities", (0.0, mine["intensity"]), (0.0, theirs["intensity"])))
+    for name, (low, high), (least, most) in pairs:
+        if low < least or high > most:
+            raise ValueError(f"{name}: expected within [{least:g}, {most:g}], got {low:g} to {high:g}; use wider grids")
+
+
+def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
+    """Places of values on a circle of `count` even steps."""
+    steps = np.rint((values.astype(np.float64) - low) * (count / turn))
+    return np.asarray(np.mod(steps, count), np.uint16)
+
+
+def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
+    """Places of centres (T, 2) and decays (T,)."""
+    theta, phi = np.moveaxis(spherical_coordinates(unit_vectors(colors.centers)), -1, 0)
+    bits = g.precision.center
+    places = np.clip(np.floor(theta * ((1 << bits) / np.pi)), 0, (1 << bits) - 1)
+    centers = np.stack([places.astype(np.uint16), _around(phi, -np.pi, 2.0 * np.pi, 2 << bits)], axis=1)
+    return centers, _grids.nearest(colors.decays, g.decay_table())
+
+
+def _centers_of(places: U16, g: Grids) -> F32:
+    return np.stack([g.theta_table()[places[:, 0]], g.phi_table()[places[:, 1]]], axis=1)
+
+
+def _lobes(centers: F32, decays: F32) -> NDArray[np.float64]:
+    """(T, 4) decay times centre, and decay."""
+    lengths = decays.astype(np.float64)[:, None]
+    return np.concatenate([unit_vectors(centers) * lengths, lengths], axis=1)
+
+
+def _project(colors: SrbfColors, rounded: NDArray[np.float64]) -> NDArray[np.float64]:
+    values = colors.intensities.astype(np.float64)
+    out = np.empty_like(values)
+    lobes = _lobes(colors.centers, colors.decays)
+    kernels.project(colors.offsets, colors.functions, lobes, rounded, values, out)
+    return out
+
+
+def _round_jointly(colors: SrbfColors, lobes: NDArray[np.float64], values: NDArray[np.float64], g: Grids) -> U16:
+    table = g.intensity_table()
+    places = np.empty(values.shape, np.uint16)
+    middles = _grids.middles(table)
+    kernels.round_jointly(colors.offsets, colors.functions, lobes, values, table.astype(np.float64), middles, places)
+    return places
