@@ -1,0 +1,165 @@
+"""SRBF colours of all Gaussians from one eye, or of each along directions that all share.
+
+A colour is its base plus its terms in the variant's space, brought to RGB: clipped below at 0, never above except as
+HSL and HSV limit saturation, lightness and value to [0, 1] before they are scaled. Directions run from the eye to the
+Gaussian. `gsvis.color.reference` is the plain twin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color import _kernels_rgb, _kernels_srbf
+from gsvis.color.srbf import SrbfColors
+
+__all__ = ["Evaluator", "evaluate", "evaluate_along"]
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+
+
+class Evaluator:
+    """What does not depend on the eye, worked out once: terms laid out for vectors, 28 bytes each.
+
+    Args:
+        colors: N Gaussians with T terms.
+
+    Raises:
+        ValueError: If it is anything else than `SrbfColors`.
+    """
+
+    def __init__(self, colors: SrbfColors) -> None:
+        if not isinstance(colors, SrbfColors):
+            raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
+        self._len, self._num_terms, self._variant = len(colors), colors.num_terms, colors.variant
+        self._space = _kernels_rgb.SPACES[colors.kind.space]
+        order, starts = _layout(colors.counts)
+        slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
+        terms = colors.centers, colors.decays, np.ascontiguousarray(colors.amplitudes())
+        _kernels_srbf.pack(order, colors.offsets, starts, terms, slots)
+        base, scales = _in_windows(colors.base, order), _in_windows(colors.scales[:, None], order)
+        self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
+
+    def __len__(self) -> int:
+        return self._len
+
+    def __repr__(self) -> str:
+        return f"Evaluator({self._variant!r}, {self._len:,} Gaussians, {self._num_terms:,} terms)"
+
+    def colors(
+        self, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None, ids: ArrayLike | None = None
+    ) -> F32:
+        """Colours as one eye sees them.
+
+        Args:
+            means: (N, 3) centres of the Gaussians, world frame. An eye at a centre looks along +z.
+            eye: (3,) viewpoint.
+            active: (T,) bool, the terms that there are, as received or as active; None means all.
+            ids: (M,) which Gaussians, in any order; None means all. The fewer, the less work.
+
+        Returns:
+            (N, 3) or (M, 3) RGB, >= 0.
+
+        Raises:
+            ValueError: If a shape does not fit, a value is not finite or an id is none of the N.
+        """
+        centres = _check.floats("means", means, (self._len, 3))
+        viewpoint = _check.floats("eye", eye, (3,), np.float64)
+        mask = _mask(active, self._num_terms)
+        if ids is None:
+            out = np.empty((self._len, 3), np.float32)
+            windows = np.arange(len(self._packed[4]))
+            _kernels_srbf.colours_from_eye(windows, centres, viewpoint, self._space, self._packed, mask, out)
+            return out
+        chosen = _check.integers("ids", ids, ("M",))
+        _check.in_range("ids", chosen, 0, self._len - 1)
+        windows, places = np.unique(chosen // _kernels_srbf.WINDOW, return_inverse=True)
+        out = np.empty((len(windows) * _kernels_srbf.WINDOW, 3), np.float32)
+        _kernels_srbf.colours_from_eye(windows, centres, viewpoint, self._space, self._packed, mask, out)
+        return np.asarray(out[places * _kernels_srbf.WINDOW + chosen % _kernels_srbf.WINDOW])
+
+    def along(self, directions: ArrayLike) -> F32:
+        """Colours along directions that all Gaussians share.
+
+        Args:
+            directions: (D, 3) from the eye to the Gaussian, of any length > 0.
+
+        Returns:
+            (N, D, 3) RGB, >= 0: 12 N D bytes.
+
+        Raises:
+            ValueError: If a direction is zero or not finite.
+        """
+        units = _check.unit_vectors("directions", directions)
+        padded = np.zeros((3, -(-len(units) // _kernels_srbf.LANES) * _kernels_srbf.LANES), np.float32)
+        padded[:, : len(units)] = units.T
+        out = np.empty((self._len, len(units), 3), np.float32)
+        _kernels_srbf.colours_along(padded, self._space, self._packed, out)
+        return out
+
+
+def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F32:
+    """Colours of all Gaussians as one eye sees them; `Evaluator` is faster for more than one eye.
+
+    Args:
+        colors: N Gaussians with T terms.
+        means: (N, 3) centres of the Gaussians, world frame. An eye at a centre looks along +z.
+        eye: (3,) viewpoint.
+        active: (T,) bool, the terms that there are, as received or as active; None means all.
+
+    Returns:
+        (N, 3) RGB, >= 0.
+
+    Raises:
+        ValueError: If a shape does not fit or a value is not finite.
+
+    References:
+        SRBF-Gaussian, equations 2 and 3.
+
+    Examples:
+        >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0],
+        ...                   [[0, 0]], [10.0], [[0.2, 0, 0]])
+        >>> [evaluate(lobe, [[0, 0, 0]], eye)[0].round(3).tolist() for eye in ([0, 0, -1], [0, 0, 1])]
+        [[0.7, 0.5, 0.5], [0.5, 0.5, 0.5]]
+    """
+    return Evaluator(colors).colors(means, eye, active=active)
+
+
+def evaluate_along(colors: SrbfColors, directions: ArrayLike) -> F32:
+    """(N, D, 3) colours along (D, 3) directions that all Gaussians share; slice `colors` where that is too much."""
+    return Evaluator(colors).along(directions)
+
+
+def _mask(active: ArrayLike | None, terms: int) -> NDArray[np.bool_]:
+    """(T,), or (0,) for all."""
+    if active is None:
+        return np.zeros(0, bool)
+    mask = np.ascontiguousarray(active)
+    if mask.dtype != bool or mask.shape != (terms,):
+        raise ValueError(f"active: expected bool of shape ({terms},), got {mask.dtype} of {mask.shape}")
+    return mask
+
+
+def _layout(counts: I64) -> tuple[NDArray[np.uint8], I64]:
+    """(N,) order within windows by falling number of terms, and (groups + 1,) first slots of the groups."""
+    window, lanes = _kernels_srbf.WINDOW, _kernels_srbf.LANES
+    n = len(counts)
+    kind = np.int16 if counts.max(initial=0) < 2**15 else np.int64  # NumPy sorts short integers by radix
+    padded = np.full(-(-n // window) * window, -1, kind)
+    padded[:n] = counts
+    rows = padded.reshape(-1, window)
+    order = np.argsort(-rows, axis=1, kind="stable")
+    most = np.take_along_axis(rows, order, axis=1)[:, ::lanes].ravel()[: -(-n // lanes)]
+    starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(most, dtype=np.int64)])
+    return order.astype(np.uint8).ravel()[:n], starts
+
+
+def _in_windows(values: F32, order: NDArray[np.uint8]) -> F32:
+    """(windows, K, WINDOW) of (N, K), ordered; ones behind the last."""
+    window = _kernels_srbf.WINDOW
+    n, channels = values.shape
+    padded = np.ones((-(-n // window) * window, channels), np.float32)
+    padded[:n] = values[np.arange(n) // window * window + order]
+    return np.ascontiguousarray(padded.reshape(-1, window, channels).transpose(0, 2, 1))
