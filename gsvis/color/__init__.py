@@ -10,6 +10,8 @@ from gsvis.color.epsilon import (
     calibrate_epsilon,
     replay,
 )
+from gsvis.color.evaluate import Evaluator, evaluate, evaluate_along
+from gsvis.color.sh import sh_colors, sh_colors_along, towards_gaussian
 from gsvis.color.spaces import (
     hsl_to_rgb,
     hsv_to_rgb,
@@ -28,11 +30,14 @@ from gsvis.color.spaces import (
 __all__ = [
     "FLIP_JND",
     "EpsilonCalibration",
+    "Evaluator",
     "MetricObserver",
     "Observer",
     "Staircase",
     "StaircaseRule",
     "calibrate_epsilon",
+    "evaluate",
+    "evaluate_along",
     "hsl_to_rgb",
     "hsv_to_rgb",
     "hue_vector",
@@ -45,5 +50,8 @@ __all__ = [
     "rgb_to_hsl",
     "rgb_to_hsv",
     "rgb_to_yuv",
+    "sh_colors",
+    "sh_colors_along",
+    "towards_gaussian",
     "yuv_to_rgb",
 ]

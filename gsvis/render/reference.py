@@ -6,7 +6,6 @@ z axis in scene units; thresholds are those of docs/conventions.md. This module 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from torch.nn.functional import normalize
 from torch.utils.checkpoint import checkpoint
 
 from gsvis import _check
+from gsvis.color.sh_torch import sh_colors_torch
 from gsvis.render.tensors import GaussianTensors
 
 __all__ = [
@@ -29,7 +29,6 @@ __all__ = [
     "contributors_reference",
     "project_reference",
     "rasterize_reference",
-    "sh_basis_torch",
 ]
 
 NEAR = 0.01
@@ -91,32 +90,6 @@ class ReferenceImage:
     radii: Tensor
     largest_weights: Tensor
     summed_weights: Tensor
-
-
-def sh_basis_torch(directions: Tensor, degree: int) -> Tensor:
-    """(D, (degree + 1)^2) real spherical harmonics of (D, 3) unit vectors: `gsvis.scene.sh.sh_basis` for torch."""
-    x, y, z = directions.unbind(-1)
-    pi = math.pi
-    columns = [torch.full_like(x, math.sqrt(1 / (4 * pi)))]
-    if degree >= 1:
-        c = math.sqrt(3 / (4 * pi))
-        columns += [-c * y, c * z, -c * x]
-    if degree >= 2:
-        c, c0 = math.sqrt(15 / (4 * pi)), math.sqrt(5 / (16 * pi))
-        columns += [c * x * y, -c * y * z, c0 * (2 * z * z - x * x - y * y), -c * x * z, c / 2 * (x * x - y * y)]
-    if degree >= 3:
-        c3, c2 = math.sqrt(35 / (32 * pi)), math.sqrt(105 / (4 * pi))
-        c1, c0 = math.sqrt(21 / (32 * pi)), math.sqrt(7 / (16 * pi))
-        columns += [
-            -c3 * y * (3 * x * x - y * y),
-            c2 * x * y * z,
-            -c1 * y * (4 * z * z - x * x - y * y),
-            c0 * z * (2 * z * z - 3 * x * x - 3 * y * y),
-            -c1 * x * (4 * z * z - x * x - y * y),
-            c2 / 2 * z * (x * x - y * y),
-            -c3 * x * (x * x - 3 * y * y),
-        ]
-    return torch.stack(columns, dim=-1)
 
 
 def project_reference(
@@ -369,9 +342,8 @@ def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None
     degree = tensors.sh_degree if sh_degree is None else sh_degree
     if isinstance(degree, bool) or degree not in range(tensors.sh_degree + 1):
         raise ValueError(f"sh_degree: expected 0 to {tensors.sh_degree}, the scene's own, got {sh_degree!r}")
-    basis = sh_basis_torch(normalize(tensors.means - eye, dim=1), degree)
-    coefficients = torch.cat([tensors.sh0, tensors.shN], dim=1)[:, : basis.shape[1]]
-    return (0.5 + (basis[:, :, None] * coefficients).sum(dim=1)).clamp(min=0.0)
+    shN = tensors.shN[:, : (degree + 1) ** 2 - 1]
+    return sh_colors_torch(tensors.means, tensors.sh0, shN, eye)
 
 
 def _rotations(quats: Tensor) -> Tensor:

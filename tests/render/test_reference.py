@@ -15,7 +15,6 @@ from gsvis.render.reference import (
     contributors_reference,
     project_reference,
     rasterize_reference,
-    sh_basis_torch,
 )
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras, intrinsics
@@ -189,13 +188,6 @@ def test_colour_is_the_scene_s_harmonics_from_eye_to_gaussian_clipped_at_zero() 
     assert colour.min() < 0
     assert colour.max() > 1
     assert found.numpy() == pytest.approx(np.maximum(colour, 0), abs=1e-12)
-
-
-@pytest.mark.parametrize("degree", range(4))
-def test_the_basis_is_the_scene_s(degree: int) -> None:
-    d = np.random.default_rng(0).normal(size=(50, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    assert sh_basis_torch(torch.tensor(d), degree).numpy() == pytest.approx(sh_basis(d, degree), abs=1e-14)
 
 
 @pytest.mark.parametrize("degree", range(4))

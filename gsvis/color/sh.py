@@ -1,0 +1,135 @@
+"""Colours of Gaussians from their spherical harmonics: from one eye, or along many directions at once.
+
+Colour is 0.5 plus the sum of coefficients times harmonics, clipped below at 0 and never above. Harmonics are evaluated
+at the unit vector from the eye to the Gaussian, scene frame; direction sets point the other way, and `towards_gaussian`
+is where the sign changes. The basis itself lives in `gsvis.scene.sh`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color import _kernels_sh
+from gsvis.color._kinds import is_tensor, numbers
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import sh_basis, sh_degree_of
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["sh_colors", "sh_colors_along", "towards_gaussian"]
+
+
+class _Tensors(Protocol):
+    """What holds tensors by the names of `Gaussians`, as `gsvis.render.GaussianTensors` does."""
+
+    @property
+    def means(self) -> Tensor: ...
+    @property
+    def sh0(self) -> Tensor: ...
+    @property
+    def shN(self) -> Tensor: ...  # noqa: N802  the field's own name
+
+
+@overload
+def towards_gaussian(directions: Tensor) -> Tensor: ...
+@overload
+def towards_gaussian(directions: ArrayLike) -> NDArray[np.floating[Any]]: ...
+def towards_gaussian(directions: Any) -> Any:
+    """Directions of a direction set (Gaussian to eye) as colour functions take them (eye to Gaussian).
+
+    Args:
+        directions: (..., 3) from the Gaussian to the eye.
+
+    Returns:
+        (..., 3) from the eye to the Gaussian: the same with the other sign. float64 and tensors keep their kind, all
+        else becomes float32.
+
+    Raises:
+        ValueError: If they are not numbers or, in an array, not finite.
+    """
+    return -numbers("directions", directions)[1]
+
+
+@overload
+def sh_colors(
+    g: Gaussians, eye: ArrayLike, *, sh_degree: int | None = None, clipped: bool = True
+) -> NDArray[np.float32]: ...
+@overload
+def sh_colors(
+    g: _Tensors, eye: ArrayLike | Tensor, *, sh_degree: int | None = None, clipped: bool = True
+) -> Tensor: ...
+def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool = True) -> Any:
+    """Colours of all Gaussians from one eye.
+
+    Args:
+        g: N Gaussians, as arrays or as tensors.
+        eye: (3,) viewpoint, world frame.
+        sh_degree: Degree to evaluate, 0 to that of `g`, which is the default.
+        clipped: Cut off below at 0, as images need it.
+
+    Returns:
+        (N, 3) RGB: float32, or a tensor of the dtype and device of `g` with gradients by means, sh0, shN and eye. A
+        Gaussian centred at the eye is seen along +z.
+
+    Raises:
+        ValueError: If the eye is not three finite numbers or the degree is not one of `g`.
+    """
+    own = sh_degree_of(1 + g.shN.shape[1])
+    degree = own if sh_degree is None else _check.positive_int("sh_degree", sh_degree, at_least=0)
+    if degree > own:
+        raise ValueError(f"sh_degree: expected 0 to {own}, the scene's own, got {degree}")
+    if is_tensor(g.means):
+        from gsvis.color.sh_torch import sh_colors_torch
+
+        return sh_colors_torch(g.means, g.sh0, g.shN[:, : (degree + 1) ** 2 - 1], eye, clipped=clipped)
+    viewpoint = _check.floats("eye", eye, (3,), np.float64)
+    colours = np.empty((len(g.means), 3), np.float32)
+    lowest = np.float32(0.0 if clipped else -np.inf)
+    every = np.arange(len(g.means), dtype=np.int32)
+    _kernels_sh.colours_from_sh(every, g.means, g.sh0, g.shN, degree, viewpoint, lowest, colours)
+    return colours
+
+
+def sh_colors_along(
+    sh0: ArrayLike,
+    shN: ArrayLike,  # noqa: N803  the field's own name
+    directions: ArrayLike,
+    *,
+    clipped: bool = True,
+) -> NDArray[np.float32]:
+    """Colours of all Gaussians along shared directions, by one matrix product.
+
+    The result takes 12 N D bytes: give slices of a large scene.
+
+    Args:
+        sh0: (N, 1, 3) constant coefficients.
+        shN: (N, K-1, 3) higher coefficients, K in {1, 4, 9, 16}.
+        directions: (D, 3) of any length > 0, from the eye to the Gaussian; see `towards_gaussian`.
+        clipped: Cut off below at 0. A fit of smooth functions to colours may rather not.
+
+    Returns:
+        (N, D, 3) float32 RGB.
+
+    Raises:
+        ValueError: If a shape is wrong, a value is not finite or a direction is zero.
+    """
+    base, higher = _check.floats("sh0", sh0, ("N", 1, 3)), _check.floats("shN", shN, ("N", "K-1", 3))
+    count = _check.same_length(sh0=base, shN=higher)
+    size = 1 + higher.shape[1]
+    basis = sh_basis(_check.unit_vectors("directions", directions), sh_degree_of(size))
+    # One row a Gaussian, (coefficient, channel) and a 1 for the 0.5; the matrix has a column for each (direction,
+    # channel). Two thirds of it are zeros, and it is still faster than many small products or a transposition.
+    rows = np.ones((count, 3 * size + 1), np.float32)
+    rows[:, :3] = base[:, 0]
+    rows[:, 3:-1] = higher.reshape(count, 3 * size - 3)
+    matrix = np.full((3 * size + 1, 3 * len(basis)), 0.5, np.float32)
+    matrix[:-1] = np.einsum("dk,ce->kcde", basis, np.eye(3)).reshape(3 * size, 3 * len(basis))
+    colours: NDArray[np.float32] = rows @ matrix
+    if clipped:
+        np.maximum(colours, 0.0, out=colours)
+    return colours.reshape(count, len(basis), 3)
