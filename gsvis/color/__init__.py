@@ -1,5 +1,6 @@
 """Colour that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
 
+from gsvis.color.activation import Activation, active, active_in_box, contributions
 from gsvis.color.epsilon import (
     FLIP_JND,
     EpsilonCalibration,
@@ -29,13 +30,17 @@ from gsvis.color.spaces import (
 
 __all__ = [
     "FLIP_JND",
+    "Activation",
     "EpsilonCalibration",
     "Evaluator",
     "MetricObserver",
     "Observer",
     "Staircase",
     "StaircaseRule",
+    "active",
+    "active_in_box",
     "calibrate_epsilon",
+    "contributions",
     "evaluate",
     "evaluate_along",
     "hsl_to_rgb",

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gsvis.visibility._corridor import corridor
+    from gsvis.visibility.active_terms import ActiveShare, ActiveTerms, build_active_terms
     from gsvis.visibility.analysis import (
         FACE_LIMITS,
         PAPER,
@@ -33,11 +34,15 @@ if TYPE_CHECKING:
     from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
     from gsvis.visibility.viewpoints import CellViewpoints
     from gsvis.visibility.walk import WalkConfig, WalkVisibility, seen_over_walk
+    from gsvis.visibility.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
     from gsvis.visibility.why import Why
 
 __all__ = [
     "FACE_LIMITS",
     "PAPER",
+    "PAPER_TERMS",
+    "ActiveShare",
+    "ActiveTerms",
     "Agreement",
     "Analysis",
     "AnalysisConfig",
@@ -53,21 +58,25 @@ __all__ = [
     "StoreInfo",
     "VisibilityStore",
     "WalkConfig",
+    "WalkTerms",
     "WalkVisibility",
     "Why",
     "Workers",
     "analyze",
+    "build_active_terms",
     "build_pvs",
     "connect",
     "corridor",
     "estimate_pvs",
     "measure_quality",
     "seen_over_walk",
+    "terms_over_walk",
     "write_store",
 ]
 
 _HOMES = {
     "_corridor": ("corridor",),
+    "active_terms": ("ActiveShare", "ActiveTerms", "build_active_terms"),
     "analysis": (
         "FACE_LIMITS",
         "PAPER",
@@ -86,6 +95,7 @@ _HOMES = {
     "store": ("CellSet", "StoreInfo", "VisibilityStore", "write_store"),
     "viewpoints": ("CellViewpoints",),
     "walk": ("WalkConfig", "WalkVisibility", "seen_over_walk"),
+    "walk_terms": ("PAPER_TERMS", "WalkTerms", "terms_over_walk"),
     "why": ("Why",),
 }
 
