@@ -7,12 +7,20 @@ Gaussian. `gsvis.color.reference` is the plain twin.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any, overload
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color import _kernels_rgb, _kernels_srbf
+from gsvis.color._kinds import is_tensor
 from gsvis.color.srbf import SrbfColors
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from gsvis.color.evaluate_torch import SrbfTensors
 
 __all__ = ["Evaluator", "evaluate", "evaluate_along"]
 
@@ -100,17 +108,23 @@ class Evaluator:
         return out
 
 
-def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F32:
+@overload
+def evaluate(
+    colors: SrbfTensors, means: Tensor, eye: ArrayLike | Tensor, *, active: ArrayLike | Tensor | None = None
+) -> Tensor: ...
+@overload
+def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F32: ...
+def evaluate(colors: Any, means: Any, eye: Any, *, active: Any = None) -> Any:
     """Colours of all Gaussians as one eye sees them; `Evaluator` is faster for more than one eye.
 
     Args:
-        colors: N Gaussians with T terms.
+        colors: N Gaussians with T terms, as arrays or, with means that are a tensor, as `SrbfTensors`.
         means: (N, 3) centres of the Gaussians, world frame. An eye at a centre looks along +z.
         eye: (3,) viewpoint.
         active: (T,) bool, the terms that there are, as received or as active; None means all.
 
     Returns:
-        (N, 3) RGB, >= 0.
+        (N, 3) RGB, >= 0: float32, or a tensor with gradients as `evaluate_torch` describes it.
 
     Raises:
         ValueError: If a shape does not fit or a value is not finite.
@@ -124,6 +138,10 @@ def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: Ar
         >>> [evaluate(lobe, [[0, 0, 0]], eye)[0].round(3).tolist() for eye in ([0, 0, -1], [0, 0, 1])]
         [[0.7, 0.5, 0.5], [0.5, 0.5, 0.5]]
     """
+    if is_tensor(means):
+        from gsvis.color.evaluate_torch import evaluate_torch
+
+        return evaluate_torch(colors, means, eye, active=active)
     return Evaluator(colors).colors(means, eye, active=active)
 
 
