@@ -12,6 +12,18 @@ from gsvis.color.epsilon import (
     replay,
 )
 from gsvis.color.evaluate import Evaluator, evaluate, evaluate_along
+from gsvis.color.records import (
+    PRECISIONS,
+    Grids,
+    Precision,
+    QuantisedColors,
+    bytes_per_base,
+    bytes_per_term,
+    quantise,
+    quantise_centres,
+    record_bytes,
+    sh_bytes,
+)
 from gsvis.color.sh import sh_colors, sh_colors_along, towards_gaussian
 from gsvis.color.spaces import (
     hsl_to_rgb,
@@ -27,18 +39,26 @@ from gsvis.color.spaces import (
     rgb_to_yuv,
     yuv_to_rgb,
 )
+from gsvis.color.storage import SrbfInfo, load_srbf, save_srbf, srbf_info
 
 __all__ = [
     "FLIP_JND",
+    "PRECISIONS",
     "Activation",
     "EpsilonCalibration",
     "Evaluator",
+    "Grids",
     "MetricObserver",
     "Observer",
+    "Precision",
+    "QuantisedColors",
+    "SrbfInfo",
     "Staircase",
     "StaircaseRule",
     "active",
     "active_in_box",
+    "bytes_per_base",
+    "bytes_per_term",
     "calibrate_epsilon",
     "contributions",
     "evaluate",
@@ -46,6 +66,10 @@ __all__ = [
     "hsl_to_rgb",
     "hsv_to_rgb",
     "hue_vector",
+    "load_srbf",
+    "quantise",
+    "quantise_centres",
+    "record_bytes",
     "replay",
     "rgb_by_hsl_lightness",
     "rgb_by_hsl_saturation",
@@ -55,8 +79,11 @@ __all__ = [
     "rgb_to_hsl",
     "rgb_to_hsv",
     "rgb_to_yuv",
+    "save_srbf",
+    "sh_bytes",
     "sh_colors",
     "sh_colors_along",
+    "srbf_info",
     "towards_gaussian",
     "yuv_to_rgb",
 ]

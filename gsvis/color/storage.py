@@ -1,0 +1,315 @@
+"""Scenes with SRBF colours as one Arrow file: a row a Gaussian, its terms a list in that row.
+
+Any Arrow client reads it. Floats are exact; quantised colours are the integers of `QuantisedColors`, and the header has
+what their tables are made of. Frame and units are the scene's own. `gsvis.io._arrow` is what guards the bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from gsvis.color.evaluate import evaluate_along
+from gsvis.color.records import Grids, Precision, QuantisedColors, has_scales, quantise
+from gsvis.color.srbf import SrbfColors
+from gsvis.color.variants import VARIANTS, Variant
+from gsvis.errors import FormatError
+from gsvis.io._arrow import ArrowFile, write_arrow
+from gsvis.io._json import Fields
+from gsvis.io._limits import Budget
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import SH_C0
+
+__all__ = ["SrbfInfo", "load_srbf", "save_srbf", "srbf_info"]
+
+FORMAT, VERSION = "gsvis-srbf", 1
+ROWS = 1 << 16
+"""Gaussians in a batch at most: what bounds the memory of writing."""
+
+_MOST = (1 << 31) - 1
+_GEOMETRY = {"means": 3, "quats": 4, "scales": 3, "opacities": 1}
+
+
+@dataclass(frozen=True)
+class SrbfInfo:
+    """What the header of a file says.
+
+    Attributes:
+        variant: One of `VARIANTS`.
+        gaussians: N.
+        terms: T.
+        scene: `scene_hash` of the scene that was saved, with the SH colours it had then.
+        grids: What integers point into; None where colours are floats.
+        provenance: How the colours came about, as given to `save_srbf`.
+        nbytes: Size of the file.
+    """
+
+    variant: str
+    gaussians: int
+    terms: int
+    scene: str
+    grids: Grids | None
+    provenance: dict[str, Any]
+    nbytes: int
+
+
+def save_srbf(
+    path: str | os.PathLike[str],
+    g: Gaussians,
+    colors: SrbfColors | QuantisedColors,
+    *,
+    precision: Precision | str | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the geometry of a scene and its SRBF colours; the file appears whole or not at all.
+
+    Args:
+        path: The file, `.arrow` by custom.
+        g: N Gaussians. Their SH colours are not kept; their hash is.
+        colors: Of the same N Gaussians, floats or quantised already.
+        precision: Quantise first, as `quantise` does; None keeps all floats exact.
+        provenance: Anything that JSON can say, to be kept with the file.
+
+    Raises:
+        ValueError: If the numbers of Gaussians differ, colours are to be quantised twice, or `provenance` is no JSON.
+        OSError: If the file cannot be written.
+    """
+    if len(g) != len(colors):
+        raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
+    if precision is not None:
+        if isinstance(colors, QuantisedColors):
+            raise ValueError(f"precision: expected None for quantised colours, got {precision!r}; quantise them once")
+        colors = quantise(colors, precision)
+    try:
+        kept = json.loads(json.dumps(dict(provenance or {}), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"provenance: expected what JSON can say, got {error}") from error
+    grids = colors.grids if isinstance(colors, QuantisedColors) else None
+    kind = VARIANTS[grids.variant] if grids else VARIANTS[colors.variant]  # type: ignore[union-attr]
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "variant": kind.name,
+        "gaussians": len(colors),
+        "terms": colors.num_terms,
+        "scene": scene_hash(g),
+        "quantised": None if grids is None else asdict(grids),
+        "provenance": kept,
+    }
+    columns = _schema(kind, grids)
+    write_arrow(path, columns, header, _batches(g, colors, pa.schema(columns)))
+
+
+def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
+    """Read what `save_srbf` wrote.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The Gaussians, of SH degree 0: their sh0 is the base colour in RGB, so that a viewer that knows no SRBF shows
+        the scene without its view dependence. And the colours, dequantised where the file has integers.
+
+    Raises:
+        FormatError: If the file is no such file, of a newer version, cut, damaged, or its values contradict each other.
+        OSError: If it cannot be opened.
+    """
+    file = ArrowFile(path, FORMAT, VERSION)
+    info = _info(file)
+    kind = VARIANTS[info.variant]
+    _check_schema(file, pa.schema(_schema(kind, info.grids)))
+    columns, counts = _read_columns(file)
+    for what, claimed, found in (("gaussians", info.gaussians, len(counts)), ("terms", info.terms, int(counts.sum()))):
+        if claimed != found:
+            raise FormatError(path, what, f"{claimed:,} as the header says", f"{found:,}", "the file is damaged")
+    offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+    try:
+        colors = _colors(kind, info.grids, columns, offsets)
+        rgb = evaluate_along(colors.first(0), [[0.0, 0.0, 1.0]])[:, 0]
+        sh0 = ((rgb.astype(np.float64) - 0.5) / SH_C0)[:, None]
+        scene = Gaussians(columns["means"], columns["quats"], columns["scales"], columns["opacities"][:, 0], sh0)
+    except ValueError as error:
+        where, _, rest = str(error).partition(": expected ")
+        expected, _, got = rest.partition(", got ")
+        raise FormatError(path, where, expected or "valid values", got or "others") from error
+    return scene, colors
+
+
+def srbf_info(path: str | os.PathLike[str]) -> SrbfInfo:
+    """What a file says about itself; its checksum is looked at, its rows are not.
+
+    Raises:
+        FormatError: If the file is no such file, of a newer version, cut or damaged.
+        OSError: If it cannot be opened.
+    """
+    return _info(ArrowFile(path, FORMAT, VERSION))
+
+
+def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
+    """Fields of the file: what is not there in a variant has no column."""
+
+    def field(name: str, kind: pa.DataType, length: int = 0) -> pa.Field:
+        return pa.field(name, _many(kind, length) if length else kind, nullable=False)
+
+    def number(bits: str) -> pa.DataType:
+        if grids is None:
+            return pa.float32()
+        return pa.uint8() if getattr(grids.precision, bits) <= 8 else pa.uint16()
+
+    columns = [field(name, pa.float32(), 0 if length == 1 else length) for name, length in _GEOMETRY.items()]
+    columns.append(field("base", number("base"), 3))
+    if grids is None or has_scales(kind):
+        columns.append(field("color_scales", number("scale")))
+    if kind.num_axes:
+        columns.append(field("axes", number("axis"), (3 if grids is None else 2) * kind.num_axes))
+    term = [
+        field("function", pa.uint8()),
+        field("theta", number("center")),
+        field("phi", pa.float32() if grids is None else pa.uint16()),
+        field("decay", number("decay")),
+        field("intensities", number("intensity"), kind.intensities),
+    ]
+    columns.append(field("terms", pa.list_(pa.field("item", pa.struct(term), nullable=False))))
+    return columns
+
+
+def _many(kind: pa.DataType, length: int) -> pa.DataType:
+    return pa.list_(pa.field("item", kind, nullable=False), length)
+
+
+def _batches(g: Gaussians, colors: SrbfColors | QuantisedColors, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    for start in range(0, len(g), ROWS):
+        rows = slice(start, min(start + ROWS, len(g)))
+        offsets = colors.offsets[rows.start : rows.stop + 1]
+        terms = slice(int(offsets[0]), int(offsets[-1]))
+        values: dict[str, NDArray[Any]] = {name: getattr(g, name)[rows] for name in _GEOMETRY}
+        values |= {"base": colors.base[rows], "color_scales": colors.scales[rows], "axes": colors.axes[rows]}
+        parts = {
+            "function": colors.functions[terms],
+            "theta": colors.centers[terms, 0],
+            "phi": colors.centers[terms, 1],
+            "decay": colors.decays[terms],
+            "intensities": colors.intensities[terms],
+        }
+        columns = [_array(values[field.name], field.type) for field in schema if field.name != "terms"]
+        kind = schema.field("terms").type
+        members = [kind.value_type.field(k) for k in range(kind.value_type.num_fields)]
+        struct = pa.StructArray.from_arrays([_array(parts[m.name], m.type) for m in members], fields=members)
+        starts = pa.array(offsets - offsets[0], pa.int32())
+        columns.append(pa.ListArray.from_arrays(starts, struct, type=kind))
+        yield pa.record_batch(columns, schema=schema)
+
+
+def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
+    if not pa.types.is_fixed_size_list(kind):
+        return pa.array(values.astype(kind.to_pandas_dtype(), copy=False), kind)
+    flat = values.reshape(-1).astype(kind.value_type.to_pandas_dtype(), copy=False)
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), type=kind)
+
+
+def _check_schema(file: ArrowFile, expected: pa.Schema) -> None:
+    if not file.schema.equals(expected):
+        for field in expected:
+            found = file.schema.field(field.name) if file.schema.names.count(field.name) == 1 else None
+            if found is None or not found.equals(field):
+                raise FormatError(file.path, f"column {field.name!r}", f"{field.type}", f"{found and found.type}")
+        raise FormatError(file.path, "columns", ", ".join(expected.names), ", ".join(file.schema.names)[:200])
+
+
+def _read_columns(file: ArrowFile) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Every column and every part of terms as (rows, length), and the number of terms of each Gaussian."""
+    budget = Budget(file.path, file.nbytes)
+    pieces: dict[str, list[NDArray[Any]]] = {}
+    counts = [np.zeros(0, np.int64)]
+    for batch in file.batches(budget):
+        budget.claim(batch.nbytes, "all batches together")
+        columns = {name: batch.column(name) for name in batch.schema.names}
+        lists = columns.pop("terms")
+        counts.append(np.diff(lists.offsets.to_numpy()).astype(np.int64))
+        struct = lists.flatten()
+        columns |= {f"terms.{field.name}": struct.field(field.name) for field in struct.type}
+        for name, column in columns.items():
+            pieces.setdefault(name, []).append(_numbers(column))
+    if not pieces:
+        return _nothing(file.schema), counts[0]
+    return {name: np.concatenate(arrays) for name, arrays in pieces.items()}, np.concatenate(counts)
+
+
+def _numbers(column: pa.Array) -> NDArray[Any]:
+    if not pa.types.is_fixed_size_list(column.type):
+        return np.asarray(column.to_numpy())[:, None]
+    return np.asarray(column.flatten().to_numpy()).reshape(-1, column.type.list_size)
+
+
+def _nothing(schema: pa.Schema) -> dict[str, NDArray[Any]]:
+    """The columns of a file without rows."""
+    empty = pa.RecordBatch.from_pylist([], schema=schema)
+    columns = {name: empty.column(name) for name in schema.names}
+    struct = columns.pop("terms").flatten()
+    columns |= {f"terms.{field.name}": struct.field(field.name) for field in struct.type}
+    return {name: _numbers(column) for name, column in columns.items()}
+
+
+def _colors(
+    kind: Variant, grids: Grids | None, columns: Mapping[str, NDArray[Any]], offsets: NDArray[np.int64]
+) -> SrbfColors:
+    n, t = len(offsets) - 1, int(offsets[-1])
+    width = 3 if grids is None else 2
+    dtype = np.float32 if grids is None else np.uint16
+    axes: NDArray[Any] = np.zeros((n, 0, width), dtype)
+    if kind.num_axes:
+        axes = columns["axes"].reshape(n, kind.num_axes, width)
+    scales: NDArray[Any] = columns["color_scales"][:, 0] if "color_scales" in columns else np.zeros(0, dtype)
+    centers = np.concatenate([columns["terms.theta"].astype(dtype), columns["terms.phi"].astype(dtype)], axis=1)
+    functions, decays = columns["terms.function"][:, 0], columns["terms.decay"][:, 0]
+    intensities = columns["terms.intensities"].reshape(t, kind.intensities)
+    if grids is None:
+        return SrbfColors(kind.name, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
+    packed = QuantisedColors(grids, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
+    return packed.dequantised()
+
+
+def _info(file: ArrowFile) -> SrbfInfo:
+    header = file.header
+    name, scene = header.raw("variant"), header.raw("scene")
+    if name not in VARIANTS:
+        raise FormatError(file.path, "variant", f"one of {', '.join(VARIANTS)}", repr(name)[:60])
+    if not isinstance(scene, str) or len(scene) > 1000:
+        raise FormatError(file.path, "scene", "the hash of a scene", repr(scene)[:60])
+    return SrbfInfo(
+        name,
+        header.integer("gaussians", 0, _MOST),
+        header.integer("terms", 0, _MOST),
+        scene,
+        _grids_of(header.child("quantised"), name) if "quantised" in header else None,
+        header.child("provenance").value,
+        file.nbytes,
+    )
+
+
+def _grids_of(quantised: Fields, name: str) -> Grids:
+    bits = quantised.child("precision")
+    label = bits.raw("name")
+    base = quantised.items("base", 3)
+    try:
+        precision = Precision(str(label)[:100], *(bits.integer(f.name, 2, 16) for f in fields(Precision)[1:]))
+        ranges = [Fields(quantised.path, "base", {"range": pair}).numbers("range", 2).tolist() for pair in base]
+        scales, decays = (quantised.numbers(key, 2).tolist() for key in ("scales", "decays"))
+        return Grids(
+            name,
+            precision,
+            tuple((low, high) for low, high in ranges),  # type: ignore[arg-type]
+            (scales[0], scales[1]),
+            (decays[0], decays[1]),
+            quantised.number("intensity"),
+        )
+    except ValueError as error:
+        raise FormatError(quantised.path, "quantised", "ranges of tables", str(error)) from error
