@@ -144,8 +144,8 @@ class EpsilonCalibration:
     Attributes:
         epsilon: Noticed in 75% of trials: the geometric mean of the counted reversals, of which highs and lows are as
             many. Where none count, where the staircase stood in the end.
-        standard_error: Of the natural logarithm of epsilon, from overlapping batches of reversals; NaN with fewer than
-            8 of them. It knows nothing of who the observer is.
+        standard_error: Of the natural logarithm of epsilon: how much overlapping batches of reversals differ, and where
+            in a step the threshold lies. NaN with fewer than 8 reversals. Of this run alone, not of observers at large.
         converged: Whether epsilon is a threshold at all.
         reason: Why, or why not.
         epsilons: (T,) of all trials.
@@ -260,7 +260,7 @@ class Staircase:
             reason = "converged"
         if len(at) and self._stuck < STUCK:
             logarithms = np.log(epsilons[counted])
-            found, error = float(np.exp(logarithms.mean())), _standard_error(logarithms)
+            found, error = float(np.exp(logarithms.mean())), _standard_error(logarithms, self.rule.down_step)
         answers, turns = np.asarray(self._answers, bool), np.asarray(self.reversals, np.int64)
         provenance = {} if provenance is None else provenance
         return EpsilonCalibration(
@@ -394,8 +394,11 @@ class MetricObserver:
         return bool(p >= 1.0 or (p > 0.0 and self._rng.random() < p))
 
 
-def _standard_error(values: F64) -> float:
-    """Of the mean of reversals: of highs and lows in pairs, as these differ by design, in overlapping batches."""
+def _standard_error(values: F64, step: float) -> float:
+    """Of the mean of reversals: of highs and lows in pairs, as these differ by design, in overlapping batches.
+
+    All of them may lie on the same few rungs, so the place of the rungs has its share: uniform over one step.
+    """
     pairs = values.reshape(-1, 2).mean(axis=1)
     n = len(pairs)
     if n < 4:
@@ -403,7 +406,7 @@ def _standard_error(values: F64) -> float:
     batch = round(math.sqrt(n))
     sums = np.cumsum(np.concatenate([np.zeros(1), pairs - pairs.mean()]))
     means = (sums[batch:] - sums[:-batch]) / batch
-    return float(math.sqrt(batch / (n - batch) * np.square(means).mean()))
+    return float(math.sqrt(batch / (n - batch) * np.square(means).mean() + step**2 / 12.0))
 
 
 def _number(value: Any) -> bool:

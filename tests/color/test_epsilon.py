@@ -91,7 +91,7 @@ def test_an_observer_without_spread_is_found_one_step_above_the_threshold(logari
     found = calibrate_epsilon(threshold(math.exp(logarithm)), rule)
     assert found.converged
     assert 0.5 * step - 1e-9 <= math.log(found.epsilon) - logarithm <= 1.5 * step + 1e-9
-    assert found.standard_error == pytest.approx(0.0, abs=1e-9)
+    assert found.standard_error == pytest.approx(step / math.sqrt(12.0))
 
 
 @pytest.mark.parametrize(("answer", "epsilon"), [(True, 1e-4), (False, 1.0)])
