@@ -34,6 +34,9 @@ class Evaluator:
     Args:
         colors: N Gaussians with T terms.
 
+    Attributes:
+        source: As given.
+
     Raises:
         ValueError: If it is anything else than `SrbfColors`.
     """
@@ -41,7 +44,7 @@ class Evaluator:
     def __init__(self, colors: SrbfColors) -> None:
         if not isinstance(colors, SrbfColors):
             raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
-        self._len, self._num_terms, self._variant = len(colors), colors.num_terms, colors.variant
+        self.source = colors
         self._space = _kernels_rgb.SPACES[colors.kind.space]
         order, starts = _layout(colors.counts)
         slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
@@ -51,10 +54,10 @@ class Evaluator:
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
 
     def __len__(self) -> int:
-        return self._len
+        return len(self.source)
 
     def __repr__(self) -> str:
-        return f"Evaluator({self._variant!r}, {self._len:,} Gaussians, {self._num_terms:,} terms)"
+        return f"Evaluator({self.source!r})"
 
     def colors(
         self, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None, ids: ArrayLike | None = None
@@ -73,16 +76,16 @@ class Evaluator:
         Raises:
             ValueError: If a shape does not fit, a value is not finite or an id is none of the N.
         """
-        centres = _check.floats("means", means, (self._len, 3))
+        centres = _check.floats("means", means, (len(self), 3))
         viewpoint = _check.floats("eye", eye, (3,), np.float64)
-        mask = _mask(active, self._num_terms)
+        mask = _mask(active, self.source.num_terms)
         if ids is None:
-            out = np.empty((self._len, 3), np.float32)
+            out = np.empty((len(self), 3), np.float32)
             windows = np.arange(len(self._packed[4]))
             _kernels_srbf.colours_from_eye(windows, centres, viewpoint, self._space, self._packed, mask, out)
             return out
         chosen = _check.integers("ids", ids, ("M",))
-        _check.in_range("ids", chosen, 0, self._len - 1)
+        _check.in_range("ids", chosen, 0, len(self) - 1)
         windows, places = np.unique(chosen // _kernels_srbf.WINDOW, return_inverse=True)
         out = np.empty((len(windows) * _kernels_srbf.WINDOW, 3), np.float32)
         _kernels_srbf.colours_from_eye(windows, centres, viewpoint, self._space, self._packed, mask, out)
@@ -103,7 +106,7 @@ class Evaluator:
         units = _check.unit_vectors("directions", directions)
         padded = np.zeros((3, -(-len(units) // _kernels_srbf.LANES) * _kernels_srbf.LANES), np.float32)
         padded[:, : len(units)] = units.T
-        out = np.empty((self._len, len(units), 3), np.float32)
+        out = np.empty((len(self), len(units), 3), np.float32)
         _kernels_srbf.colours_along(padded, self._space, self._packed, out)
         return out
 

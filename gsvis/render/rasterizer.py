@@ -16,6 +16,7 @@ from torch import Tensor
 
 from gsvis import _check
 from gsvis.errors import BackendError
+from gsvis.render.colours import Colours, camera_colours
 from gsvis.render.cpu import View, rasterize_cpu
 from gsvis.render.cuda import is_available, rasterize_cuda
 from gsvis.render.reference import rasterize_reference
@@ -57,7 +58,7 @@ def rasterize(
     background: ArrayLike = (0.0, 0.0, 0.0),
     sh_degree: int | None = None,
     antialiased: bool = False,
-    colors: Tensor | ArrayLike | None = None,
+    colors: Colours = None,
 ) -> Rendering:
     """Draw Gaussians as the cameras see them; differentiable where the inputs are tensors that ask for gradients.
 
@@ -69,7 +70,9 @@ def rasterize(
         background: (3,) RGB behind everything.
         sh_degree: Highest degree to evaluate; None means all there is.
         antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
-        colors: (N, 3) or (C, N, 3) RGB instead of SH.
+        colors: Instead of SH: (N, 3) or (C, N, 3) RGB, or SRBF colours of the N Gaussians, evaluated for each camera
+            from its viewpoint; as `SrbfColors`, as an `Evaluator` where many calls share them, or as `SrbfTensors`,
+            which may gather gradients.
 
     Returns:
         Images, alphas and depths.
@@ -88,10 +91,10 @@ def rasterize(
     degree = tensors.sh_degree if sh_degree is None else min(_sh_degree(sh_degree), tensors.sh_degree)
     if backend == "auto":
         backend = "cuda" if tensors.means.is_cuda else "cpu"
-    colours = _colours(colors, tensors, len(cameras))
+    colours = camera_colours(colors, tensors, cameras, backend)
     draw = {"cpu": _draw_cpu, "cuda": _draw_cuda, "reference": _draw_reference}[backend]
-    takes_gradient = torch.is_grad_enabled() and any(
-        t is not None and t.requires_grad for t in (*vars(tensors).values(), colours)
+    takes_gradient = torch.is_grad_enabled() and (
+        colours.requires_grad or any(t.requires_grad for t in vars(tensors).values())
     )
     if tensors is gaussians and not takes_gradient:
         tensors.check_values()
@@ -99,8 +102,7 @@ def rasterize(
     means2d = torch.zeros(shape, dtype=tensors.means.dtype, device=tensors.means.device, requires_grad=takes_gradient)
     outputs = []
     for c in range(len(cameras)):
-        colour = None if colours is None else colours[c if len(colours) > 1 else 0]
-        outputs.append(draw(tensors, cameras[c], behind, degree, antialiased, colour, means2d[c]))
+        outputs.append(draw(tensors, cameras[c], behind, degree, antialiased, colours.of(c), means2d[c]))
     if not outputs:
         size = (0, cameras.height, cameras.width)
         empty = torch.zeros(size, dtype=tensors.means.dtype, device=tensors.means.device)
@@ -157,18 +159,3 @@ def _sh_degree(value: int) -> int:
     if _check.positive_int("sh_degree", value, at_least=0) > 3:
         raise ValueError(f"sh_degree: expected 0 to 3, got {value}")
     return value
-
-
-def _colours(colors: Tensor | ArrayLike | None, tensors: GaussianTensors, cameras: int) -> Tensor | None:
-    """(1 or C, N, 3) of the tensors' type, or None."""
-    if colors is None:
-        return None
-    given = (
-        colors if isinstance(colors, Tensor) else torch.from_numpy(_check.floats("colors", colors, np.shape(colors)))
-    )
-    n = len(tensors)
-    if tuple(given.shape) not in ((n, 3), (cameras, n, 3)):
-        raise ValueError(f"colors: expected shape ({n}, 3) or ({cameras}, {n}, 3), got {tuple(given.shape)}")
-    if not bool(torch.isfinite(given.detach()).all()):
-        raise ValueError("colors: expected finite values, got NaN or infinity")
-    return given.to(tensors.means).reshape(-1, n, 3)

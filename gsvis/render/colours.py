@@ -1,0 +1,94 @@
+"""Colours that stand in for SH in `rasterize`: one for all cameras, one for each, or SRBF colours seen from each.
+
+SRBF colours are evaluated when their camera is drawn, never for all cameras at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from gsvis import _check
+from gsvis.color.evaluate import Evaluator
+from gsvis.color.evaluate_torch import SrbfTensors, evaluate_torch
+from gsvis.color.srbf import SrbfColors
+from gsvis.render.tensors import GaussianTensors
+from gsvis.scene.cameras import Cameras
+
+__all__ = ["CameraColours", "Colours", "camera_colours"]
+
+Colours = Tensor | ArrayLike | SrbfColors | SrbfTensors | Evaluator | None
+
+
+@dataclass(frozen=True, eq=False)
+class CameraColours:
+    """Where the colours of each camera come from.
+
+    Attributes:
+        of: Number of a camera -> (N, 3) RGB of the Gaussians' type; None where SH colours them.
+        requires_grad: Whether the colours have gradients of their own.
+    """
+
+    of: Callable[[int], Tensor | None]
+    requires_grad: bool
+
+
+def camera_colours(colors: Colours, tensors: GaussianTensors, cameras: Cameras, backend: str) -> CameraColours:
+    """Check the colours that `rasterize` was given, and say how to make those of one camera.
+
+    Args:
+        colors: As `rasterize` takes them.
+        tensors: The N Gaussians.
+        cameras: The C cameras.
+        backend: Name of the backend that draws; "cpu" evaluates SRBF by kernels, unless gradients are taken.
+
+    Raises:
+        ValueError: If there is not one colour for each Gaussian, or a value is not finite.
+    """
+    if colors is None:
+        return CameraColours(lambda c: None, False)
+    if not isinstance(colors, SrbfColors | SrbfTensors | Evaluator):
+        given = _given(colors, len(tensors), len(cameras)).to(tensors.means)
+        return CameraColours(lambda c: given[c if len(given) > 1 else 0], given.requires_grad)
+    if len(colors) != len(tensors):
+        raise ValueError(
+            f"colors: expected those of {len(tensors)} Gaussians, got {len(colors)}; fit them to this scene"
+        )
+    eyes = cameras.viewpoints
+    training = torch.is_grad_enabled() and any(t.requires_grad for t in vars(tensors).values())
+    if backend == "cpu" and not training and not isinstance(colors, SrbfTensors):
+        evaluator = colors if isinstance(colors, Evaluator) else Evaluator(colors)
+        means = tensors.means.detach().cpu().numpy()
+        return CameraColours(lambda c: torch.from_numpy(evaluator.colors(means, eyes[c])).to(tensors.means), False)
+    if not isinstance(colors, SrbfTensors):
+        source = colors.source if isinstance(colors, Evaluator) else colors
+        colors = SrbfTensors.from_colors(source, tensors.means.dtype, tensors.means.device)
+    terms = colors
+
+    def seen(c: int) -> Tensor:
+        found = evaluate_torch(terms, tensors.means, eyes[c]).to(tensors.means)
+        return found if training or found.requires_grad else _finite(found)  # a training step checks shapes alone
+
+    return CameraColours(seen, terms.requires_grad)
+
+
+def _given(colors: Tensor | ArrayLike, n: int, cameras: int) -> Tensor:
+    """(1 or C, N, 3)."""
+    if isinstance(colors, Tensor):
+        given = colors
+    else:
+        given = torch.from_numpy(np.require(_check.floats("colors", colors, np.shape(colors)), requirements="W"))
+    if tuple(given.shape) not in ((n, 3), (cameras, n, 3)):
+        raise ValueError(f"colors: expected shape ({n}, 3) or ({cameras}, {n}, 3), got {tuple(given.shape)}")
+    return _finite(given).reshape(-1, n, 3)
+
+
+def _finite(colors: Tensor) -> Tensor:
+    if not bool(torch.isfinite(colors.detach()).all()):
+        raise ValueError("colors: expected finite values, got NaN or infinity")
+    return colors
