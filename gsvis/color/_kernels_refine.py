@@ -1,0 +1,260 @@
+"""Kernels that move the lobes of one Gaussian until their sum fits best: variable projection with damping.
+
+A lobe is exp(v.x - |v|): v is its centre times its decay, free in three dimensions. Intensities are always the best for
+the lobes (ridge added), so that only the v are searched: Levenberg-Marquardt on them with the intensities eliminated.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numpy as np
+from numba import njit
+
+from gsvis.color._kernels_lobes import dots, gram, lobes
+
+__all__ = ["Work", "best_intensities", "refine", "settle", "work"]
+
+_ATTEMPTS = 4
+_ATTEMPTS_TO_SETTLE = 16
+
+Work = namedtuple(
+    "Work", "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch"
+)
+
+
+@njit(cache=True, nogil=True)
+def work(most_terms, directions, channels):
+    """Arrays for fits of at most `most_terms` lobes over `directions`, a multiple of 16."""
+    p, n, k = 4 * most_terms, 3 * most_terms, most_terms
+    z = np.zeros
+    return Work(
+        z((p, directions), np.float32), z((p, p)), z((p, channels)), z((p, p)), z((p, channels)), z((k, k)), z((k, n)),
+        z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _solve(matrix, size, right, columns):
+    """Cholesky in place of a symmetric matrix, then the solutions in place of `right`; False if it is not definite."""
+    for i in range(size):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not s > 1e-30:
+                    return False
+                matrix[i, i] = np.sqrt(s)
+            else:
+                matrix[i, j] = s / matrix[j, j]
+    for i in range(size):
+        scale = 1.0 / matrix[i, i]
+        for k in range(i):
+            for c in range(columns):
+                right[i, c] -= matrix[i, k] * right[k, c]
+        for c in range(columns):
+            right[i, c] *= scale
+    for i in range(size - 1, -1, -1):
+        scale = 1.0 / matrix[i, i]
+        for k in range(i + 1, size):
+            for c in range(columns):
+                right[i, c] -= matrix[k, i] * right[k, c]
+        for c in range(columns):
+            right[i, c] *= scale
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def weigh_prefixes(inner, outer, terms, channels, emphasis):
+    """Make inner products those of the error summed over all prefixes: the last counts 1, shorter ones `emphasis`.
+
+    The error of a prefix is a quadratic form in the same inner products, so that lobes i and j matter together in as
+    many prefixes as hold both. Rows are the lobes, then three slopes of each.
+    """
+    for i in range(4 * terms):
+        k = i if i < terms else (i - terms) // 3
+        for c in range(channels):
+            outer[i, c] *= 1.0 + emphasis * (terms - 1 - k)
+        for j in range(4 * terms):
+            m = max(k, j if j < terms else (j - terms) // 3)
+            inner[i, j] *= 1.0 + emphasis * (terms - 1 - m)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
+    """Least-squares intensities, and how much of the squared target (with the ridge's cost) they explain."""
+    for i in range(terms):
+        for j in range(terms):
+            small[i, j] = inner[i, j]
+        small[i, i] += ridge
+        for c in range(channels):
+            intensities[i, c] = outer[i, c]
+    if not _solve(small, terms, intensities, channels):
+        return -1.0
+    explained = 0.0
+    for i in range(terms):
+        for c in range(channels):
+            explained += intensities[i, c] * outer[i, c]
+    return explained
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _normal_equations(w, terms, channels, ridge, intensities):
+    """Slope and curvature of the error by the v, intensities eliminated (Kaufman's approximation); largest diagonal."""
+    n = 3 * terms
+    for i in range(terms):
+        for j in range(terms):
+            w.small[i, j] = w.inner[i, j]
+        w.small[i, i] += ridge
+        for j in range(n):
+            w.wide[i, j] = w.inner[i, terms + j]
+    if not _solve(w.small, terms, w.wide, n):
+        return -1.0
+    largest = 0.0
+    for p in range(n):
+        k = p // 3
+        slope = 0.0
+        for c in range(channels):
+            left = w.outer[terms + p, c]
+            for i in range(terms):
+                left -= w.inner[terms + p, i] * intensities[i, c]
+            slope += intensities[k, c] * left
+        w.slope[p, 0] = slope
+        for q in range(p + 1):
+            s = w.inner[terms + p, terms + q]
+            for i in range(terms):
+                s -= w.inner[terms + p, i] * w.wide[i, q]
+            shared = 0.0
+            for c in range(channels):
+                shared += intensities[k, c] * intensities[q // 3, c]
+            w.normal[p, q] = shared * s
+        largest = max(largest, w.normal[p, p])
+    return largest
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _moved(w, v, terms, damping, largest, least_decay, most_decay):
+    """Where a damped step leads, into w.trial; False if the step cannot be solved for."""
+    n = 3 * terms
+    for p in range(n):
+        w.step[p, 0] = w.slope[p, 0]
+        for q in range(p + 1):
+            w.damped[p, q] = w.normal[p, q]
+        w.damped[p, p] += damping * w.normal[p, p] + 1e-7 * largest + 1e-30
+    if not _solve(w.damped, n, w.step, 1):
+        return False
+    for k in range(terms):
+        squared = 0.0
+        for i in range(3):
+            w.trial[k, i] = v[k, i] + w.step[3 * k + i, 0]
+            squared += w.trial[k, i] ** 2
+        decay = np.sqrt(squared)
+        kept = min(max(decay, least_decay), most_decay)
+        for i in range(3):
+            w.trial[k, i] = w.trial[k, i] * kept / decay if decay > 1e-9 else v[k, i]
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def refine(w, points, targets, count, total, terms, channels, v, intensities, limits):
+    """Move `terms` lobes (v, intensities, in place) to a nearby optimum; rows, inner and outer in w are left valid.
+
+    Args:
+        w: Work space.
+        points: (4, D) x, y, z, root of the weight.
+        targets: (4, D) weighted targets; rows beyond `channels` are 0.
+        count: Directions, a multiple of 16.
+        total: Sum of the squared targets.
+        terms: Number of lobes.
+        channels: Number of targets.
+        v: (K, 3).
+        intensities: (K, channels).
+        limits: ridge, least decay, most decay, relative gain below which it stops, most steps.
+    """
+    ridge, least_decay, most_decay, tolerance, steps, emphasis = limits
+    total *= 1.0 + emphasis * (terms - 1)
+    size = 4 * terms
+    lobes(points, count, v, terms, w.rows)
+    gram(w.rows, size, count, w.scratch, w.inner)
+    dots(w.rows, size, targets, channels, count, w.scratch, w.outer)
+    weigh_prefixes(w.inner, w.outer, terms, channels, emphasis)
+    explained = best_intensities(w.inner, w.outer, terms, channels, ridge, w.small, intensities)
+    damping = 1e-2
+    for _ in range(int(steps)):
+        error = total - explained
+        if explained < 0.0 or error <= 1e-6 * total:
+            break
+        largest = _normal_equations(w, terms, channels, ridge, intensities)
+        if largest <= 0.0:
+            break
+        gained = -1.0
+        for _ in range(_ATTEMPTS):
+            if _moved(w, v, terms, damping, largest, least_decay, most_decay):
+                lobes(points, count, w.trial, terms, w.rows)
+                gram(w.rows, size, count, w.scratch, w.inner2)
+                dots(w.rows, size, targets, channels, count, w.scratch, w.outer2)
+                weigh_prefixes(w.inner2, w.outer2, terms, channels, emphasis)
+                better = best_intensities(w.inner2, w.outer2, terms, channels, ridge, w.small, w.intensities)
+                if better > explained:
+                    gained = better - explained
+                    break
+            damping *= 6.0
+        if gained < 0.0:
+            break
+        explained += gained
+        damping = max(0.2 * damping, 1e-6)
+        v[:terms] = w.trial[:terms]
+        intensities[:terms] = w.intensities[:terms]
+        w.inner[:size, :size] = w.inner2[:size, :size]
+        w.outer[:size] = w.outer2[:size]
+        if gained < tolerance * error:
+            break
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def settle(w, total, terms, channels, limits, intensities, anew):
+    """Make the squared error fall from each lobe to the next; the error after all of them.
+
+    Lobes that cancel each other can let it rise on the way. Then intensities are fitted anew with more emphasis on the
+    shorter prefixes: in the limit each lobe has the intensity best for it and its predecessors alone.
+
+    Args:
+        w: Work space; inner and outer hold plain inner products of the lobes.
+        total: Sum of the squared targets.
+        terms: Number of lobes.
+        channels: Number of targets.
+        limits: As for `refine`.
+        intensities: (K, channels), changed in place.
+        anew: Whether to fit the intensities before the first look.
+    """
+    emphasis, error = limits[5], total
+    for attempt in range(_ATTEMPTS_TO_SETTLE):
+        if attempt > 0:
+            emphasis = max(3.0 * emphasis, 0.03)
+        if attempt > 0 or anew:
+            w.inner2[:terms, :terms] = w.inner[:terms, :terms]
+            w.outer2[:terms] = w.outer[:terms]
+            for k in range(terms):
+                for c in range(channels):
+                    w.outer2[k, c] *= 1.0 + emphasis * (terms - 1 - k)
+                for j in range(terms):
+                    w.inner2[k, j] *= 1.0 + emphasis * (terms - 1 - max(k, j))
+            best_intensities(w.inner2, w.outer2, terms, channels, limits[0], w.small, intensities)
+        error, falls = total, True
+        for k in range(terms):
+            change = 0.0
+            for c in range(channels):
+                left = w.outer[k, c]
+                for j in range(k):
+                    left -= w.inner[k, j] * intensities[j, c]
+                change += intensities[k, c] * (intensities[k, c] * w.inner[k, k] - 2.0 * left)
+            if change > 1e-7 * total:
+                falls = False
+                if attempt == _ATTEMPTS_TO_SETTLE - 1:  # what rounding has left of them is worth nothing
+                    intensities[k:terms] = 0.0
+                break
+            error += change
+        if falls:
+            break
+    return max(error, 0.0)

@@ -1,0 +1,152 @@
+"""Kernels that split the colours of Gaussians over directions into a base and the functions that are left to fit.
+
+Colours come as (n, 3, D) RGB, nowhere below 0, with weights (n, D); a direction of weight 0 has no say. Residuals carry
+the weight that they have in RGB.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+__all__ = ["split_hsl", "split_hsv", "split_linear"]
+
+
+@njit(cache=True, nogil=True)
+def _hue_chroma(r, g, b):
+    """Hue in turns and the spread between the largest and the smallest component."""
+    high, low = max(r, g, b), min(r, g, b)
+    spread = high - low
+    if spread <= 0.0:
+        return 0.0, 0.0
+    if high == r:
+        hue = (g - b) / spread
+    elif high == g:
+        hue = (b - r) / spread + 2.0
+    else:
+        hue = (r - g) / spread + 4.0
+    hue /= 6.0
+    return hue - np.floor(hue), spread
+
+
+@njit(cache=True, nogil=True)
+def _pure(hue, shift):
+    """Component of the fully saturated colour of a hue; shift 5, 3, 1 for red, green, blue."""
+    k = (shift + 6.0 * hue) % 6.0
+    return 1.0 - max(0.0, min(k, 4.0 - k, 1.0))
+
+
+@njit(cache=True, nogil=True)
+def _largest(colours, weights):
+    largest = np.float32(0.0)
+    for c in range(3):
+        for d in range(len(weights)):
+            if weights[d] > 0.0:
+                largest = max(largest, colours[c, d])
+    return largest
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def split_linear(colours, weights, base, covariance):
+    """Weighted mean into base (n, 3), subtracted from the colours in place; their covariance (n, 3, 3)."""
+    for g in prange(len(colours)):
+        total = 0.0
+        for d in range(weights.shape[1]):
+            total += weights[g, d]
+        for c in range(3):
+            s = 0.0
+            for d in range(weights.shape[1]):
+                s += np.float64(weights[g, d]) * colours[g, c, d]
+            base[g, c] = s / total
+            for d in range(weights.shape[1]):
+                colours[g, c, d] -= base[g, c]
+        for c in range(3):
+            for e in range(c + 1):
+                s = 0.0
+                for d in range(weights.shape[1]):
+                    s += np.float64(weights[g, d]) * colours[g, c, d] * colours[g, e, d]
+                covariance[g, c, e] = s / total
+                covariance[g, e, c] = s / total
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def split_hsl(colours, weights, scales, base, saturation, by_saturation, lightness, by_lightness):
+    """HSL of RGB / scale: bases (n, 3); S - S_ref, L - L_ref (n, D) and the weights of their errors in RGB (n, D)."""
+    for g in prange(len(colours)):
+        largest = _largest(colours[g], weights[g])
+        scale = np.float64(largest) if largest > 0.0 else 1.0
+        scales[g] = scale
+        east, north = 0.0, 0.0
+        for d in range(weights.shape[1]):
+            saturation[g, d], lightness[g, d] = 0.0, 0.0
+            if weights[g, d] <= 0.0:
+                continue
+            r, green, b = colours[g, 0, d] / scale, colours[g, 1, d] / scale, colours[g, 2, d] / scale
+            hue, spread = _hue_chroma(r, green, b)
+            light = 0.5 * (max(r, green, b) + min(r, green, b))
+            room = 1.0 - abs(2.0 * light - 1.0)
+            pure = min(spread / room, 1.0) if room > 1e-7 else 0.0
+            saturation[g, d], lightness[g, d] = pure, light
+            east += weights[g, d] * pure * np.cos(2.0 * np.pi * hue)
+            north += weights[g, d] * pure * np.sin(2.0 * np.pi * hue)
+        turn = np.arctan2(north, east) / (2.0 * np.pi)
+        turn -= np.floor(turn)
+        base[g, 0] = turn
+        offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
+        squares = offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2
+        sums = np.zeros(4)
+        for d in range(weights.shape[1]):
+            pure, light, w = saturation[g, d], lightness[g, d], weights[g, d] * scale * scale
+            room, slope = 1.0 - abs(2.0 * light - 1.0), -2.0 * np.sign(2.0 * light - 1.0) * pure
+            by_saturation[g, d] = w * room * room * squares
+            change = 0.0
+            for offset in offsets:
+                change += (1.0 + slope * offset) ** 2
+            by_lightness[g, d] = w * change
+            sums[0] += by_saturation[g, d]
+            sums[1] += by_saturation[g, d] * pure
+            sums[2] += by_lightness[g, d]
+            sums[3] += by_lightness[g, d] * light
+        base[g, 1] = sums[1] / sums[0] if sums[0] > 0.0 else 0.0
+        base[g, 2] = sums[3] / sums[2] if sums[2] > 0.0 else 0.0
+        for d in range(weights.shape[1]):
+            saturation[g, d] -= base[g, 1]
+            lightness[g, d] -= base[g, 2]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def split_hsv(colours, weights, scales, base, value, by_value):
+    """HSV of RGB / scale: bases (n, 3); V - V_ref (n, D) and the weights of its errors in RGB (n, D)."""
+    for g in prange(len(colours)):
+        largest = _largest(colours[g], weights[g])
+        scale = np.float64(largest) if largest > 0.0 else 1.0
+        scales[g] = scale
+        east, north, colour, all_colour = 0.0, 0.0, 0.0, 0.0
+        for d in range(weights.shape[1]):
+            value[g, d] = 0.0
+            if weights[g, d] <= 0.0:
+                continue
+            r, green, b = colours[g, 0, d] / scale, colours[g, 1, d] / scale, colours[g, 2, d] / scale
+            hue, spread = _hue_chroma(r, green, b)
+            high = max(r, green, b)
+            pure = spread / high if high > 1e-7 else 0.0
+            value[g, d] = high
+            east += weights[g, d] * pure * np.cos(2.0 * np.pi * hue)
+            north += weights[g, d] * pure * np.sin(2.0 * np.pi * hue)
+            colour += weights[g, d] * high * high * pure
+            all_colour += weights[g, d] * high * high
+        turn = np.arctan2(north, east) / (2.0 * np.pi)
+        turn -= np.floor(turn)
+        base[g, 0] = turn
+        base[g, 1] = colour / all_colour if all_colour > 0.0 else 0.0
+        change = 0.0
+        for shift in (5.0, 3.0, 1.0):
+            change += (1.0 - base[g, 1] * (1.0 - _pure(turn, shift))) ** 2
+        total, mean = 0.0, 0.0
+        for d in range(weights.shape[1]):
+            by_value[g, d] = weights[g, d] * scale * scale * change
+            total += by_value[g, d]
+            mean += by_value[g, d] * value[g, d]
+        base[g, 2] = mean / total if total > 0.0 else 0.0
+        for d in range(weights.shape[1]):
+            value[g, d] -= base[g, 2]

@@ -1,0 +1,140 @@
+"""The search for terms, for a slice of Gaussians: each function of the variant by itself, by the price of a term."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color import _kernels_fit as kernels
+from gsvis.color._split import Function, Split, split_colours
+from gsvis.color.omp import orthogonal_matching_pursuit
+from gsvis.color.variants import VARIANTS
+from gsvis.scene.icosphere import face_directions, icosphere
+
+if TYPE_CHECKING:
+    from gsvis.color.fit import FitConfig
+
+__all__ = ["LobeFit", "Pursuit", "SplitFit"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+_LEAST_DECAY, _MOST_DECAY = 0.1, 60.0
+"""Between a lobe that is all but linear and one narrower than a face (half width 9 degrees)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LobeFit:
+    """Lobes of one function of n Gaussians.
+
+    Attributes:
+        v: (n, K, 3) decay times centre, eye to Gaussian, in the order to send.
+        intensities: (n, K, C) in the units of the targets.
+        counts: (n,) lobes worth their price.
+        curves: (n, K + 1) weighted mean squared RGB error with 0, 1, ... lobes.
+    """
+
+    v: F32
+    intensities: F32
+    counts: NDArray[np.int64]
+    curves: F32
+
+
+@dataclass(frozen=True, eq=False)
+class SplitFit:
+    """What was fitted and what was found.
+
+    Attributes:
+        colours: (n, 3, D) RGB.
+        weights: (n, D).
+        split: Bases and functions.
+        lobes: One for each function.
+    """
+
+    colours: F32
+    weights: F32
+    split: Split
+    lobes: tuple[LobeFit, ...]
+
+    @property
+    def curves(self) -> list[F32]:
+        """The error curves of the functions."""
+        return [lobe.curves for lobe in self.lobes]
+
+
+class Pursuit:
+    """Dictionary and limits of a fit.
+
+    Args:
+        config: What to fit.
+    """
+
+    def __init__(self, config: FitConfig) -> None:
+        self.config, self.kind = config, VARIANTS[config.variant]
+        centers = icosphere(1 if config.refine else 2)[0]
+        decays = np.asarray(config.decays, np.float64)
+        self.starts = (decays[:, None, None] * centers).reshape(-1, 3)
+        towards_gaussian = -face_directions(4).reshape(-1, 3)
+        exponents = self.starts @ towards_gaussian.T - np.repeat(decays, len(centers))[:, None]
+        self.dictionary = np.exp(exponents).astype(np.float32)
+        self.directions = np.ascontiguousarray(towards_gaussian.T, np.float32)
+        self.limits = (
+            config.ridge, _LEAST_DECAY, _MOST_DECAY, config.tolerance, float(config.steps), config.emphasis,
+        )  # fmt: skip
+
+    def fit(self, colours: F32, weights: F32, importance: F64, price: float, nowhere: NDArray[np.bool_]) -> SplitFit:
+        """Find the terms of n Gaussians.
+
+        Args:
+            colours: (n, 3, D) RGB >= 0.
+            weights: (n, D) >= 0, some above 0 in each row.
+            importance: (n,) what an error counts.
+            price: Importance times error that a term has to lower.
+            nowhere: (n,) Gaussians that get no terms.
+        """
+        split = split_colours(self.kind, colours.copy(), weights)
+        most = np.where(nowhere, 0, self.config.max_terms)
+        search = self._refined if self.config.refine else self._on_atoms
+        lobes = tuple(search(f, importance, price, np.where(f.unit != 0, most, 0)) for f in split.functions)
+        return SplitFit(colours, weights, split, lobes)
+
+    def _refined(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
+        n, channels, _ = function.targets.shape
+        k = self.config.max_terms
+        found = LobeFit(
+            np.zeros((n, k, 3), np.float32),
+            np.zeros((n, k, channels), np.float32),
+            np.zeros(n, np.int64),
+            np.zeros((n, k + 1), np.float32),
+        )
+        kernels.fit_lobes(
+            self.directions, self.dictionary, self.starts, function.targets, function.weights, importance, most,
+            price, self.limits, found.v, found.intensities, found.counts, found.curves,
+        )  # fmt: skip
+        return found
+
+    def _on_atoms(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
+        seen = (function.weights > 0).sum(axis=1)
+        codes = orthogonal_matching_pursuit(
+            self.dictionary.T,
+            function.targets.transpose(0, 2, 1),
+            max_terms=np.minimum(most, seen // 4),
+            weights=function.weights,
+        )
+        total = np.maximum(function.weights.sum(axis=1, dtype=np.float64), 1e-300)[:, None]
+        curves = (codes.errors / total).astype(np.float32)
+        n, k = len(most), self.config.max_terms
+        curves = np.pad(curves, ((0, 0), (0, k + 1 - curves.shape[1])), mode="edge")
+        costs = importance[:, None] * curves.astype(np.float64) + price * np.arange(k + 1)
+        counts = np.minimum(costs.argmin(axis=1), codes.counts)
+        v = np.zeros((n, k, 3), np.float32)
+        v[:, : codes.atoms.shape[1]] = self.starts[codes.atoms]
+        intensities = np.zeros((n, k, function.targets.shape[1]), np.float32)
+        kernels.settle_lobes(
+            self.directions, function.targets, function.weights, self.limits, counts, v, intensities,
+            np.empty(n, np.float32),
+        )  # fmt: skip
+        return LobeFit(v, intensities, counts, curves)

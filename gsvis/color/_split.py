@@ -1,0 +1,96 @@
+"""Which functions of direction a variant leaves to be fitted, and with which weights, for a slice of Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color import _kernels_split as kernels
+from gsvis.color.spaces import rgb_to_yuv
+from gsvis.color.variants import Variant
+
+__all__ = ["Function", "Split", "split_colours"]
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Function:
+    """One function of direction of n Gaussians, with the base taken away.
+
+    Attributes:
+        targets: (n, C, D); C numbers for each direction share their lobes.
+        weights: (n, D) what a squared error counts; 0 where nothing is seen.
+        unit: (n,) what an intensity of 1 stands for in the units of the targets; 0 where there can be none.
+    """
+
+    targets: F32
+    weights: F32
+    unit: F32
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Base colours and what is left.
+
+    Attributes:
+        base: (n, 3) in the variant's space.
+        scales: (n,).
+        axes: (n, num_axes, 3).
+        functions: In the order of the variant.
+    """
+
+    base: F32
+    scales: F32
+    axes: F32
+    functions: tuple[Function, ...]
+
+
+def split_colours(kind: Variant, colours: F32, weights: F32) -> Split:
+    """Split RGB colours over directions.
+
+    Args:
+        kind: The variant.
+        colours: (n, 3, D) RGB >= 0; overwritten.
+        weights: (n, D) >= 0, some above 0 in each row.
+    """
+    n, _, directions = colours.shape
+    base, scales = np.empty((n, 3), np.float32), np.ones(n, np.float32)
+    axes = np.zeros((n, kind.num_axes, 3), np.float32)
+    ones = np.ones(n, np.float32)
+    if kind.space in ("hsl", "hsv"):
+        planes = [np.empty((n, directions), np.float32) for _ in range(4)]
+        if kind.space == "hsv":
+            kernels.split_hsv(colours, weights, scales, base, *planes[:2])
+            return Split(base, scales, axes, (Function(planes[0][:, None], planes[1], base[:, 2]),))
+        kernels.split_hsl(colours, weights, scales, base, *planes)
+        saturation = Function(planes[0][:, None], planes[1], base[:, 1])
+        lightness = Function(planes[2][:, None], planes[3], base[:, 2])
+        return Split(base, scales, axes, (saturation, lightness)[-len(kind.functions) :])
+    covariance = np.empty((n, 3, 3))
+    kernels.split_linear(colours, weights, base, covariance)
+    if kind.space == "yuv":
+        luma = rgb_to_yuv(np.moveaxis(colours, 1, 2))[:, :, 0]
+        base = np.asarray(rgb_to_yuv(base), np.float32)
+        every_channel = np.float32(3.0)  # a step in Y moves R, G and B alike
+        return Split(
+            base, scales, axes, (Function(np.ascontiguousarray(luma)[:, None], every_channel * weights, base[:, 0]),)
+        )
+    if kind.num_axes == 0:
+        return Split(base, scales, axes, (Function(colours, weights, ones),))
+    axes = _principal_axes(covariance, kind.num_axes)
+    along = np.matmul(axes, colours)
+    if len(kind.functions) == 1:
+        return Split(base, scales, axes, (Function(along, weights, ones),))
+    parts = (np.ascontiguousarray(along[:, k : k + 1]) for k in range(kind.num_axes))
+    return Split(base, scales, axes, tuple(Function(part, weights, ones) for part in parts))
+
+
+def _principal_axes(covariance: NDArray[np.float64], count: int) -> F32:
+    """(n, count, 3) unit eigenvectors of the largest eigenvalues, each with its largest component positive."""
+    vectors = np.swapaxes(np.linalg.eigh(covariance)[1], 1, 2)[:, ::-1][:, :count]
+    largest = np.abs(vectors).argmax(axis=2)[:, :, None]
+    signs = np.sign(np.take_along_axis(vectors, largest, axis=2))
+    return np.ascontiguousarray(vectors * signs, np.float32)
