@@ -1,6 +1,9 @@
 """Colour that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
 
+from typing import TYPE_CHECKING, Any
+
 from gsvis.color.activation import Activation, active, active_in_box, contributions
+from gsvis.color.dictionary import Dictionary, srbf_dictionary
 from gsvis.color.epsilon import (
     FLIP_JND,
     EpsilonCalibration,
@@ -12,6 +15,8 @@ from gsvis.color.epsilon import (
     replay,
 )
 from gsvis.color.evaluate import Evaluator, evaluate, evaluate_along
+from gsvis.color.fit import FitConfig, SrbfFit, fit_srbf
+from gsvis.color.omp import SparseCodes, orthogonal_matching_pursuit
 from gsvis.color.records import (
     PRECISIONS,
     Grids,
@@ -39,22 +44,36 @@ from gsvis.color.spaces import (
     rgb_to_yuv,
     yuv_to_rgb,
 )
+from gsvis.color.srbf import SrbfColors, spherical_coordinates, srbf, unit_vectors
 from gsvis.color.storage import SrbfInfo, load_srbf, save_srbf, srbf_info
+from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, Variant, variant
+
+if TYPE_CHECKING:
+    from gsvis.color.evaluate_torch import SrbfTensors
 
 __all__ = [
+    "DEFAULT_VARIANT",
     "FLIP_JND",
     "PRECISIONS",
+    "VARIANTS",
     "Activation",
+    "Dictionary",
     "EpsilonCalibration",
     "Evaluator",
+    "FitConfig",
     "Grids",
     "MetricObserver",
     "Observer",
     "Precision",
     "QuantisedColors",
+    "SparseCodes",
+    "SrbfColors",
+    "SrbfFit",
     "SrbfInfo",
+    "SrbfTensors",
     "Staircase",
     "StaircaseRule",
+    "Variant",
     "active",
     "active_in_box",
     "bytes_per_base",
@@ -63,10 +82,12 @@ __all__ = [
     "contributions",
     "evaluate",
     "evaluate_along",
+    "fit_srbf",
     "hsl_to_rgb",
     "hsv_to_rgb",
     "hue_vector",
     "load_srbf",
+    "orthogonal_matching_pursuit",
     "quantise",
     "quantise_centres",
     "record_bytes",
@@ -83,7 +104,21 @@ __all__ = [
     "sh_bytes",
     "sh_colors",
     "sh_colors_along",
+    "spherical_coordinates",
+    "srbf",
+    "srbf_dictionary",
     "srbf_info",
     "towards_gaussian",
+    "unit_vectors",
+    "variant",
     "yuv_to_rgb",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`SrbfTensors` brings torch with it, and so waits until it is asked for."""
+    if name == "SrbfTensors":
+        from gsvis.color.evaluate_torch import SrbfTensors
+
+        return SrbfTensors
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
