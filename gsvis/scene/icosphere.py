@@ -1,4 +1,4 @@
-"""The icosahedron and its subdivisions: unit vertices, outward triangles, the 80 faces of direction sets and their parts.
+"""The icosahedron and its subdivisions: unit vertices, outward triangles, and the 80 faces of direction sets.
 
 Vertices (0, ±1, ±phi) and cyclic permutations, scaled to length 1; each subdivision cuts every face in four at its
 edge midpoints, pushed to the unit sphere. The order of vertices and faces is part of the file formats: never change it.

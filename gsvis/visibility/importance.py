@@ -45,7 +45,8 @@ class ViewImportance:
         The floor, 1e-4 of the mean, is for what no view happened to see.
         """
         summed = self.faces.sum(axis=1, dtype=np.float64)
-        return summed + _FLOOR * float(summed.mean()) if len(summed) else summed
+        floor = _FLOOR * float(summed.mean()) if len(summed) else 0.0
+        return np.asarray(summed + floor)
 
 
 def importance_from_views(g: Gaussians, cameras: Cameras, *, progress: Progress = silent) -> ViewImportance:
