@@ -8,10 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis.color.omp import LEAST_SHARE, SparseCodes
 from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
 from gsvis.color.srbf import SrbfColors, srbf, unit_vectors
 
-__all__ = ["evaluate"]
+__all__ = ["evaluate", "orthogonal_matching_pursuit"]
 
 F64 = NDArray[np.float64]
 
@@ -40,3 +41,44 @@ def _to_rgb(colors: SrbfColors, values: F64) -> F64:
         values = np.asarray(yuv_to_rgb(values))
     scales = 1.0 if space == "rgb" else colors.scales[:, None].astype(np.float64)
     return np.asarray(np.maximum(values, 0.0) * scales)
+
+
+def orthogonal_matching_pursuit(
+    dictionary: ArrayLike,
+    signals: ArrayLike,
+    *,
+    max_terms: int,
+    tolerance: float = 0.0,
+    weights: ArrayLike | None = None,
+    least_share: float = LEAST_SHARE,
+) -> SparseCodes:
+    """Signal by signal, with a least-squares solver at each step; arguments as `gsvis.color`'s, one limit for all."""
+    columns, values = np.asarray(dictionary, np.float64), np.asarray(signals, np.float64)
+    number, depth = values.shape[:2]
+    shared = np.ones(depth) if weights is None else np.asarray(weights, np.float64)
+    roots = np.sqrt(np.broadcast_to(shared, (number, depth)))
+    atoms = np.full((number, max_terms), -1, np.int32)
+    coefficients = np.zeros((number, max_terms, *values.shape[2:]))
+    counts, errors = np.zeros(number, np.int32), np.zeros((number, max_terms + 1))
+    for n in range(number):
+        seen, target = columns * roots[n][:, None], (values[n].T * roots[n]).T.reshape(depth, -1)
+        squares = (seen**2).sum(axis=0)
+        usable = squares > least_share * (columns**2).sum(axis=0) * roots[n].max() ** 2
+        chosen: list[int] = []
+        residual, energy = target, (target**2).sum()
+        errors[n] = energy
+        while len(chosen) < max_terms and errors[n, -1] > tolerance:
+            scores = np.where(usable, ((seen.T @ residual) ** 2).sum(axis=1) / np.where(usable, squares, 1.0), 0.0)
+            scores[chosen] = 0.0
+            best = int(scores.argmax())
+            rest = seen[:, best] - seen[:, chosen] @ np.linalg.lstsq(seen[:, chosen], seen[:, best], rcond=None)[0]
+            if scores[best] <= 1e-12 * energy or (rest**2).sum() <= 1e-10 * squares[best]:
+                break
+            chosen.append(best)
+            fit = np.linalg.lstsq(seen[:, chosen], target, rcond=None)[0]
+            residual = target - seen[:, chosen] @ fit
+            counts[n] = len(chosen)
+            atoms[n, : len(chosen)] = chosen
+            coefficients[n, : len(chosen)] = fit.reshape(len(chosen), *values.shape[2:])
+            errors[n, len(chosen) :] = (residual**2).sum()
+    return SparseCodes(atoms, coefficients.astype(np.float32), counts, errors)
