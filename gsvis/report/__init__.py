@@ -1,16 +1,32 @@
 """Reports: plots, pictures, one JSON document and one self-contained page of what an analysis found."""
 
+from typing import TYPE_CHECKING, Any
+
 from gsvis.report.document import Subject, report_document, write_report
 from gsvis.report.pictures import ViewPicture, picture_views
 from gsvis.report.staircase import PERSON_RULE, load_staircase_result, write_staircase_page
 
+if TYPE_CHECKING:
+    from gsvis.report.approximations import Approximations, flip_difference
+
 __all__ = [
     "PERSON_RULE",
+    "Approximations",
     "Subject",
     "ViewPicture",
+    "flip_difference",
     "load_staircase_result",
     "picture_views",
     "report_document",
     "write_report",
     "write_staircase_page",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """What draws with the rasterizer brings torch with it, and so waits until it is asked for."""
+    if name in ("Approximations", "flip_difference"):
+        from gsvis.report import approximations
+
+        return getattr(approximations, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-import gsvis
 from gsvis import _check
 from gsvis.color.epsilon import MOST_AT_BOUND, STUCK, UP_STEPS, EpsilonCalibration, StaircaseRule, replay
 from gsvis.errors import FormatError
@@ -75,7 +74,8 @@ def write_staircase_page(
         title: The scene's name, text.
         pixels_per_degree: At the distance that the page asks for; 67 is the default of `gsvis.render.metrics.flip`, so
             that person and metric see alike.
-        about: Anything that is to be known of the pictures, for the page and the result; JSON values.
+        about: Anything that is to be known of the pictures, for the page and the result: "gsvis" (its version),
+            "command", how the cameras were drawn; JSON values.
         progress: Called with stage "pictures".
 
     Returns:
@@ -107,7 +107,6 @@ def write_staircase_page(
         "width": width,
         "height": height,
         "pixels_per_degree": float(pixels_per_degree),
-        "gsvis": gsvis.__version__,
     }
     document = {
         "rule": {
@@ -231,7 +230,7 @@ def _page(
     return filled(
         "staircase.html",
         title=escape(title),
-        version=escape(gsvis.__version__),
+        version=escape(str(provenance.get("gsvis", ""))),
         lead=f"A test of how much of the colours of {escape(title)} an eye needs.",
         width=str(width),
         height=str(height),

@@ -1,0 +1,112 @@
+"""Images of a scene with all terms of its colours and with those alone that are active at an epsilon.
+
+What the staircase shows to a person, and what the metric that stands in for one compares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color import Evaluator
+from gsvis.color.activation import Activation
+from gsvis.color.srbf import SrbfColors
+from gsvis.progress import Progress, silent
+from gsvis.render.metrics import flip_map
+from gsvis.render.rasterizer import rasterize
+from gsvis.render.tensors import GaussianTensors
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["Approximations", "flip_difference"]
+
+F32 = NDArray[np.float32]
+
+
+class Approximations:
+    """Views of one scene, drawn with all terms or without those that an epsilon leaves out.
+
+    Args:
+        g: N Gaussians.
+        colors: Their colours, with T terms.
+        cameras: C cameras of one size.
+
+    Attributes:
+        reference: (C, H, W, 3) images with all terms, not clipped.
+
+    Raises:
+        ValueError: If lengths differ or there is no camera.
+    """
+
+    def __init__(self, g: Gaussians, colors: SrbfColors, cameras: Cameras) -> None:
+        if len(g) != len(colors):
+            raise ValueError(f"colors: expected those of {len(g)} Gaussians, got {len(colors)}")
+        if len(cameras) == 0:
+            raise ValueError("cameras: expected at least one, got none")
+        self._means, self._tensors, self._cameras = g.means, GaussianTensors.from_gaussians(g), cameras
+        self._evaluator = Evaluator(colors)
+        activation = Activation(colors, g.means, 0.0)
+        self._eyes = cameras.viewpoints
+        self._contributions = [activation.contributions(eye) for eye in self._eyes]
+        self.reference = np.stack([self._drawn(view, None) for view in range(len(cameras))])
+
+    def images(self, epsilon: float) -> F32:
+        """(C, H, W, 3) with the terms that change a channel by more than epsilon."""
+        return np.stack([self._drawn(view, epsilon) for view in range(len(self._cameras))])
+
+    def ladder(self, epsilons: ArrayLike, *, progress: Progress = silent) -> F32:
+        """(C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
+
+        Args:
+            epsilons: (E,), such as the rungs of a rule.
+            progress: Called with stage "rungs".
+        """
+        chosen = _check.floats("epsilons", epsilons, ("E",), np.float64)
+        out = np.empty((len(self._cameras), len(chosen), *self.reference.shape[1:]), np.float32)
+        progress("rungs", 0, len(chosen))
+        for rung, epsilon in enumerate(chosen.tolist()):
+            out[:, rung] = self.images(epsilon)
+            progress("rungs", rung + 1, len(chosen))
+        return out
+
+    def shares(self, epsilon: float) -> NDArray[np.float64]:
+        """(C,) active terms of all terms, for each view's eye; 0 where there are no terms."""
+        counts = [int((found > np.float32(epsilon)).sum()) for found in self._contributions]
+        return np.asarray(counts) / max(1, len(self._contributions[0]))
+
+    def _drawn(self, view: int, epsilon: float | None) -> F32:
+        active = None if epsilon is None else self._contributions[view] > np.float32(epsilon)
+        colors = self._evaluator.colors(self._means, self._eyes[view], active=active)
+        image: F32 = rasterize(self._tensors, self._cameras[view], colors=colors).images[0].numpy()
+        return image
+
+
+def flip_difference(
+    pictures: Approximations, *, percentile: float = 99.0, pixels_per_degree: float = 67.0
+) -> Callable[[float], float]:
+    """What `MetricObserver` asks: the difference that an epsilon makes in the view where it shows most.
+
+    Args:
+        pictures: The views.
+        percentile: Of the FLIP map of a view: 99 tells the error that the worst hundredth of the image exceeds. One
+            pixel is nothing that an eye finds; the mean forgives whatever is confined to a part of the image.
+        pixels_per_degree: Of the observer's field of view.
+
+    Returns:
+        A function from epsilon to the largest percentile over the views.
+
+    Raises:
+        ValueError: If the percentile is none.
+        BackendError: When called, if the package flip-evaluator is absent.
+    """
+    if not 0.0 <= percentile <= 100.0:
+        raise ValueError(f"percentile: expected a value in [0, 100], got {percentile!r}")
+
+    def difference(epsilon: float) -> float:
+        maps = flip_map(pictures.images(epsilon), pictures.reference, pixels_per_degree)
+        return float(np.percentile(maps, percentile, axis=(1, 2)).max())
+
+    return difference
