@@ -46,6 +46,7 @@ from gsvis.color.spaces import (
 )
 from gsvis.color.srbf import SrbfColors, spherical_coordinates, srbf, unit_vectors
 from gsvis.color.storage import SrbfInfo, load_srbf, save_srbf, srbf_info
+from gsvis.color.to_sh import FittedSh, to_sh
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, Variant, variant
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ __all__ = [
     "EpsilonCalibration",
     "Evaluator",
     "FitConfig",
+    "FittedSh",
     "Grids",
     "MetricObserver",
     "Observer",
@@ -108,6 +110,7 @@ __all__ = [
     "srbf",
     "srbf_dictionary",
     "srbf_info",
+    "to_sh",
     "towards_gaussian",
     "unit_vectors",
     "variant",
