@@ -1,0 +1,345 @@
+"""What does sending only the active terms save, and what does it cost in the image?
+
+SRBF-Gaussian, section 7.3.1 and figure 13: 3.58% of the SRBFs sent at the start of a walk, 22.39% after 30 s, while
+86.85% of the Gaussians have been sent. Three parts, on nika LOD 0:
+
+1. Held-out cameras (seeded, anywhere in navigable space): images with only the terms that are active for the eye
+   against images with all terms, over epsilon from 0.002 to 0.1; values are clipped to [0, 1] as a display does.
+   Epsilon itself comes from the staircase with FLIP as its observer on other cameras, unless it is given.
+2. Walks that people made with a headset (EyeNavGS), brought into the scene as in `visibility_walk.py`: share and bytes
+   of the terms sent so far. Once by cameras: a term is sent when it is first active for an eye whose camera (weights of
+   the rasterizer at the stated resolution) sees its Gaussian. Once by cells, which is what a server that knows only
+   the eye's cell sends, with all that is visible around the eye: visible sets of the cells along the walk (cubemaps of
+   `--pvs-size` pixels from at most `--viewpoints` viewpoints a cell), and the terms active for any eye in the cell.
+3. What the walker sees: at eight poses the image with the terms sent so far against all terms.
+
+Without `--colors` the colours are fitted here: over all directions, terms where they count most in seeded cameras.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, measure, realdata, write_result
+from numpy.typing import NDArray
+
+from gsvis.color.activation import Activation
+from gsvis.color.epsilon import FLIP_JND, MetricObserver, calibrate_epsilon
+from gsvis.color.evaluate import Evaluator
+from gsvis.color.fit import FitConfig, fit_srbf
+from gsvis.color.records import bytes_per_term, record_bytes
+from gsvis.color.srbf import SrbfColors
+from gsvis.color.storage import load_srbf
+from gsvis.io import load_scene
+from gsvis.io.poses import load_path
+from gsvis.render import rasterize, view_weights
+from gsvis.render.metrics import flip_map, psnr
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.retarget import RetargetConfig, retarget
+from gsvis.visibility import corridor
+from gsvis.visibility.active_terms import build_active_terms
+from gsvis.visibility.build import build_pvs
+from gsvis.visibility.cells import MAX_CELLS, CellGrid
+from gsvis.visibility.pvs import PvsConfig
+from gsvis.visibility.store import VisibilityStore
+from gsvis.visibility.walk import PAPER_WALK, WalkConfig
+from gsvis.visibility.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
+
+EPSILONS = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1)
+WALKS = ("room/user111_room", "truck/user107_truck", "room/user120_room", "truck/user122_truck")
+LEAST_PSNR = 45.0
+CAP = 99.0
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A scene with its colours, ready to be drawn."""
+
+    g: Gaussians
+    colors: SrbfColors
+    evaluator: Evaluator
+
+    def image(self, camera: Cameras, active: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+        seen = self.evaluator.colors(self.g.means, camera.viewpoints[0], active=active)
+        drawn = rasterize(self.g, camera, colors=seen, backend="cpu").images[0].numpy()
+        return np.clip(drawn, 0.0, 1.0)
+
+
+class Looks:
+    """What the cameras of a walk see, looked up once: `seen_over_walk` and its like take it for cells."""
+
+    def __init__(self, g: Gaussians, path: HeadPath, config: WalkConfig) -> None:
+        walk = (path.cut(0.0, config.seconds) if path.duration > config.seconds else path).resampled(config.rate)
+        self.cameras = walk.cameras(config.width, config.height, config.fov)
+        self.poses = {tuple(position): i for i, position in enumerate(walk.positions.tolist())}
+        self.times = walk.times
+        self.seen: dict[int, NDArray[np.int64]] = {}
+        for i in range(len(walk)):
+            largest = view_weights(g, self.cameras[i]).largest[0]
+            self.seen[i] = np.flatnonzero(largest >= np.float32(config.tau))
+        # A head that turned on the spot sees what it saw from there.
+        for i, position in enumerate(walk.positions.tolist()):
+            first = self.poses[tuple(position)]
+            self.seen[first] = np.union1d(self.seen[first], self.seen[i])
+
+    def cell_at(self, position: Any, /) -> int:
+        return self.poses[tuple(np.asarray(position).tolist())]
+
+    def visible(self, cell: int, /) -> NDArray[np.int64]:
+        return self.seen[cell]
+
+
+def main() -> None:
+    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
+    parser.add_argument("--scene", default="nika_sh3:0", metavar="NAME:LOD", help="folder of scenes/, or a path")
+    parser.add_argument("--colors", type=Path, help="SRBF colours of the scene, as `gsvis color` writes them")
+    parser.add_argument("--variant", default=FitConfig.variant, help="of the fit, without --colors")
+    parser.add_argument("--terms", type=float, default=4.0, help="mean terms a Gaussian, without --colors")
+    parser.add_argument("--epsilon", type=float, help="threshold; without it, of the staircase with FLIP")
+    parser.add_argument("--cameras", type=int, default=12, help="held-out cameras")
+    parser.add_argument("--walks", type=int, default=len(WALKS), help=f"how many of the {len(WALKS)} recordings")
+    parser.add_argument("--rate", type=float, default=2.0, help="poses a second")
+    parser.add_argument("--cells", type=int, default=512, help="most cells of the navigable space")
+    parser.add_argument("--pvs-size", type=int, default=160, help="pixels of a face in looking from the walk's cells")
+    parser.add_argument("--viewpoints", type=int, default=8, help="most viewpoints a cell")
+    parser.add_argument("--width", type=int, default=640)
+    parser.add_argument("--height", type=int, default=480)
+    parser.add_argument("--fov", type=float, default=90.0)
+    options = parser.parse_args()
+    config = WalkConfig(rate=options.rate, width=options.width, height=options.height, fov=options.fov)
+    label, _, lod = options.scene.partition(":")
+    path = Path(label) if Path(label).exists() else realdata() / "scenes" / label / "lod-meta.json"
+    g = load_scene(path, lod=int(lod) if lod else None)
+    space = NavigableSpace.from_scene(g)
+    size = {"width": config.width, "height": config.height, "fov": config.fov}
+    fitted, colors = colours(g, space, options)
+    subject = Subject(g, colors, Evaluator(colors))
+    log(f"{g}, {colors}: {colors.num_terms / max(1, len(g)):.2f} terms a Gaussian")
+
+    found = calibration(subject, space.sample_cameras(4, np.random.default_rng(2), **size), options.epsilon)
+    epsilon = found["epsilon"]
+    cameras = space.sample_cameras(options.cameras, np.random.default_rng(1), **size)
+    curve = by_epsilon(subject, cameras, sorted({*EPSILONS, epsilon}))
+    at = next(row for row in curve if row["epsilon"] == epsilon)
+    kept = [row["epsilon"] for row in curve if row["psnr"] >= LEAST_PSNR]
+    wanted = sorted({epsilon, max(kept)}) if kept else [epsilon]
+    side = CellGrid.over(space, max_cells=options.cells).cell_size
+    pvs = PvsConfig(method="raster", size=options.pvs_size, max_viewpoints=options.viewpoints)
+    walks = []
+    for seed, name in enumerate(WALKS[: options.walks]):
+        recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{name}.csv.gz").cut(0.0, config.seconds)
+        placed = retarget(recording, space, RetargetConfig(seed=seed))
+        looks = Looks(g, placed.path, config)
+        row: dict[str, Any] = {"walk": name, "retarget": placed.as_dict(), "by_epsilon": []}
+        along = corridor(space, placed.path.positions)
+        grid = CellGrid.over(along, cell_size=side, max_cells=MAX_CELLS)
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            with build_pvs(g, grid, along, Path(folder) / "walk.pvs", pvs) as store:
+                row["pvs"] = {"seconds": time.perf_counter() - start, "bytes": store.path.stat().st_size}
+                for e in wanted:
+                    eye = terms_over_walk(colors, g, placed.path, e, sets=looks, config=config)
+                    cell, stored = by_cells(subject, placed.path, store, e, config)
+                    row["by_epsilon"].append({
+                        "epsilon": e, "eye": eye.as_dict(), "cells": cell.as_dict(), "store": stored,
+                        "shown": shown(subject, looks, eye), "shown_cells": shown(subject, looks, cell),
+                    })  # fmt: skip
+                    log(f"{name}, epsilon {e:.4g}: {eye.terms[-1]:.2%} of the terms, by cells {cell.terms[-1]:.2%}")
+        walks.append(row)
+
+    figures = told(at, walks, wanted, epsilon)
+    activation = Activation(colors, g.means, epsilon)
+    eye = cameras.viewpoints[0]
+    low, high = eye - 0.5 * side, eye + 0.5 * side
+    times = {
+        "active_s": measure(lambda: activation.active(eye), repeats=5).as_json(),
+        "active_in_box_s": measure(lambda: activation.active_in_box(low, high), repeats=5).as_json(),
+    }
+    print(table(curve, walks, wanted))
+    details = {
+        "scene": options.scene, "gaussians": len(g), "terms": colors.num_terms, "variant": colors.variant,
+        "fit": fitted, "term_bytes": bytes_per_term(colors.variant), "all_bytes": record_bytes(colors),
+        "calibration": found, "by_epsilon": curve, "walks": walks, "cell_size": side, "pvs": pvs.as_dict(),
+        "times": times,
+        "paper": {**PAPER_TERMS, "gaussians": PAPER_WALK["seen"]},
+    }  # fmt: skip
+    question = "What does sending only the active terms save, and what does it cost in the image?"
+    write_result(options.out, question, figures, details)
+
+
+def colours(g: Gaussians, space: NavigableSpace, options: argparse.Namespace) -> tuple[dict[str, Any], SrbfColors]:
+    """The colours of the scene, and how they came about."""
+    if options.colors is not None:
+        loaded, colors = load_srbf(options.colors)
+        if not np.array_equal(loaded.means, g.means):
+            raise SystemExit(f"error: {options.colors}: expected the colours of {options.scene}, got those of another")
+        return {"file": options.colors.name}, colors
+    cameras = space.sample_cameras(24, np.random.default_rng(3), width=320, height=240, fov=options.fov)
+    importance = view_weights(g, cameras).summed.sum(axis=0)
+    start = time.perf_counter()
+    fit = fit_srbf(
+        g, None, FitConfig(variant=options.variant, mean_terms=options.terms), importance=importance, progress=progress
+    )
+    return {"seconds": time.perf_counter() - start, "mean_terms": options.terms, "directions": "all"}, fit.colors
+
+
+def calibration(subject: Subject, cameras: Cameras, given: float | None) -> dict[str, Any]:
+    """Epsilon of the staircase; FLIP notices where the 99th percentile of its map is above the threshold."""
+    if given is not None:
+        return {"epsilon": given, "provenance": "given"}
+    full = [subject.image(cameras[c]) for c in range(len(cameras))]
+
+    def difference(epsilon: float) -> float:
+        activation = Activation(subject.colors, subject.g.means, epsilon)
+        worst = 0.0
+        for c, image in enumerate(full):
+            partial = subject.image(cameras[c], activation.active(cameras.viewpoints[c]))
+            worst = max(worst, float(np.quantile(flip_map(partial, image), 0.99)))
+        log(f"FLIP at epsilon {epsilon:.4g}: {worst:.4f}")
+        return worst
+
+    observer = MetricObserver(difference, FLIP_JND, images={"cameras": len(cameras), "quantile": 0.99})
+    found = calibrate_epsilon(observer)
+    return {
+        "epsilon": found.epsilon, "converged": found.converged, "reason": found.reason, "observer": observer.name,
+        "differences": {f"{e:.5g}": d for e, d in observer.differences.items()}, **observer.provenance,
+    }  # fmt: skip
+
+
+def by_epsilon(subject: Subject, cameras: Cameras, epsilons: Sequence[float]) -> list[dict[str, Any]]:
+    """Images with active terms against images with all, and the share that is active."""
+    g, colors = subject.g, subject.colors
+    views = [(camera := cameras[c], subject.image(camera), view_weights(g, camera)) for c in range(len(cameras))]
+    seen = [np.flatnonzero(weights.largest[0] >= np.float32(WalkConfig.tau)) for _, _, weights in views]
+    rows = []
+    for epsilon in epsilons:
+        activation = Activation(colors, g.means, epsilon)
+        values, of_visible, of_all = [], [], []
+        for (camera, full, _), ids in zip(views, seen, strict=True):
+            active = activation.active(camera.viewpoints[0])
+            values.append(min(CAP, float(psnr(subject.image(camera, active), full))))
+            theirs = np.repeat(np.isin(np.arange(len(colors)), ids), colors.counts)
+            count = np.count_nonzero(active & theirs)
+            of_visible.append(count / max(1, np.count_nonzero(theirs)))
+            of_all.append(count / max(1, colors.num_terms))
+        rows.append({
+            "epsilon": epsilon, "psnr": float(np.mean(values)), "least_psnr": float(np.min(values)), "psnrs": values,
+            "active_of_visible": float(np.mean(of_visible)), "active_and_visible": float(np.mean(of_all)),
+        })  # fmt: skip
+        log(f"epsilon {epsilon:.4g}: {np.mean(values):.2f} dB, {np.mean(of_visible):.1%} of the terms of visible ones")
+    return rows
+
+
+def by_cells(
+    subject: Subject, path: HeadPath, store: VisibilityStore, epsilon: float, config: WalkConfig
+) -> tuple[WalkTerms, dict[str, Any]]:
+    """The walk by the visible sets of its cells, and what the store of active terms takes."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "walk.terms.arrow"
+        start = time.perf_counter()
+        with build_active_terms(subject.colors, subject.g, store, epsilon, file) as terms:
+            seconds = time.perf_counter() - start
+            walk = terms_over_walk(subject.colors, subject.g, path, terms, sets=store, config=config)
+            shares = [terms.share(cell) for cell in range(len(terms))]
+            pairs = sum(share.active for share in shares)
+            told = {
+                "build_s": seconds, "cells": len(shares), "bytes": file.stat().st_size, "pairs": pairs,
+                "bits_per_pair": 8.0 * file.stat().st_size / max(1, pairs),
+                "of_visible": float(np.mean([share.of_visible for share in shares])),
+                "of_all": float(np.mean([share.of_all for share in shares])),
+            }  # fmt: skip
+    return walk, told
+
+
+def shown(subject: Subject, looks: Looks, walk: WalkTerms) -> dict[str, float]:
+    """Images at eight poses with the terms sent until then, against all terms."""
+    values = []
+    for i in np.unique(np.linspace(0, len(walk.times) - 1, 8).round().astype(int)).tolist():
+        held = walk.first_active <= np.float32(walk.times[i])
+        camera = looks.cameras[i]
+        values.append(min(CAP, float(psnr(subject.image(camera, held), subject.image(camera)))))
+    return {"psnr": float(np.mean(values)), "least_psnr": float(np.min(values))}
+
+
+def mean_of(walks: list[dict[str, Any]], place: int, way: str, key: str) -> float:
+    return float(np.mean([walk["by_epsilon"][place][way][key] for walk in walks]))
+
+
+def told(at: dict[str, Any], walks: list[dict[str, Any]], wanted: list[float], epsilon: float) -> list[dict[str, Any]]:
+    def figure(name: str, reached: float, unit: str, target: float | None = None) -> dict[str, Any]:
+        better = "lower" if target is None else "higher"
+        return {"name": name, "target": target, "reached": reached, "unit": unit, "better": better}
+
+    figures = [
+        figure("epsilon", epsilon, "change of a channel; paper 0.01 to 0.05"),
+        figure("active terms against all, mean over held-out cameras", at["psnr"], "dB", LEAST_PSNR),
+        figure("active, of the terms of visible Gaussians, held-out cameras", at["active_of_visible"], "share"),
+    ]
+    for place, e in enumerate(wanted):
+        named = (
+            "the calibrated epsilon" if e == epsilon else f"epsilon {e:.4g}, the largest tried with {LEAST_PSNR:g} dB"
+        )
+        if not walks:
+            continue
+        for way, told_as in (("eye", "by cameras"), ("cells", "by cells")):
+            start, end = mean_of(walks, place, way, "terms_at_start"), mean_of(walks, place, way, "terms_at_end")
+            figures.append(figure(f"terms sent at the start, {told_as}, {named}", start, "of all; paper 0.0358"))
+            figures.append(figure(f"terms sent after 30 s, {told_as}, {named}", end, "of all; paper 0.2239"))
+            total = walks[0]["by_epsilon"][place][way]
+            size = total["all_terms"] * total["term_bytes"] * end
+            figures.append(figure(f"bytes of terms sent after 30 s, {told_as}, {named}", size / 1e6, "MB"))
+        least = min(walk["by_epsilon"][place]["shown"]["psnr"] for walk in walks)
+        figures.append(figure(f"image with the terms sent so far, worst walk, {named}", least, "dB", LEAST_PSNR))
+    if walks:
+        seen = mean_of(walks, 0, "eye", "gaussians_at_end")
+        figures.append(figure("Gaussians sent after 30 s", seen, "of all; paper 0.8685"))
+        without = mean_of(walks, 0, "eye", "unpruned_at_end")
+        figures.append(figure("terms sent after 30 s, all of every visible Gaussian", without, "of all"))
+    return figures
+
+
+def table(curve: list[dict[str, Any]], walks: list[dict[str, Any]], wanted: list[float]) -> str:
+    lines = ["| epsilon | PSNR, mean | least | active, of the terms of visible Gaussians |", "|---|---|---|---|"]
+    lines += [
+        f"| {r['epsilon']:.4g} | {r['psnr']:.1f} dB | {r['least_psnr']:.1f} dB | {r['active_of_visible']:.1%} |"
+        for r in curve
+    ]
+    lines += [
+        "",
+        "| walk | epsilon | Gaussians | terms | all terms of them | by cells: Gaussians | terms | all terms of them |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for walk in walks:
+        for place, e in enumerate(wanted):
+            eye, cell = walk["by_epsilon"][place]["eye"], walk["by_epsilon"][place]["cells"]
+            cells = [
+                f"{way['gaussians_at_end']:.1%} | {way['terms_at_start']:.2%} to {way['terms_at_end']:.2%}"
+                f" | {way['unpruned_at_end']:.2%}"
+                for way in (eye, cell)
+            ]
+            lines.append(f"| {walk['walk']} | {e:.4g} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def progress(stage: str, done: int, total: int) -> None:
+    if done == total or done % 50_000 < 2048:
+        log(f"{stage}: {done:,} of {total:,}")
+
+
+def log(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
