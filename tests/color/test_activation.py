@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gsvis.color import spaces
 from gsvis.color.activation import Activation, active, active_in_box, contributions
+from gsvis.color.evaluate import evaluate
 from gsvis.color.srbf import SrbfColors, srbf, unit_vectors
 from gsvis.color.variants import VARIANTS
 from tests.color.samples import random_colors
@@ -191,3 +192,20 @@ def test_bad_arguments_are_named() -> None:
         Activation(lobe, means, 0.1).active([0, 0, 0], [1])
     with pytest.raises(ValueError, match="visible: expected integers"):
         Activation(lobe, means, 0.1).active_in_box([0, 0, 0], [1, 1, 1], [0.5])
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_contribution_is_what_evaluation_loses_without_the_term(name: str) -> None:
+    rng = np.random.default_rng(13)
+    colors, means, eye = random_colors(rng, 60, name), rng.normal(size=(60, 3)), np.array([1.0, -0.5, 2.0])
+    found, full = contributions(colors, means, eye), evaluate(colors, means, eye)
+    for rank in range(int(colors.counts.max())):
+        left_out = colors.ranks == rank
+        change = np.abs(evaluate(colors, means, eye, active=~left_out) - full).max(axis=1)
+        changed = change[colors.gaussian_ids[left_out]]
+        if colors.kind.space == "rgb":  # a colour clipped at 0 changes by less
+            assert (changed <= found[left_out] + 1e-6).all()
+            free = (full > 0.3).all(axis=1)[colors.gaussian_ids[left_out]] & (found[left_out] < 0.3)
+            np.testing.assert_allclose(changed[free], found[left_out][free], atol=1e-6)
+        else:
+            np.testing.assert_allclose(changed, found[left_out], atol=2e-6)
