@@ -1,0 +1,266 @@
+"""SRBF colours of a scene from the scene alone: from where each Gaussian can be seen, what it counts, and the fit.
+
+Directions are traced outward into navigable space and joined with those of sampled views; how much each Gaussian counts
+comes from the views. Scene frame and units. The views that a fit is judged by are drawn apart from those of the fit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color.fit import FitConfig, SrbfFit, fit_srbf
+from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.content import scene_hash, space_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import NUM_FACES
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility._kept import Kept
+from gsvis.visibility.look import buried
+
+__all__ = ["ColorConfig", "ColorPreparation", "ViewSampling", "kept_beside", "prepare_colors"]
+
+U8 = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+
+_PLAN = 1  # raised whenever the same plan would find something else
+_BLOCK = 16384  # Gaussians traced before what was found is kept
+_TRIES = 32  # times that viewpoints are drawn until enough lie outside of everything solid
+
+
+@dataclass(frozen=True)
+class ViewSampling:
+    """Cameras drawn at random in navigable space, none of them inside something solid.
+
+    Args:
+        count: How many.
+        width: Pixels.
+        height: Pixels.
+        fov: Horizontal field of view, degrees.
+        seed: Of the random numbers.
+        stream: Which of the seed's independent streams: views of different streams have nothing in common.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    count: int = 48
+    width: int = 320
+    height: int = 240
+    fov: float = 60.0
+    seed: int = 0
+    stream: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("count", 0), ("width", 1), ("height", 1), ("seed", 0), ("stream", 0)):
+            _check.positive_int(name, getattr(self, name), at_least=least)
+        if not 1.0 <= self.fov <= 179.0:
+            raise ValueError(f"fov: expected degrees in [1, 179], got {self.fov!r}")
+
+    def cameras(self, g: Gaussians, navigable: NavigableSpace) -> Cameras:
+        """The cameras.
+
+        Args:
+            g: The scene.
+            navigable: Where eyes may be.
+
+        Raises:
+            SceneError: If too few viewpoints lie outside of something solid.
+        """
+        rng = np.random.default_rng([self.seed, self.stream])
+        eyes = np.zeros((0, 3))
+        for _ in range(_TRIES):
+            drawn = navigable.sample_viewpoints(self.count, rng)
+            eyes = np.concatenate([eyes, drawn[~buried(g, drawn)]])
+            if len(eyes) >= self.count:
+                return navigable.cameras_at(eyes[: self.count], rng, width=self.width, height=self.height, fov=self.fov)
+        raise SceneError(
+            f"of {self.count * _TRIES:,} viewpoints drawn in navigable space {len(eyes):,} lie outside of something"
+            " solid: there is nowhere to look from"
+        )
+
+
+@dataclass(frozen=True)
+class ColorConfig:
+    """How colours are prepared.
+
+    Args:
+        fit: What is fitted, and how hard.
+        views: From where it is asked how much each Gaussian counts; with none, all count alike.
+        rays_per_face: Rays traced outward over each of the 80 directions: 0 for none, 1, 4, 16 or 64.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    fit: FitConfig = field(default_factory=FitConfig)
+    views: ViewSampling = field(default_factory=ViewSampling)
+    rays_per_face: int = 1
+
+    def __post_init__(self) -> None:
+        if self.rays_per_face not in (0, 1, 4, 16, 64):
+            raise ValueError(f"rays_per_face: expected 0, 1, 4, 16 or 64, got {self.rays_per_face!r}")
+        if self.rays_per_face == 0 and self.views.count == 0:
+            raise ValueError("rays_per_face: expected some where no view tells directions, got 0")
+
+
+@dataclass(frozen=True, eq=False)
+class ColorPreparation:
+    """Colours, and what they were fitted to.
+
+    Attributes:
+        fit: The colours and their errors.
+        sets: (N, 10) uint8 direction sets.
+        importance: (N,) what a squared error of each Gaussian's colour counts; ones where no view was asked.
+        views: The views that were asked; their results must not be judged by them.
+        sets_from: Where directions come from, as a phrase.
+    """
+
+    fit: SrbfFit
+    sets: U8
+    importance: F64
+    views: Cameras | None
+    sets_from: str
+
+
+def prepare_colors(
+    g: Gaussians,
+    navigable: NavigableSpace | None,
+    config: ColorConfig | None = None,
+    *,
+    sets: ArrayLike | None = None,
+    keep: str | os.PathLike[str] | None = None,
+    progress: Progress = silent,
+) -> ColorPreparation:
+    """Directions, importance and fit of the colours of a scene.
+
+    A scene without view dependence (SH degree 0) gets base colours and no terms; nothing is traced then.
+
+    Args:
+        g: N Gaussians.
+        navigable: Where eyes may be; None only for a scene of SH degree 0.
+        config: How; None means `ColorConfig()`.
+        sets: (N, 10) uint8 direction sets that are known, such as `VisibilityStore.direction_sets`; None traces them.
+        keep: The file that will be made of this. What was found is kept beside it until `kept_beside` is removed, so
+            that a run which is killed and started again traces nothing twice. None keeps nothing.
+        progress: Called with stages "directions", "importance", "price" and "fit".
+
+    Raises:
+        ValueError: If the sets are not of this scene's size, or there is no navigable space.
+        SceneError: If nothing can be seen, or from nowhere.
+        OSError: If what is to be kept cannot be written.
+
+    References:
+        SRBF-Gaussian, sections 3.1 and 5.
+    """
+    config = config or ColorConfig()
+    given = None if sets is None else _checked_sets(sets, len(g))
+    if g.sh_degree == 0 or len(g) == 0:
+        fit = fit_srbf(g, None, replace(config.fit, max_terms=0), progress=progress)
+        everywhere = np.full((len(g), NUM_FACES // 8), 255, np.uint8)
+        return ColorPreparation(fit, everywhere, np.ones(len(g)), None, "none needed: no colour depends on direction")
+    if navigable is None:
+        raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
+    kept = Kept(keep, _plan(g, navigable, config, given))
+    found = kept.load({"sets": (len(g), NUM_FACES // 8), "traced": (1,), "importance": (len(g),)})
+    if given is None and config.rays_per_face > 0:
+        _trace(g, navigable, config.rays_per_face, kept, found, progress)
+        told = f"traced outward with {config.rays_per_face} rays a direction, and those of the fitting views"
+    else:
+        found.setdefault("sets", np.zeros((len(g), NUM_FACES // 8), np.uint8))
+        told = "the fitting views" if given is None else "the visible sets, and those of the fitting views"
+    views = config.views.cameras(g, navigable) if config.views.count else None
+    if views is None:
+        found["importance"] = np.ones(len(g))
+        told = told.replace(", and those of the fitting views", "")
+    elif "importance" not in found:
+        from gsvis.visibility.importance import importance_from_views  # imports torch
+
+        seen = importance_from_views(g, views, progress=progress)
+        found["sets"] |= seen.sets
+        found["importance"] = seen.importance
+        kept.save(**found)
+    directions = found["sets"] if given is None else found["sets"] | given
+    fit = fit_srbf(g, directions, config.fit, importance=found["importance"], progress=progress)
+    return ColorPreparation(fit, directions, found["importance"], views, told)
+
+
+def kept_beside(
+    g: Gaussians,
+    navigable: NavigableSpace | None,
+    config: ColorConfig,
+    keep: str | os.PathLike[str],
+    *,
+    sets: ArrayLike | None = None,
+) -> Path | None:
+    """The file in which a preparation keeps what it finds, for its name and for its removal.
+
+    Args:
+        g: As given to `prepare_colors`.
+        navigable: So too.
+        config: So too.
+        keep: So too.
+        sets: So too.
+
+    Returns:
+        The path, of a file that need not exist; None where nothing is ever kept.
+    """
+    if navigable is None or g.sh_degree == 0:
+        return None
+    return Kept(keep, _plan(g, navigable, config, None if sets is None else _checked_sets(sets, len(g)))).path
+
+
+def _plan(g: Gaussians, navigable: NavigableSpace, config: ColorConfig, sets: U8 | None) -> dict[str, Any]:
+    """All that decides what is found before the fit."""
+    return {
+        "version": _PLAN,
+        "scene": scene_hash(g),
+        "space": space_hash(navigable),
+        "views": asdict(config.views),
+        "rays_per_face": None if sets is not None else config.rays_per_face,
+        "sets": None if sets is None else hashlib.sha256(sets.tobytes()).hexdigest(),
+    }
+
+
+def _trace(
+    g: Gaussians, navigable: NavigableSpace, rays: int, kept: Kept, found: dict[str, NDArray[Any]], progress: Progress
+) -> None:
+    """Direction sets traced outward into `found`, from where an earlier run stood; kept block by block."""
+    from gsvis.raycast import EllipsoidProxies, Tracer
+    from gsvis.raycast.directions import trace_directions
+
+    n = len(g)
+    if "sets" not in found or "traced" not in found:
+        found.clear()
+        found.update(sets=np.zeros((n, NUM_FACES // 8), np.uint8), traced=np.zeros(1, np.int64))
+    done = int(found["traced"][0])
+    progress("directions", done, n)
+    if done >= n:
+        return
+    tracer = Tracer(EllipsoidProxies.from_scene(g))
+    for start in range(done, n, _BLOCK):
+        ids = np.arange(start, min(start + _BLOCK, n))
+
+        def within(_stage: str, at: int, _total: int, before: int = start) -> None:
+            progress("directions", before + at, n)
+
+        found["sets"][ids] = trace_directions(tracer, navigable, ids=ids, rays_per_face=rays, progress=within)
+        found["traced"] = np.array([ids[-1] + 1], np.int64)
+        kept.save(**found)
+
+
+def _checked_sets(sets: ArrayLike, count: int) -> U8:
+    array = np.ascontiguousarray(sets)
+    if array.dtype != np.uint8 or array.shape != (count, NUM_FACES // 8):
+        wanted = f"uint8 of shape ({count}, {NUM_FACES // 8})"
+        raise ValueError(f"sets: expected {wanted}, got {array.dtype} of {array.shape}; those of this scene")
+    return array
