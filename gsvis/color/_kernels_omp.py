@@ -1,36 +1,21 @@
 """Kernels of orthogonal matching pursuit: blocks of signals, all of a block one term further at a time.
 
-Correlations are float32 matrix products of register tiles, each a sum over directions in their order: what comes out
-for a signal does not depend on its neighbours, on blocks or on threads. The chosen atoms are orthogonalised in float64.
+Correlations are float32, the chosen atoms are orthogonalised in float64. What comes out for a signal does not depend on
+its neighbours, on blocks or on threads.
 """
 
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
-import llvmlite.binding as llvm
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from numba import njit
 from numpy.typing import NDArray
 
-from gsvis._simd import Builder, Vector
+from gsvis.color._kernels_products import BLOCK, best_atom, inner, multiply_rows
 
-__all__ = ["BAD_SIGNAL", "BAD_WEIGHTS", "BLOCK", "WIDTH", "Atoms", "Chunk", "Codes", "multiply", "pursue"]
-
-_WIDE = bool(llvm.get_host_cpu_features().get("avx512f"))
-LANES, ROWS, VECTORS = (16, 8, 3) if _WIDE else (8, 6, 2)
-"""A tile is ROWS x VECTORS vectors of LANES: as many as stay in registers."""
-
-WIDTH = LANES * VECTORS
-"""Atoms in a panel."""
-
-BLOCK = 4 * ROWS
-"""Signals that go one term further together."""
+__all__ = ["BAD_SIGNAL", "BAD_WEIGHTS", "Atoms", "Chunk", "Codes", "pursue"]
 
 BAD_SIGNAL, BAD_WEIGHTS = -1, -2
 """Counts of signals that are not finite, or whose weights are not finite or negative."""
@@ -38,9 +23,6 @@ BAD_SIGNAL, BAD_WEIGHTS = -1, -2
 _NOISE = 1e-6  # of a signal's norm: correlations below it are rounding
 _DEPENDENT = 1e-10  # of an atom's squared norm: what is left of it outside the span of the others is rounding
 _REASSOCIATE = {"reassoc", "contract"}
-_I64 = ir.IntType(64)
-_inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""For functions that only kernels call: without what Python would need, they compile in half the time."""
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -117,108 +99,7 @@ class _Work(NamedTuple):
     active: Any  # (B,) int64, signals that go on
 
 
-@intrinsic
-def _multiply_tile(typing_context, rows, first, panels, panel, out):
-    """out[first + s, panel * WIDTH + a] = rows[first + s] . panels[panel, :, a] for the ROWS x WIDTH of a tile."""
-    del typing_context
-    signature = types.void(rows, types.int64, panels, types.int64, out)
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        lanes = Builder(builder, LANES, "float32")
-        left, right, result = (context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 2, 4))
-        depth = cgutils.unpack_tuple(builder, left.shape, 2)[1]
-        columns = cgutils.unpack_tuple(builder, result.shape, 2)[1]
-        width = ir.Constant(_I64, WIDTH)
-        numbers = [builder.add(args[1], ir.Constant(_I64, s)) for s in range(ROWS)]
-        starts = [builder.gep(left.data, [builder.mul(number, depth)]) for number in numbers]
-        panel = builder.gep(right.data, [builder.mul(builder.mul(args[3], depth), width)])
-        rooms = [
-            [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(VECTORS)] for _ in range(ROWS)
-        ]
-        offsets = [ir.Constant(_I64, v * LANES) for v in range(VECTORS)]
-        with cgutils.for_range(builder, depth) as loop:
-            at = builder.gep(panel, [builder.mul(loop.index, width)])
-            vectors = [lanes.load(at, offset) for offset in offsets]
-            for start, room in zip(starts, rooms, strict=True):
-                value = lanes.splat(builder.load(builder.gep(start, [loop.index])))
-                for v in range(VECTORS):
-                    total = vectors[v].times_plus(value, Vector(lanes, builder.load(room[v])))
-                    builder.store(total.value, room[v])
-        for number, room in zip(numbers, rooms, strict=True):
-            place = builder.add(builder.mul(number, columns), builder.mul(args[3], width))
-            for v in range(VECTORS):
-                lanes.store(Vector(lanes, builder.load(room[v])), result.data, builder.add(place, offsets[v]))
-        return context.get_dummy_value()
-
-    return signature, generate
-
-
-@intrinsic
-def _best_atom(typing_context, correlations, channels, gains, signal):
-    """The largest sum over channels of a signal's correlations^2 * gains, and its first place.
-
-    Args:
-        typing_context: numba's, unused.
-        correlations: (C * B, P * WIDTH) float32, a block of signals for each channel.
-        channels: C.
-        gains: (B, P * WIDTH) float32, not negative.
-        signal: Which signal of the block.
-
-    Returns:
-        float32 and int64; 0.0 and 0 where nothing is above 0.
-    """
-    del typing_context
-    pair = types.Tuple((types.float32, types.int64))
-    signature = pair(correlations, types.int64, gains, types.int64)
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        lanes = Builder(builder, LANES, "float32")
-        values, factors = (context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 2))
-        signals, columns = cgutils.unpack_tuple(builder, factors.shape, 2)
-        start = builder.gep(values.data, [builder.mul(args[3], columns)])
-        gain = builder.gep(factors.data, [builder.mul(args[3], columns)])
-        stride = builder.mul(signals, columns)
-        zero = lanes.constant(0.0).value
-        best, found, score = (cgutils.alloca_once_value(builder, zero) for _ in range(3))
-        place = cgutils.alloca_once_value(builder, lanes.counting().value)
-        step = ir.Constant(_I64, LANES)
-        with cgutils.for_range(builder, builder.sdiv(columns, step)) as loop:
-            offset = builder.mul(loop.index, step)
-            builder.store(zero, score)
-            with cgutils.for_range(builder, args[1]) as channel:
-                value = lanes.load(start, builder.add(offset, builder.mul(channel.index, stride)))
-                builder.store(value.times_plus(value, Vector(lanes, builder.load(score))).value, score)
-            now = Vector(lanes, builder.load(score)) * lanes.load(gain, offset)
-            before, here = Vector(lanes, builder.load(best)), Vector(lanes, builder.load(place))
-            better = now.compare(">", before)
-            builder.store(better.where(now, before).value, best)
-            builder.store(better.where(here, Vector(lanes, builder.load(found))).value, found)
-            builder.store((here + float(LANES)).value, place)
-        most = Vector(lanes, builder.load(best)).largest()
-        same = Vector(lanes, builder.load(best)).compare("==", lanes.splat(most))
-        backward = same.where(Vector(lanes, builder.load(found)) * -1.0, -math.inf)
-        index = builder.fptosi(builder.fneg(backward.largest()), _I64)
-        return context.make_tuple(builder, pair, [most, index])
-
-    return signature, generate
-
-
-@_inner()
-def _multiply(rows, count, panels, out):
-    """The first `count` rows (B, D), rounded up to whole tiles, times the panels, into out (B, P * WIDTH)."""
-    for panel in range(len(panels)):
-        for first in range(0, count, ROWS):
-            _multiply_tile(rows, first, panels, panel, out)
-
-
-@njit(cache=True, nogil=True)
-def multiply(rows, panels, out):
-    """Rows (N, D), N a multiple of BLOCK, times the panels (P, D, WIDTH), into out (N, P * WIDTH)."""
-    for first in range(0, len(rows), BLOCK):
-        _multiply(rows[first : first + BLOCK], BLOCK, panels, out[first : first + BLOCK])
-
-
-@_inner(fastmath=_REASSOCIATE)
+@inner(fastmath=_REASSOCIATE)
 def _dot(a, i, b, j):
     """a[i] . b[j]. Rows go by their numbers here: making a slice costs as much as what is done with it."""
     total = 0.0
@@ -227,35 +108,35 @@ def _dot(a, i, b, j):
     return total
 
 
-@_inner(fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _subtract(a, i, factor, b, j):
     """a[i] -= factor * b[j]."""
     for d in range(a.shape[1]):
         a[i, d] -= factor * b[j, d]
 
 
-@_inner()
+@inner()
 def _scale(a, i, factor):
     """a[i] *= factor."""
     for d in range(a.shape[1]):
         a[i, d] *= factor
 
 
-@_inner()
+@inner()
 def _copy(a, i, out, j):
     """out[j] = a[i]."""
     for d in range(out.shape[1]):
         out[j, d] = a[i, d]
 
 
-@_inner()
+@inner()
 def _product(a, i, b, j, out, k):
     """out[k] = a[i] * b[j], entry by entry."""
     for d in range(out.shape[1]):
         out[k, d] = a[i, d] * b[j, d]
 
 
-@_inner(fastmath={"nnan", "nsz", "reassoc"})
+@inner(fastmath={"nnan", "nsz", "reassoc"})
 def _least_and_most(a, i):
     """Least and largest of a[i], if all are finite."""
     least, most = a[i, 0], a[i, 0]
@@ -265,7 +146,7 @@ def _least_and_most(a, i):
     return least, most
 
 
-@_inner(error_model="numpy")
+@inner(error_model="numpy")
 def _take_weights(weights, m, roots, b):
     """Square roots of weights[m] over their largest, into roots[b]; the largest, or -1 where they cannot be."""
     least, most = _least_and_most(weights, m)
@@ -277,7 +158,7 @@ def _take_weights(weights, m, roots, b):
     return most
 
 
-@_inner()
+@inner()
 def _load(chunk, start, count, atoms, work, codes):
     """Signals start .. start + count of the chunk, weighted and scaled, into the block; counts 0, or BAD_*."""
     signals, weights, raw, rows, counts = chunk.signals, chunk.weights, work.raw, work.rows, codes.counts
@@ -306,14 +187,14 @@ def _load(chunk, start, count, atoms, work, codes):
         energies[b], sizes[b], scales[b] = energy / (size * size), size, scale * size * size
 
 
-@_inner(error_model="numpy")
+@inner(error_model="numpy")
 def _reciprocals(shares, b, least_share, gains):
     for a in range(shares.shape[1]):
         share = shares[b, a]
         gains[b, a] = np.float32(1.0) / share if share > least_share else np.float32(0.0)
 
 
-@_inner()
+@inner()
 def _correlate(atoms, work, count):
     """Correlations of all atoms with the signals of the block."""
     rows, roots, sent, correlations = work.rows, work.roots, work.sent, work.correlations
@@ -322,12 +203,12 @@ def _correlate(atoms, work, count):
         if len(roots) > 0:
             for b in range(count):
                 _product(rows, first + b, roots, b, sent, b)
-            _multiply(sent, count, atoms.panels, out)
+            multiply_rows(sent, count, atoms.panels, out)
         else:
-            _multiply(rows[first : first + BLOCK], count, atoms.panels, out)
+            multiply_rows(rows[first : first + BLOCK], count, atoms.panels, out)
 
 
-@_inner()
+@inner()
 def _weigh(atoms, work, count):
     """Gains of all atoms under the weights of each signal of the block."""
     roots, sent, shares, gains = work.roots, work.sent, work.spread, work.gains
@@ -337,12 +218,12 @@ def _weigh(atoms, work, count):
         return
     for b in range(count):
         _product(roots, b, roots, b, sent, b)
-    _multiply(sent, count, atoms.squares, shares)
+    multiply_rows(sent, count, atoms.squares, shares)
     for b in range(count):
         _reciprocals(shares, b, atoms.least_share, gains)
 
 
-@_inner()
+@inner()
 def _orthogonalise(basis, first, k, triangle):
     """Make row first + k of the basis orthonormal to rows first .. first + k, with what it was in triangle[first + k].
 
@@ -362,7 +243,7 @@ def _orthogonalise(basis, first, k, triangle):
     return True
 
 
-@_inner()
+@inner()
 def _choose(atoms, work, going, k, codes, start):
     """Choose term k of the `going` active signals: atom, place in the basis, parts along it, error left.
 
@@ -375,7 +256,7 @@ def _choose(atoms, work, going, k, codes, start):
     for s in range(going):
         b = active[s]
         m, new = start + b, b * terms + k
-        score, atom = _best_atom(correlations, channels, gains, b)
+        score, atom = best_atom(correlations, channels, gains, b)
         if score <= _NOISE * _NOISE * energies[b]:
             continue
         if len(roots) > 0:
@@ -395,7 +276,7 @@ def _choose(atoms, work, going, k, codes, start):
         counts[m] = k + 1
 
 
-@_inner()
+@inner()
 def _keep_active(chunk, start, going, k, codes, work):
     """Active signals that found k terms and may go on; their number."""
     active, scales, counts, errors = work.active, work.scales, codes.counts, codes.errors
@@ -410,7 +291,7 @@ def _keep_active(chunk, start, going, k, codes, work):
     return kept
 
 
-@_inner()
+@inner()
 def _spread(atoms, work, going, k, codes, start):
     """Inner products of all atoms with the newest basis vector of active signal s, into row s of work.spread.
 
@@ -432,10 +313,10 @@ def _spread(atoms, work, going, k, codes, start):
         _scale(spread, s, np.float32(1.0 / triangle[new, k]))
         _copy(spread, s, spreads, new)
     if len(roots) > 0:
-        _multiply(sent, going, atoms.panels, spread)
+        multiply_rows(sent, going, atoms.panels, spread)
 
 
-@_inner()
+@inner()
 def _follow(work, going, k, terms):
     """Correlations of the active signals after term k."""
     active, parts, correlations, spread = work.active, work.parts, work.correlations, work.spread
@@ -446,7 +327,7 @@ def _follow(work, going, k, terms):
             _subtract(correlations, c * BLOCK + b, np.float32(parts[b * terms + k, c]), spread, s)
 
 
-@_inner()
+@inner()
 def _finish(atoms, work, count, codes, start):
     """Coefficients of the chosen atoms, from the parts along the basis; what stands beyond; errors in their unit."""
     found, coefficients, counts, errors = codes.atoms, codes.coefficients, codes.counts, codes.errors
@@ -473,7 +354,7 @@ def _finish(atoms, work, count, codes, start):
             errors[m, k] *= scales[b]
 
 
-@_inner()
+@inner()
 def _pursue_block(chunk, start, count, atoms, codes, work):
     """All terms of signals start .. start + count."""
     terms = codes.atoms.shape[1]

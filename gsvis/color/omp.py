@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color import _kernels_omp as kernels
+from gsvis.color._kernels_products import BLOCK, WIDTH, multiply
 from gsvis.progress import Progress, silent
 
 __all__ = ["SparseCodes", "orthogonal_matching_pursuit"]
@@ -23,7 +24,7 @@ __all__ = ["SparseCodes", "orthogonal_matching_pursuit"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_CHUNK = 64 * kernels.BLOCK
+_CHUNK = 64 * BLOCK
 """Signals that a thread takes at a time: what is converted and held beside arguments and results."""
 
 LEAST_SHARE = 1e-6
@@ -196,18 +197,18 @@ def _atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.
     scale = float(shared.max())
     roots = np.sqrt(shared / scale if scale > 0.0 else shared).astype(np.float32)
     unit *= roots
-    panels = -(-number // kernels.WIDTH)
-    rows = np.zeros((-(-number // kernels.BLOCK) * kernels.BLOCK, depth), np.float32)
+    panels = -(-number // WIDTH)
+    rows = np.zeros((-(-number // BLOCK) * BLOCK, depth), np.float32)
     rows[:number] = unit
-    table = np.zeros((panels * kernels.WIDTH, depth), np.float32)
+    table = np.zeros((panels * WIDTH, depth), np.float32)
     table[:number] = unit
-    table = np.ascontiguousarray(table.reshape(panels, kernels.WIDTH, depth).transpose(0, 2, 1))
-    shares = np.zeros(panels * kernels.WIDTH)
+    table = np.ascontiguousarray(table.reshape(panels, WIDTH, depth).transpose(0, 2, 1))
+    shares = np.zeros(panels * WIDTH)
     shares[:number] = np.einsum("ad,ad->a", unit, unit)
     seen = shares > least_share
     gram = np.empty((0 if own else len(rows), len(shares)), np.float32)
     if not own:
-        kernels.multiply(rows, table, gram)
+        multiply(rows, table, gram)
     return kernels.Atoms(
         unit=unit,
         lengths=lengths * largest,

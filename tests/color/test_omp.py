@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import get_num_threads, set_num_threads
 
-from gsvis.color import SparseCodes, _kernels_omp, orthogonal_matching_pursuit, reference, srbf_dictionary
+from gsvis.color import SparseCodes, orthogonal_matching_pursuit, reference, srbf_dictionary
+from gsvis.color._kernels_products import BLOCK
 from gsvis.scene.icosphere import icosphere
-
-BLOCK = _kernels_omp.BLOCK
 
 
 def problem(seed: int, number: int = 40, depth: int = 42, atoms: int = 70) -> tuple[np.ndarray, np.ndarray]:
