@@ -19,7 +19,7 @@ _ATTEMPTS = 4
 _ATTEMPTS_TO_SETTLE = 16
 
 Work = namedtuple(
-    "Work", "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch"
+    "Work", "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch factors"
 )
 
 
@@ -30,7 +30,7 @@ def work(most_terms, directions, channels):
     z = np.zeros
     return Work(
         z((p, directions), np.float32), z((p, p)), z((p, channels)), z((p, p)), z((p, channels)), z((k, k)), z((k, n)),
-        z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32),
+        z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32), z(p),
     )  # fmt: skip
 
 
@@ -66,19 +66,29 @@ def _solve(matrix, size, right, columns):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def weigh_prefixes(inner, outer, terms, channels, emphasis):
-    """Make inner products those of the error summed over all prefixes: the last counts 1, shorter ones `emphasis`.
+def _count_prefixes(terms, emphasis, factors):
+    """What each row, the lobes and then three slopes of each, counts in the error summed over all prefixes.
 
-    The error of a prefix is a quadratic form in the same inner products, so that lobes i and j matter together in as
-    many prefixes as hold both. Rows are the lobes, then three slopes of each.
+    The prefix of all lobes counts 1, each shorter one `emphasis`, and a lobe is part of those that reach it.
     """
     for i in range(4 * terms):
         k = i if i < terms else (i - terms) // 3
+        factors[i] = 1.0 + emphasis * (terms - 1 - k)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _weigh_prefixes(inner, outer, number, channels, factors):
+    """Make inner products those of the error summed over all prefixes.
+
+    The error of a prefix is a quadratic form in the same inner products, so that two lobes matter together in as many
+    prefixes as hold both.
+    """
+    for i in range(number):
         for c in range(channels):
-            outer[i, c] *= 1.0 + emphasis * (terms - 1 - k)
-        for j in range(4 * terms):
-            m = max(k, j if j < terms else (j - terms) // 3)
-            inner[i, j] *= 1.0 + emphasis * (terms - 1 - m)
+            outer[i, c] *= factors[i]
+        row = inner[i]
+        for j in range(number):
+            row[j] *= min(factors[i], factors[j])
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -121,14 +131,18 @@ def _normal_equations(w, terms, channels, ridge, intensities):
                 left -= w.inner[terms + p, i] * intensities[i, c]
             slope += intensities[k, c] * left
         w.slope[p, 0] = slope
+        row, own = w.normal[p], w.inner[terms + p]
         for q in range(p + 1):
-            s = w.inner[terms + p, terms + q]
-            for i in range(terms):
-                s -= w.inner[terms + p, i] * w.wide[i, q]
+            row[q] = own[terms + q]
+        for i in range(terms):
+            known, factor = w.wide[i], own[i]
+            for q in range(p + 1):
+                row[q] -= factor * known[q]
+        for q in range(p + 1):
             shared = 0.0
             for c in range(channels):
                 shared += intensities[k, c] * intensities[q // 3, c]
-            w.normal[p, q] = shared * s
+            row[q] *= shared
         largest = max(largest, w.normal[p, p])
     return largest
 
@@ -178,7 +192,8 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
     lobes(points, count, v, terms, w.rows)
     gram(w.rows, size, count, w.scratch, w.inner)
     dots(w.rows, size, targets, channels, count, w.scratch, w.outer)
-    weigh_prefixes(w.inner, w.outer, terms, channels, emphasis)
+    _count_prefixes(terms, emphasis, w.factors)
+    _weigh_prefixes(w.inner, w.outer, size, channels, w.factors)
     explained = best_intensities(w.inner, w.outer, terms, channels, ridge, w.small, intensities)
     damping = 1e-2
     for _ in range(int(steps)):
@@ -194,7 +209,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
                 lobes(points, count, w.trial, terms, w.rows)
                 gram(w.rows, size, count, w.scratch, w.inner2)
                 dots(w.rows, size, targets, channels, count, w.scratch, w.outer2)
-                weigh_prefixes(w.inner2, w.outer2, terms, channels, emphasis)
+                _weigh_prefixes(w.inner2, w.outer2, size, channels, w.factors)
                 better = best_intensities(w.inner2, w.outer2, terms, channels, ridge, w.small, w.intensities)
                 if better > explained:
                     gained = better - explained
@@ -235,11 +250,8 @@ def settle(w, total, terms, channels, limits, intensities, anew):
         if attempt > 0 or anew:
             w.inner2[:terms, :terms] = w.inner[:terms, :terms]
             w.outer2[:terms] = w.outer[:terms]
-            for k in range(terms):
-                for c in range(channels):
-                    w.outer2[k, c] *= 1.0 + emphasis * (terms - 1 - k)
-                for j in range(terms):
-                    w.inner2[k, j] *= 1.0 + emphasis * (terms - 1 - max(k, j))
+            _count_prefixes(terms, emphasis, w.factors)
+            _weigh_prefixes(w.inner2, w.outer2, terms, channels, w.factors)
             best_intensities(w.inner2, w.outer2, terms, channels, limits[0], w.small, intensities)
         error, falls = total, True
         for k in range(terms):
