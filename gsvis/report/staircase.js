@@ -141,8 +141,8 @@ class Test {
 }
 
 const VERDICTS = {
-  converged: (epsilon) => "Your answers settled: terms that change a colour by less than " + epsilon.toPrecision(2)
-    + " (of 1, from black to white) can stay away without your noticing it in most views.",
+  converged: (epsilon) => "Your answers settled. Where changes of a colour up to " + epsilon.toPrecision(2) + " (of 1, from"
+    + " black to white) are left out, you can tell in three of four trials; with smaller ones you mostly guess.",
   stuck: () => "Your answers ran to the end of the ladder, so this is no threshold, only a bound of it.",
   "too few": () => "Your answers did not settle within the trials there are; treat the figure as a rough one.",
   "at a bound": () => "Many answers lie at the end of the ladder, so this is no threshold, only a bound of it.",
