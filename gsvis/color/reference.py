@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
 
 from gsvis.color.omp import LEAST_SHARE, SparseCodes
 from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
 from gsvis.color.srbf import SrbfColors, srbf, unit_vectors
 
-__all__ = ["evaluate", "orthogonal_matching_pursuit"]
+__all__ = ["evaluate", "orthogonal_matching_pursuit", "refine"]
 
 F64 = NDArray[np.float64]
 
@@ -82,3 +83,28 @@ def orthogonal_matching_pursuit(
             coefficients[n, : len(chosen)] = fit.reshape(len(chosen), *values.shape[2:])
             errors[n, len(chosen) :] = (residual**2).sum()
     return SparseCodes(atoms, coefficients.astype(np.float32), counts, errors)
+
+
+def refine(targets: ArrayLike, directions: ArrayLike, weights: ArrayLike, v: ArrayLike, *, ridge: float) -> float:
+    """Least error that SciPy finds from given lobes: weighted squares of what they leave, with the ridge's cost.
+
+    Args:
+        targets: (D, C) what to meet.
+        directions: (D, 3) unit vectors.
+        weights: (D,) >= 0.
+        v: (K, 3) decay times centre of the lobes to start from.
+        ridge: Cost of a squared intensity.
+    """
+    points, root = np.asarray(directions, np.float64), np.sqrt(np.asarray(weights, np.float64))
+    goal = np.asarray(targets, np.float64) * root[:, None]
+
+    def left(flat: F64) -> F64:
+        moved = flat.reshape(-1, 3)
+        decays = np.linalg.norm(moved, axis=1)
+        lobes = np.exp(points @ moved.T - decays) * root[:, None]
+        padded = np.vstack([lobes, np.sqrt(ridge) * np.eye(len(moved))])
+        full = np.vstack([goal, np.zeros((len(moved), goal.shape[1]))])
+        intensities = np.linalg.lstsq(padded, full, rcond=None)[0]
+        return np.asarray((full - padded @ intensities).ravel())
+
+    return float(2.0 * least_squares(left, np.asarray(v, np.float64).ravel()).cost)
