@@ -1,11 +1,11 @@
 """Does the paper's epsilon of 0.01 to 0.05 come out of the staircase, with FLIP in place of a person?
 
 SRBF-Gaussian, section 6.2. The scene is drawn from seeded cameras in navigable space, with all terms of its colours and
-with those that are active at epsilon. The observer notices the difference where the 99th percentile of the FLIP map of any
-view is above `FLIP_JND`. That is a convention (see `gsvis.color.FLIP_JND`), so the same images are judged by other
-thresholds, percentiles, viewing distances and by the middle view instead of the worst, and by observers with a spread
-who guess, as people in a two-alternative test do. These take the differences between measured epsilons from straight
-lines in logarithms.
+with those that are active at epsilon. The observer notices the difference where the 99th percentile of a view's FLIP
+map is above `FLIP_JND` in any view. That is a convention (see `gsvis.color.FLIP_JND`), so the same images are judged by
+other thresholds, percentiles, viewing distances and by the middle view instead of the worst, and by observers with a
+spread who guess, as people in a two-alternative test do. These take the differences between measured epsilons from
+straight lines in logarithms.
 
 PSNR and the share of active terms at each epsilon are over the same cameras; values are clipped to [0, 1] as a display
 does. Without `--colors` the colours are fitted here, over the directions and by the importance of other seeded cameras.
