@@ -109,6 +109,8 @@ class StaircaseRule:
             raise ValueError(f"start: expected a value in [{self.lowest:g}, {self.highest:g}], got {self.start!r}")
         if not (_number(self.down_step) and 1e-4 <= self.down_step <= 2.0):
             raise ValueError(f"down_step: expected a value in [0.0001, 2], got {self.down_step!r}")
+        if not isinstance(self.coarse, tuple | list):
+            raise ValueError(f"coarse: expected integers, got {self.coarse!r}")
         object.__setattr__(self, "coarse", tuple(_check.positive_int("coarse", step) for step in self.coarse))
         _check.positive_int("discard", self.discard, at_least=len(self.coarse))
         if _check.positive_int("reversals", self.reversals, at_least=2) % 2:

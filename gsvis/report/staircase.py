@@ -157,10 +157,12 @@ def load_staircase_result(path: str | os.PathLike[str]) -> EpsilonCalibration:
     try:
         epsilons, detected = (list(column) for column in zip(*trials, strict=True))
         found = replay(StaircaseRule(**rule), epsilons, detected, provenance)
-    except (TypeError, ValueError) as error:
+    except (OverflowError, ValueError) as error:
         raise FormatError(path, "trials", "what the rule gives", f"'{error}'", "save the result again") from error
     epsilon = document.get("epsilon")
-    if not isinstance(epsilon, float | int) or not math.isclose(epsilon, found.epsilon, rel_tol=1e-6):
+    if not (
+        isinstance(epsilon, float | int) and 0 < epsilon < 2 and math.isclose(epsilon, found.epsilon, rel_tol=1e-6)
+    ):
         refuse("epsilon", f"{found.epsilon:.6g}, by its trials", plain(epsilon))
     return found
 

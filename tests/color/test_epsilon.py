@@ -251,6 +251,7 @@ def test_the_flip_threshold_is_a_just_noticeable_step_of_lightness() -> None:
         ({"lowest": 0.0}, "expected 0 < lowest < highest <= 1"),
         ({"highest": 1.5}, "expected 0 < lowest < highest <= 1"),
         ({"down_step": 0.0}, "down_step: expected a value in"),
+        ({"coarse": 3}, "coarse: expected integers"),
         ({"coarse": (0,)}, "coarse: expected an integer of at least 1"),
         ({"discard": 3}, "discard: expected an integer of at least 6"),
         ({"reversals": 7}, "reversals: expected an even number"),

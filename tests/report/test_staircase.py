@@ -246,6 +246,9 @@ def test_a_saved_result_comes_back(tmp_path: Path) -> None:
         ({"trials": [[0.2, True]]}, "trials"),
         ({"epsilon": 0.5}, "epsilon"),
         ({"epsilon": None}, "epsilon"),
+        ({"epsilon": 10**400}, "epsilon"),
+        ({"trials": [[10**400, True]]}, "trials"),
+        ({"rule": {**PERSON_RULE.as_dict(), "start": 10**400}}, "trials"),
     ],
 )
 def test_results_that_are_none_are_refused(tmp_path: Path, changes: dict[str, Any], where: str) -> None:
