@@ -80,13 +80,14 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
     """Intensities as places (T, I) in a table, each term making up for what rounding did to larger ones.
 
     The largest term of a Gaussian has the largest step and goes first; what its rounding changed is spread over those
-    that follow by least squares in the mean over the sphere.
+    that follow by least squares in the mean over the sphere. Where that is no better, each is rounded by itself.
     """
     most = 0
     for g in range(len(offsets) - 1):
         most = max(most, offsets[g + 1] - offsets[g])
     channels = intensities.shape[1]
-    gram, sizes, errors = np.empty((most, most)), np.empty(most), np.empty(most)
+    gram, sizes, errors, alone = np.empty((most, most)), np.empty(most), np.empty(most), np.empty(most)
+    places = np.empty(most, np.int64)
     for g in range(len(offsets) - 1):
         start, count = offsets[g], offsets[g + 1] - offsets[g]
         for j in range(count):
@@ -99,10 +100,18 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
             gram[j, j] *= 1.0 + RIDGE
         _cholesky(gram, count)
         for c in range(channels):
+            apart, together = 0.0, 0.0
+            for j in range(count):
+                alone[j] = table[np.searchsorted(middles, intensities[order[j], c])] - intensities[order[j], c]
             for j in range(count - 1, -1, -1):
-                value = intensities[order[j], c]
+                value, left = intensities[order[j], c], alone[j]
                 for k in range(j + 1, count):
                     value -= gram[k, j] / gram[j, j] * errors[k]
-                place = np.searchsorted(middles, value)
-                out[order[j], c] = place
-                errors[j] = table[place] - intensities[order[j], c]
+                    left += gram[k, j] / gram[j, j] * alone[k]
+                places[j] = np.searchsorted(middles, value)
+                errors[j] = table[places[j]] - intensities[order[j], c]
+                apart += (gram[j, j] * left) ** 2
+                together += (gram[j, j] * (table[places[j]] - value)) ** 2
+            for j in range(count):
+                worse = together > apart
+                out[order[j], c] = np.searchsorted(middles, intensities[order[j], c]) if worse else places[j]

@@ -35,7 +35,7 @@ F32 = NDArray[np.float32]
 U16 = NDArray[np.uint16]
 Range = tuple[float, float]
 
-INTENSITY_FLOOR = 0.05
+INTENSITY_FLOOR = 0.1
 """Size of an intensity from which its steps grow with it."""
 BASE_KNEE = 0.5
 """Half the width of the interval in which base colours have even steps: [0, 1], or [-1/2, 1/2] for U and V."""
@@ -77,9 +77,9 @@ class Precision:
 PRECISIONS: dict[str, Precision] = {
     p.name: p
     for p in (
-        Precision("coarse", base=8, scale=8, axis=6, center=7, decay=5, intensity=6),
-        Precision("wire", base=10, scale=10, axis=8, center=8, decay=7, intensity=8),
-        Precision("fine", base=13, scale=14, axis=12, center=11, decay=10, intensity=12),
+        Precision("coarse", base=7, scale=7, axis=5, center=5, decay=4, intensity=5),
+        Precision("wire", base=8, scale=8, axis=6, center=6, decay=5, intensity=6),
+        Precision("fine", base=10, scale=10, axis=8, center=8, decay=7, intensity=8),
     )
 }
 """`wire` is the default: see docs/design/009-color-records.md for what each costs in image quality."""
@@ -148,8 +148,8 @@ class Grids:
         return _grids.bent(*self.base[component], centre, BASE_KNEE, bits)
 
     def scale_table(self) -> F32:
-        """(2^bits,) scales."""
-        return _grids.geometric(*self.scales, self.precision.scale)
+        """(2^bits,) scales, in even steps up to 1: what matters is the error of the colour, not of the scale."""
+        return _grids.bent(*self.scales, 0.0, 1.0, self.precision.scale)
 
     def theta_table(self) -> F32:
         """(2^bits,) polar angles, none at a pole."""
@@ -264,7 +264,7 @@ def quantise(
 
     A centre moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
     a base component in [0, 1] by half an even step, an axis by at most 4.3 / 2^axis radians. Without `refit` an
-    intensity a moves by at most (|a| + 0.05) (exp(k / 2) - 1), k = log(1 + largest / 0.05) / (2^(intensity - 1) - 1).
+    intensity a moves by at most (|a| + 0.1) (exp(k / 2) - 1), k = log(1 + largest / 0.1) / (2^(intensity - 1) - 1).
 
     Args:
         colors: What to round.
@@ -279,7 +279,7 @@ def quantise(
     Examples:
         >>> packed = quantise(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
         >>> packed.nbytes, packed.dequantised().base.round(3).tolist()
-        (5, [[0.0, 0.5, 1.0]])
+        (4, [[0.0, 0.5, 1.0]])
     """
     own = Grids.of(colors, precision)
     g = own if grids is None else grids
@@ -339,7 +339,7 @@ def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> flo
 
     Examples:
         >>> bytes_per_term("rgb"), bytes_per_term("axis"), bytes_per_term("rgb", None)
-        (6.0, 4.0, 24.0)
+        (4.5, 3.0, 24.0)
     """
     return _term_bits(variant(name), None if precision is None else _precision(precision)) / 8
 

@@ -84,8 +84,11 @@ def test_every_number_stays_within_its_bound(seed: int, name: str, precision: st
     assert np.all(2 * np.arcsin(chords / 2) <= np.pi / 2**p.center / np.sqrt(2) + 1e-6)
     half_ratio = 0.5 * np.log(g.decays[1] / g.decays[0]) / (2**p.decay - 1)
     assert np.all(np.abs(np.log(after.decays / before.decays)) <= half_ratio * (1 + half_ratio) + 1e-6)
-    half_ratio = 0.5 * np.log(g.scales[1] / g.scales[0]) / (2**p.scale - 1)
-    assert np.all(np.abs(np.log(after.scales / before.scales)) <= half_ratio * (1 + half_ratio) + 1e-6)
+    if before.kind.space != "rgb":
+        low, high = g.scales
+        half_step = 0.5 * (min(high, 1) - min(low, 1) + np.log(max(high, 1) / max(low, 1))) / (2**p.scale - 1)
+        bound = half_step * np.maximum(before.scales, 1) * (1 + 2 * half_step)
+        assert np.all(np.abs(after.scales - before.scales) <= bound + 1e-6)
     k = np.log1p(g.intensity / INTENSITY_FLOOR) / (2 ** (p.intensity - 1) - 1)
     moved = np.abs(after.intensities - before.intensities)
     assert np.all(moved <= (np.abs(before.intensities) + INTENSITY_FLOOR) * np.expm1(k / 2) * (1 + 1e-5) + 1e-7)
@@ -114,8 +117,9 @@ def test_base_colours_within_the_unit_interval_have_even_steps_whatever_lies_out
 def test_intensities_make_up_for_rounded_lobes(name: str) -> None:
     before = random_colors(np.random.default_rng(3), 60, name, 5)
     plain, adapted = (quantise(before, "wire", refit=refit).dequantised() for refit in (False, True))
-    assert field_error(before, adapted).mean() < 0.95 * field_error(before, plain).mean()
-    assert np.all(field_error(before, adapted) <= field_error(before, plain) * 1.05 + 2e-3)
+    adapted_errors, plain_errors = field_error(before, adapted), field_error(before, plain)
+    assert adapted_errors.mean() < 0.9 * plain_errors.mean()
+    assert np.mean(adapted_errors > 1.2 * plain_errors + 1e-3) < 0.1
 
 
 def test_lobes_that_nearly_cancel_survive_rounding() -> None:

@@ -130,7 +130,7 @@ def test_integers_and_header_are_all_a_decoder_needs(tmp_path: Path) -> None:
     np.testing.assert_allclose(theta, values.centers[:, 0], rtol=1e-6)
     half = 2 ** (bits["intensity"] - 1) - 1
     places = np.array([t["intensities"] for t in terms]) - half
-    sizes = 0.05 * np.expm1(np.log1p(header["intensity"] / 0.05) * np.abs(places) / half)
+    sizes = 0.1 * np.expm1(np.log1p(header["intensity"] / 0.1) * np.abs(places) / half)
     np.testing.assert_allclose(np.sign(places) * sizes, values.intensities, rtol=1e-5, atol=1e-7)
 
 
@@ -268,7 +268,7 @@ def test_headers_that_contradict_the_rows_are_refused(
     ("change", "message"),
     [
         ({"base": 300}, "base: expected values in"),
-        ({"intensities": 255}, r"intensities: expected values in \[0, 254\], got 255"),
+        ({"intensities": 255}, r"intensities: expected values in \[0, 62\], got 255"),
         ({"decays": (2.0, 1.0)}, "decays"),
         ({"scales": (0.0, 1.0)}, "scales"),
         ({"bits": 17}, "integer from 2 to 16"),
