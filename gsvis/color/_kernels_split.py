@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-__all__ = ["split_hsl", "split_hsv", "split_linear"]
+__all__ = ["hold_saturation", "split_hsl", "split_hsv", "split_linear"]
 
 
 @njit(cache=True, nogil=True)
@@ -114,9 +114,58 @@ def split_hsl(colours, weights, scales, base, saturation, by_saturation, lightne
             lightness[g, d] -= base[g, 2]
 
 
+@njit(cache=True, nogil=True)
+def _nearest_lightness(colour, offsets, saturation):
+    """L for which HSL with this hue and saturation comes nearest to a colour in RGB, and what a step in L changes.
+
+    RGB is linear in L below and above 1/2: L (1 + 2 S q) and L (1 - 2 S q) + 2 S q with q = h - 1/2.
+    """
+    best, nearest, change = np.inf, 0.0, 0.0
+    for half in range(2):
+        sign = 1.0 - 2.0 * half
+        along, length = 0.0, 0.0
+        for c in range(3):
+            slope = 1.0 + 2.0 * sign * saturation * offsets[c]
+            along += slope * (colour[c] - 2.0 * half * saturation * offsets[c])
+            length += slope * slope
+        light = along / length if length > 1e-12 else 0.5
+        light = min(max(light, 0.5 * half), 0.5 + 0.5 * half)
+        error = 0.0
+        for c in range(3):
+            shown = light * (1.0 + 2.0 * sign * saturation * offsets[c]) + 2.0 * half * saturation * offsets[c]
+            error += (colour[c] - shown) ** 2
+        if error < best:
+            best, nearest, change = error, light, length
+    return nearest, change
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def hold_saturation(colours, weights, scales, base, lightness, by_lightness):
+    """Replace lightness by what is nearest in RGB with hue and saturation held at their bases; arguments as above."""
+    for g in prange(len(colours)):
+        turn, scale = base[g, 0], scales[g]
+        offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
+        total, mean = 0.0, 0.0
+        for d in range(weights.shape[1]):
+            lightness[g, d], by_lightness[g, d] = 0.0, 0.0
+            if weights[g, d] <= 0.0:
+                continue
+            colour = (colours[g, 0, d] / scale, colours[g, 1, d] / scale, colours[g, 2, d] / scale)
+            light, change = _nearest_lightness(colour, offsets, base[g, 1])
+            lightness[g, d], by_lightness[g, d] = light, weights[g, d] * scale * scale * change
+            total += by_lightness[g, d]
+            mean += by_lightness[g, d] * light
+        base[g, 2] = mean / total if total > 0.0 else 0.0
+        for d in range(weights.shape[1]):
+            lightness[g, d] -= base[g, 2]
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def split_hsv(colours, weights, scales, base, value, by_value):
-    """HSV of RGB / scale: bases (n, 3); V - V_ref (n, D) and the weights of its errors in RGB (n, D)."""
+    """HSV of RGB / scale: bases (n, 3); V - V_ref (n, D) and the weights of its errors in RGB (n, D).
+
+    With hue and saturation held, RGB is V times a tint: V is what comes nearest to the colour.
+    """
     for g in prange(len(colours)):
         largest = _largest(colours[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
@@ -139,11 +188,15 @@ def split_hsv(colours, weights, scales, base, value, by_value):
         turn -= np.floor(turn)
         base[g, 0] = turn
         base[g, 1] = colour / all_colour if all_colour > 0.0 else 0.0
-        change = 0.0
-        for shift in (5.0, 3.0, 1.0):
-            change += (1.0 - base[g, 1] * (1.0 - _pure(turn, shift))) ** 2
-        total, mean = 0.0, 0.0
+        tint = (
+            1.0 - base[g, 1] * (1.0 - _pure(turn, 5.0)),
+            1.0 - base[g, 1] * (1.0 - _pure(turn, 3.0)),
+            1.0 - base[g, 1] * (1.0 - _pure(turn, 1.0)),
+        )
+        change, total, mean = tint[0] ** 2 + tint[1] ** 2 + tint[2] ** 2, 0.0, 0.0
         for d in range(weights.shape[1]):
+            along = tint[0] * colours[g, 0, d] + tint[1] * colours[g, 1, d] + tint[2] * colours[g, 2, d]
+            value[g, d] = along / (change * scale) if weights[g, d] > 0.0 else 0.0
             by_value[g, d] = weights[g, d] * scale * scale * change
             total += by_value[g, d]
             mean += by_value[g, d] * value[g, d]

@@ -66,18 +66,18 @@ def split_colours(kind: Variant, colours: F32, weights: F32) -> Split:
             kernels.split_hsv(colours, weights, scales, base, *planes[:2])
             return Split(base, scales, axes, (Function(planes[0][:, None], planes[1], base[:, 2]),))
         kernels.split_hsl(colours, weights, scales, base, *planes)
+        if len(kind.functions) == 1:
+            kernels.hold_saturation(colours, weights, scales, base, *planes[2:])
         saturation = Function(planes[0][:, None], planes[1], base[:, 1])
         lightness = Function(planes[2][:, None], planes[3], base[:, 2])
         return Split(base, scales, axes, (saturation, lightness)[-len(kind.functions) :])
     covariance = np.empty((n, 3, 3))
     kernels.split_linear(colours, weights, base, covariance)
     if kind.space == "yuv":
-        luma = rgb_to_yuv(np.moveaxis(colours, 1, 2))[:, :, 0]
+        grey = colours.mean(axis=1)  # with U and V held, this step in Y is nearest in RGB, not that of luma
         base = np.asarray(rgb_to_yuv(base), np.float32)
         every_channel = np.float32(3.0)  # a step in Y moves R, G and B alike
-        return Split(
-            base, scales, axes, (Function(np.ascontiguousarray(luma)[:, None], every_channel * weights, base[:, 0]),)
-        )
+        return Split(base, scales, axes, (Function(grey[:, None], every_channel * weights, base[:, 0]),))
     if kind.num_axes == 0:
         return Split(base, scales, axes, (Function(colours, weights, ones),))
     axes = _principal_axes(covariance, kind.num_axes)

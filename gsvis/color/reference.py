@@ -85,7 +85,9 @@ def orthogonal_matching_pursuit(
     return SparseCodes(atoms, coefficients.astype(np.float32), counts, errors)
 
 
-def refine(targets: ArrayLike, directions: ArrayLike, weights: ArrayLike, v: ArrayLike, *, ridge: float) -> float:
+def refine(
+    targets: ArrayLike, directions: ArrayLike, weights: ArrayLike, v: ArrayLike, *, ridge: float
+) -> tuple[float, F64]:
     """Least error that SciPy finds from given lobes: weighted squares of what they leave, with the ridge's cost.
 
     Args:
@@ -94,6 +96,9 @@ def refine(targets: ArrayLike, directions: ArrayLike, weights: ArrayLike, v: Arr
         weights: (D,) >= 0.
         v: (K, 3) decay times centre of the lobes to start from.
         ridge: Cost of a squared intensity.
+
+    Returns:
+        The error, and the (K, 3) lobes.
     """
     points, root = np.asarray(directions, np.float64), np.sqrt(np.asarray(weights, np.float64))
     goal = np.asarray(targets, np.float64) * root[:, None]
@@ -107,4 +112,5 @@ def refine(targets: ArrayLike, directions: ArrayLike, weights: ArrayLike, v: Arr
         intensities = np.linalg.lstsq(padded, full, rcond=None)[0]
         return np.asarray((full - padded @ intensities).ravel())
 
-    return float(2.0 * least_squares(left, np.asarray(v, np.float64).ravel()).cost)
+    solved = least_squares(left, np.asarray(v, np.float64).ravel())
+    return float(2.0 * solved.cost), np.asarray(solved.x.reshape(-1, 3))

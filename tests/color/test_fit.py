@@ -1,0 +1,240 @@
+"""Laws of the fit: what a base and its terms must do whatever the scene, and what they must do on known functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf
+from gsvis.color._kernels_fit import fit_lobes
+from gsvis.color._kernels_refine import refine, work
+from gsvis.color.fit import sampled_colours
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import face_directions, face_shares, icosphere
+
+POINTS = -face_directions(4).reshape(-1, 3)
+SHARES = face_shares(4).reshape(-1) * 320
+
+
+def scene(count: int, seed: int = 0, spread: float = 0.15, degree: int = 3) -> Gaussians:
+    """Gaussians whose colours change with direction, mostly within (0, 1)."""
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        rng.normal(size=(count, 3)),
+        rng.normal(size=(count, 4)),
+        np.full((count, 3), 0.1),
+        np.full(count, 0.5),
+        rng.uniform(-0.7, 0.9, (count, 1, 3)),
+        rng.normal(scale=spread, size=(count, (degree + 1) ** 2 - 1, 3)),
+    )
+
+
+def caps(count: int, seed: int = 0) -> np.ndarray:
+    """(N, 80) bool, faces within a random cap of 40 to 100 degrees."""
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(size=(count, 3))
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    cosines = centres @ face_directions(1)[:, 0].T
+    return cosines > np.cos(np.radians(rng.uniform(40, 100, count)))[:, None]
+
+
+def errors_along(g: Gaussians, faces: np.ndarray, fit: SrbfFit, most: int) -> np.ndarray:
+    """(N, most + 1) weighted mean squared RGB error with the first 0, 1, ... terms."""
+    weights = np.repeat(faces, 4, axis=1) * SHARES
+    weights /= weights.sum(axis=1, keepdims=True)
+    truth = sampled_colours(g).transpose(0, 2, 1)
+    rows = []
+    for count in range(most + 1):
+        shown = evaluate_along(fit.colors.first(count), POINTS)
+        rows.append((np.square(shown - truth).sum(axis=2) * weights).sum(axis=1))
+    return np.stack(rows, axis=1)
+
+
+@pytest.mark.parametrize("refined", [True, False])
+@pytest.mark.parametrize("name", list(VARIANTS))
+def test_error_never_rises_along_the_order_of_terms(name: str, refined: bool) -> None:
+    g, faces = scene(60, spread=0.06), caps(60)
+    fit = fit_srbf(g, faces, FitConfig(variant=name, max_terms=4, mean_terms=None, refine=refined))
+    along = errors_along(g, faces, fit, int(fit.colors.counts.max()))
+    assert fit.colors.num_terms > 60
+    assert np.all(np.diff(along, axis=1) <= 2e-6 * along[:, :1] + 1e-9)
+    np.testing.assert_allclose(along[:, 0], fit.base_errors, rtol=2e-3, atol=1e-8)
+    np.testing.assert_allclose(along[:, -1], fit.errors, rtol=2e-2, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", list(VARIANTS))
+def test_terms_help_and_refinement_helps_more(name: str) -> None:
+    g, faces = scene(80), caps(80)
+    plain, moved = (
+        fit_srbf(g, faces, FitConfig(variant=name, max_terms=3, mean_terms=None, refine=refined))
+        for refined in (False, True)
+    )
+    assert plain.errors.mean() < 0.95 * plain.base_errors.mean()  # random channels: a fixed hue says little of them
+    assert moved.errors.mean() < plain.errors.mean()
+
+
+def test_ours_beat_the_papers_at_the_same_number_of_terms() -> None:
+    g, faces = scene(200), caps(200)
+    errors = {
+        name: fit_srbf(g, faces, FitConfig(variant=name, max_terms=8, mean_terms=3.0)).errors.mean()
+        for name in ("hsl", "yuv", "axes", "rgb")
+    }
+    assert max(errors["axes"], errors["rgb"]) < min(errors["hsl"], errors["yuv"])
+
+
+def test_what_is_not_seen_has_no_say() -> None:
+    """Two scenes that agree where they are seen (the mirror image of the other half) get the same colours."""
+    g = scene(30, degree=1)
+    upper = face_directions(1)[:, 0, 2] > 0.1
+    seen = np.broadcast_to(upper, (30, 80))
+    fit = fit_srbf(g, seen, FitConfig(mean_terms=None, max_terms=3))
+    weights = np.where(seen, 7.0, 0.0)  # the scale of the weights does not matter
+    again = fit_srbf(g, weights, FitConfig(mean_terms=None, max_terms=3))
+    np.testing.assert_allclose(fit.colors.base, again.colors.base, atol=1e-6)
+    np.testing.assert_allclose(fit.errors, again.errors, rtol=0.05, atol=1e-6)
+    everywhere = fit_srbf(g, None, FitConfig(mean_terms=None, max_terms=3))
+    assert fit.errors.mean() < everywhere.errors.mean()  # half the sphere is the easier half
+
+
+def test_sets_of_bits_and_of_booleans_mean_the_same() -> None:
+    g, faces = scene(20), caps(20)
+    config = FitConfig(mean_terms=None, max_terms=2)
+    left = fit_srbf(g, faces, config)
+    right = fit_srbf(g, np.packbits(faces, axis=1, bitorder="little"), config)
+    np.testing.assert_array_equal(left.colors.intensities, right.colors.intensities)
+
+
+def test_a_gaussian_is_fitted_alike_in_any_company() -> None:
+    g, faces = scene(2100), caps(2100)  # more than one chunk
+    config = FitConfig(mean_terms=None, max_terms=2)
+    order = np.random.default_rng(1).permutation(2100)
+    left = fit_srbf(g, faces, config).colors[order]
+    right = fit_srbf(g[order], faces[order], config).colors
+    for name in ("base", "offsets", "functions", "centers", "decays", "intensities"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+
+
+@pytest.mark.parametrize("wanted", [0.5, 2.0])
+def test_mean_terms_are_met(wanted: float) -> None:
+    g, faces = scene(600), caps(600)
+    importance = np.random.default_rng(0).lognormal(sigma=2.0, size=600)
+    fit = fit_srbf(g, faces, FitConfig(mean_terms=wanted, max_terms=6), importance=importance)
+    assert abs(fit.colors.counts.mean() - wanted) < 0.05
+    heavy = importance > np.quantile(importance, 0.9)
+    assert fit.colors.counts[heavy].mean() > fit.colors.counts[~heavy].mean()
+
+
+def test_terms_go_where_they_count() -> None:
+    g, faces = scene(400), caps(400)
+    importance = np.random.default_rng(0).lognormal(sigma=2.0, size=400)
+    config = FitConfig(mean_terms=1.0, max_terms=6)
+    aware, blind = fit_srbf(g, faces, config, importance=importance), fit_srbf(g, faces, config)
+    assert (aware.errors * importance).sum() < 0.8 * (blind.errors * importance).sum()
+
+
+@pytest.mark.parametrize("name", list(VARIANTS))
+def test_degenerate_gaussians_get_defined_colours(name: str) -> None:
+    g = scene(8)
+    sh0, higher = g.sh0.copy(), g.shN.copy()
+    higher[:4] = 0.0  # no change with direction:
+    sh0[0], sh0[1], sh0[2] = 0.0, -1e3, 1e3  # grey, black (far below 0), far above 1
+    higher[4], sh0[4] = higher[4, :, :1], 0.3  # grey in every direction
+    higher[5] *= 1e4  # far outside of [0, 1]
+    scenes = Gaussians(g.means, g.quats, g.scales, g.opacities, sh0, higher)
+    faces = np.ones((8, 80), bool)
+    faces[6] = False  # never seen
+    faces[7, 1:] = False  # from a single face
+    fit = fit_srbf(scenes, faces, FitConfig(variant=name, mean_terms=None))
+    shown = evaluate_along(fit.colors, POINTS)
+    assert np.isfinite(shown).all()
+    assert np.isfinite(fit.errors).all()
+    assert fit.unseen == 1
+    assert fit.colors.counts[6] == 0
+    assert not fit.colors.counts[:4].any()
+    truth = sampled_colours(scenes).transpose(0, 2, 1)
+    np.testing.assert_allclose(shown[:4], truth[:4], rtol=1e-5, atol=1e-5)
+    assert fit.colors.counts[7] <= 1 * len(VARIANTS[name].functions)  # four points carry one term at the most
+
+
+def test_no_terms_and_no_gaussians() -> None:
+    g = scene(5)
+    fit = fit_srbf(g, None, FitConfig(max_terms=0))
+    assert fit.colors.num_terms == 0
+    weights = SHARES / SHARES.sum()
+    np.testing.assert_allclose(fit.colors.base, sampled_colours(g) @ weights, atol=1e-5)
+    assert len(fit_srbf(g[:0], None).colors) == 0
+
+
+def test_lobes_that_made_a_function_are_found() -> None:
+    centers = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -0.8, -0.6]])
+    decays, intensities = np.array([4.0, 9.0, 2.0]), np.array([1.0, -0.6, 0.5])
+    values = (intensities * srbf(POINTS[:, None], centers, decays)).sum(axis=1)
+    starts = np.concatenate([decay * icosphere(1)[0] for decay in (1.5, 6.0)])
+    dictionary = np.exp(starts @ POINTS.T - np.linalg.norm(starts, axis=1)[:, None]).astype(np.float32)
+    v, a = np.zeros((1, 3, 3), np.float32), np.zeros((1, 3, 1), np.float32)
+    counts, curves = np.zeros(1, np.int64), np.zeros((1, 4), np.float32)
+    limits = (1e-9, 0.1, 60.0, 1e-6, 200.0, 0.0)
+    fit_lobes(
+        np.ascontiguousarray(POINTS.T, np.float32), dictionary, starts, values.astype(np.float32)[None, None],
+        np.ones((1, 320), np.float32), np.ones(1), np.array([3]), 0.0, limits, v, a, counts, curves,
+    )  # fmt: skip
+    found = np.linalg.norm(v[0], axis=1)
+    order = [int(np.argmax(v[0] @ c / found)) for c in centers]
+    assert sorted(order) == [0, 1, 2]
+    assert curves[0, 3] < 1e-4 * curves[0, 0]
+    np.testing.assert_allclose(found[order], decays, rtol=0.1)
+    np.testing.assert_allclose(a[0, order, 0], intensities, atol=0.05)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("terms", [1, 2, 4])
+def test_refinement_is_as_good_as_scipys(terms: int, channels: int) -> None:
+    rng = np.random.default_rng(terms)
+    points = np.zeros((4, 320), np.float32)
+    points[:3], points[3] = POINTS.T, np.sqrt(rng.uniform(0.2, 1.0, 320))
+    truth = sampled_colours(scene(1, seed=terms))[0].T[:, :channels]
+    truth = truth - truth.mean(axis=0)
+    targets = np.zeros((4, 320), np.float32)
+    targets[:channels] = (truth * points[3][:, None]).T
+    total = float(np.square(targets.astype(np.float64)).sum())
+    best, found = reference.refine(truth, POINTS, points[3] ** 2, rng.normal(scale=3.0, size=(terms, 3)), ridge=0.01)
+    nearby = found * rng.uniform(0.9, 1.1, found.shape)
+    w, v, a = work(terms, 320, channels), nearby.copy(), np.zeros((terms, channels))
+    refine(w, points, targets, 320, total, terms, channels, v, a, (0.01, 1e-3, 1e3, 1e-9, 300.0, 0.0))
+    decays = np.linalg.norm(v, axis=1)
+    lobes = np.exp(points[:3].T.astype(np.float64) @ v.T - decays)
+    left = np.square((truth - lobes @ a) * points[3][:, None]).sum() + 0.01 * np.square(a).sum()
+    assert left <= 1.02 * best + 1e-4 * total
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.floats(1e-6, 1e3), st.sampled_from(list(VARIANTS)))
+def test_never_nan(seed: int, spread: float, name: str) -> None:
+    g = scene(4, seed=seed, spread=spread)
+    fit = fit_srbf(g, caps(4, seed), FitConfig(variant=name, max_terms=3, mean_terms=None))
+    assert np.isfinite(evaluate_along(fit.colors, POINTS)).all()
+    assert np.all(fit.errors <= fit.base_errors * (1 + 1e-4) + 1e-9)
+
+
+def test_bad_arguments_are_named() -> None:
+    g = scene(3)
+    for bad, match in (
+        ({"directions": np.ones((2, 80))}, "directions: expected uint8 sets"),
+        ({"directions": -np.ones((3, 80))}, "directions: expected values"),
+        ({"importance": np.full(3, np.nan)}, "importance: expected finite"),
+        ({"importance": np.ones(2)}, "importance: expected shape"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            fit_srbf(g, **{"directions": None, **bad})  # type: ignore[arg-type]
+    for wrong, match in (
+        ({"variant": "lab"}, "variant: expected one of"),
+        ({"max_terms": -1}, "max_terms: expected"),
+        ({"max_terms": 33}, "max_terms: expected 0 to 32"),
+        ({"mean_terms": -1.0}, "mean_terms: expected"),
+        ({"decays": ()}, "decays: expected at least one"),
+        ({"ridge": float("nan")}, "ridge: expected"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            FitConfig(**wrong)  # type: ignore[arg-type]
