@@ -1,11 +1,11 @@
 """How faithful are SRBF colours on cameras that the fit never saw, by variant, by number of terms and by bytes?
 
 One scene a run. Directions: traced outward, one ray a face, joined with those that 160 fitting cameras (480 x 360,
-drawn from seed 7 in navigable space) see; what a Gaussian counts comes from the same cameras. Twelve held-out cameras (640
-x 480, seed 99) draw the SH scene and the SRBF scene; PSNR is that of the images as they are, not clipped above, mean over
-cameras. "wire" colours are rounded to the records that travel, whose size is counted before entropy coding. The ceiling
-of a variant is what its space can say at all: exact functions of direction in place of terms, base colours and axes as
-fitted.
+drawn from seed 7 in navigable space) see; what a Gaussian counts comes from the same cameras. Twelve held-out cameras
+(640 x 480, seed 99) draw the SH scene and the SRBF scene; PSNR is that of the images as they are, not clipped above,
+mean over cameras. "wire" colours are rounded to the records that travel, whose size is counted before entropy coding.
+The ceiling of a variant is what its space can say at all: exact functions of direction in place of terms, base colours
+and axes as fitted.
 """
 
 from __future__ import annotations
