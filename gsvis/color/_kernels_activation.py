@@ -11,12 +11,9 @@ from numba import njit
 
 from gsvis.color._kernels_rgb import to_rgb
 
-__all__ = ["NEVER", "changes", "mark_terms", "responses"]
+__all__ = ["changes", "mark_terms", "responses"]
 
-NEVER = np.float32(2.0)
-"""Cosine of the cap of a term that matters nowhere."""
-
-_SLACK = 2e-6  # in cosines: float32 centres and caps, and what exp and log round
+_SLACK = 2e-6  # in cosines: centres are float32
 
 
 @njit(cache=True, nogil=True)
@@ -96,8 +93,21 @@ def _cone(x, y, z, half_x, half_y, half_z):
 
 
 @njit(cache=True, nogil=True)
-def mark_terms(ids, means, offsets, centers, cos_caps, sin_caps, low, high, out):
-    """Set out (T,) where a term of the Gaussians ids (V,) matters from somewhere in the box from low to high (3,)."""
+def mark_terms(ids, faint, means, offsets, centers, logs, widths, low, high, out):
+    """Set out (T,) where a term of the Gaussians ids (V,) matters from somewhere in the box from low to high (3,).
+
+    Args:
+        ids: (V,) Gaussians.
+        faint: (V,) minus the logarithm of the factor of each Gaussian's terms, or (0,) for none.
+        means: (N, 3) centres.
+        offsets: (N + 1,) terms of each Gaussian.
+        centers: (T, 3) unit vectors.
+        logs: (T,) logarithm of the largest contribution over the least that matters.
+        widths: (T,) one over the decay.
+        low: (3,) lowest corner.
+        high: (3,) highest corner.
+        out: (T,) bool, only ever set.
+    """
     middle_x, middle_y, middle_z = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
     half_x, half_y, half_z = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
     for j in range(len(ids)):
@@ -111,12 +121,16 @@ def mark_terms(ids, means, offsets, centers, cos_caps, sin_caps, low, high, out)
         sin_cone = np.sqrt(max(0.0, 1.0 - cos_cone * cos_cone))
         if length > 0.0:
             x, y, z = x / length, y / length, z / length
+        less = faint[j] if len(faint) else 0.0
         for t in range(first, last):
-            cos_cap = cos_caps[t]
-            if cos_cap == NEVER:
+            left = logs[t] - less
+            if not left > 0.0:
                 continue
+            cos_cap = 1.0 - left * widths[t]
             if cos_cone <= 0.0 or cos_cap <= -cos_cone + _SLACK:  # cone and cap together reach every direction
                 out[t] = True
                 continue
+            sin_cap = np.sqrt(max(0.0, 1.0 - cos_cap * cos_cap))
             cosine = x * centers[t, 0] + y * centers[t, 1] + z * centers[t, 2]
-            out[t] = cosine >= cos_cap * cos_cone - sin_caps[t] * sin_cone - _SLACK
+            if cosine >= cos_cap * cos_cone - sin_cap * sin_cone - _SLACK:
+                out[t] = True

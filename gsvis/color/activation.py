@@ -22,6 +22,8 @@ Mask = NDArray[np.bool_]
 
 _ROUNDING = 1e-4  # relative, and 4 float32 steps of the colour: what the conversion of a space may add to a change
 _STEPS = 4.0 * float(np.finfo(np.float32).eps)
+_MARGIN = 4e-6  # of logarithms that are kept as float32
+_WIDEST = 1e30
 
 
 class Activation:
@@ -53,9 +55,10 @@ class Activation:
         _check.same_length(colors=colors.base, means=self._means)
         self._centers = unit_vectors(colors.centers).astype(np.float32)
         self._amplitudes = colors.amplitudes()
-        reaches = _reaches(colors, self._amplitudes)
-        self._reaches = reaches
-        self._cos_caps, self._sin_caps = self._caps(reaches)
+        self._reaches = _reaches(colors, self._amplitudes)
+        self._logs = self._above_epsilon()
+        with np.errstate(over="ignore", divide="ignore"):
+            self._widths = np.minimum(1.0 / colors.decays, _WIDEST).astype(np.float32)
 
     def __repr__(self) -> str:
         return f"Activation({self.colors!r}, epsilon {self.epsilon:g})"
@@ -74,16 +77,28 @@ class Activation:
         kernels.changes(code, colors.base, colors.scales, colors.offsets, self._amplitudes, found, out)
         return out
 
-    def active(self, eye: ArrayLike, visible: ArrayLike | None = None) -> Mask:
+    def active(self, eye: ArrayLike, visible: ArrayLike | None = None, weights: ArrayLike | None = None) -> Mask:
         """(T,) bool, the terms that are active for an eye.
 
         Args:
             eye: (3,) position.
             visible: (V,) Gaussians whose terms are asked for; None means all. The terms of others are not active.
+            weights: (V,) largest blending weight of each of them, in [0, 1]. With it a term is active where what it
+                changes in a pixel, contribution times weight, is above epsilon: fewer terms for as good an image.
         """
-        return np.asarray((self.contributions(eye) > np.float32(self.epsilon)) & self._of(visible))
+        found = self.contributions(eye)
+        ids, factors = self._asked(visible, weights)
+        of_gaussian = np.zeros(len(self.colors), np.float32)
+        of_gaussian[ids] = 1.0 if factors is None else factors
+        return np.asarray(found * np.repeat(of_gaussian, self.colors.counts) > np.float32(self.epsilon))
 
-    def active_in_box(self, low: ArrayLike, high: ArrayLike, visible: ArrayLike | None = None) -> Mask:
+    def active_in_box(
+        self,
+        low: ArrayLike,
+        high: ArrayLike,
+        visible: ArrayLike | None = None,
+        weights: ArrayLike | None = None,
+    ) -> Mask:
         """(T,) bool, the terms that may be active for some eye in a box; none that is active for one is missing.
 
         The directions from the box to a Gaussian are bounded by a cone around the one from its middle, so some terms
@@ -93,45 +108,44 @@ class Activation:
             low: (3,) lowest corner of the box.
             high: (3,) highest corner.
             visible: (V,) Gaussians whose terms are asked for; None means all. Only these cost anything.
+            weights: (V,) as in `active`, the largest over all eyes in the box.
 
         Raises:
-            ValueError: If the corners are in the wrong order or an id is none of the N.
+            ValueError: If the corners are in the wrong order, an id is none of the N, or a weight is not in [0, 1].
         """
         first, last = _check.floats("low", low, (3,), np.float64), _check.floats("high", high, (3,), np.float64)
         if (first > last).any():
             raise ValueError(f"low: expected at most high, {last.tolist()}, got {first.tolist()}")
-        ids = np.arange(len(self.colors)) if visible is None else self._ids(visible)
+        ids, factors = self._asked(visible, weights)
+        with np.errstate(divide="ignore"):
+            faint = np.zeros(0) if factors is None else -np.log(factors.astype(np.float64))
         out = np.zeros(self.colors.num_terms, np.bool_)
-        caps = self._cos_caps, self._sin_caps
-        kernels.mark_terms(ids, self._means, self.colors.offsets, self._centers, *caps, first, last, out)
+        terms = self._means, self.colors.offsets, self._centers, self._logs, self._widths
+        kernels.mark_terms(ids, faint, *terms, first, last, out)
         return out
 
-    def _ids(self, visible: ArrayLike) -> NDArray[np.int64]:
-        ids = _check.integers("visible", visible, ("V",))
-        if len(ids) and not 0 <= ids.min() <= ids.max() < len(self.colors):
-            raise ValueError(f"visible: expected ids in [0, {len(self.colors)}), got {ids.min()} to {ids.max()}")
-        return ids
+    def _asked(self, visible: ArrayLike | None, weights: ArrayLike | None) -> tuple[NDArray[np.int64], F32 | None]:
+        """(V,) ids of the Gaussians asked for, and their weights if there are any."""
+        count = len(self.colors)
+        ids = np.arange(count) if visible is None else _check.integers("visible", visible, ("V",))
+        if len(ids) and not 0 <= ids.min() <= ids.max() < count:
+            raise ValueError(f"visible: expected ids in [0, {count}), got {ids.min()} to {ids.max()}")
+        if weights is None:
+            return ids, None
+        factors = _check.floats("weights", weights, (len(ids),))
+        _check.in_range("weights", factors, 0.0, 1.0)
+        return ids, factors
 
-    def _of(self, visible: ArrayLike | None) -> Mask:
-        """The terms of the Gaussians asked for."""
-        asked = np.ones(len(self.colors), bool)
-        if visible is not None:
-            asked[:] = False
-            asked[self._ids(visible)] = True
-        return np.repeat(asked, self.colors.counts)
-
-    def _caps(self, reaches: F64) -> tuple[F32, F32]:
-        """Cosine and sine of the angle from its centre within which each term can be active; NEVER where it cannot."""
-        epsilon = np.full(len(reaches), self.epsilon)
+    def _above_epsilon(self) -> F32:
+        """(T,) logarithm of the most that each term can change over epsilon, a little too large; -inf for nothing."""
+        epsilon = np.full(len(self._reaches), self.epsilon)
         if self.colors.kind.space != "rgb":
             steps = _STEPS * self.colors.scales[self.colors.gaussian_ids].astype(np.float64)
             epsilon = np.maximum((1.0 - _ROUNDING) * epsilon - steps, 0.0)
-        possible = reaches > epsilon
+        something = self._reaches > 0.0
         with np.errstate(divide="ignore"):
-            ratio = np.log(np.where(possible, epsilon, 1.0) / np.where(possible, reaches, 1.0))
-        cosines = np.clip(1.0 + ratio / self.colors.decays.astype(np.float64), -1.0, 1.0)
-        sines = np.sqrt(1.0 - cosines**2)
-        return np.where(possible, cosines, kernels.NEVER).astype(np.float32), sines.astype(np.float32)
+            logs = np.log(np.where(something, self._reaches, 1.0)) - np.log(epsilon) + _MARGIN
+        return np.where(something, logs, -np.inf).astype(np.float32)
 
 
 def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:

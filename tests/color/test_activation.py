@@ -99,10 +99,13 @@ def test_a_box_misses_no_term_that_is_active_for_an_eye_in_it(
     half = 10.0**size * rng.uniform(0.2, 1.0, 3)
     middle = rng.normal(scale=1.5, size=3)
     low, high = middle - half, middle + half
-    possible = activation.active_in_box(low, high)
+    weights = rng.random(60).astype(np.float32)
+    possible, weighted = activation.active_in_box(low, high), activation.active_in_box(low, high, weights=weights)
+    assert not (weighted & ~possible).any()
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
     for eye in [*corners, *rng.uniform(low, high, (24, 3))]:
         assert not (activation.active(eye) & ~possible).any()
+        assert not (activation.active(eye, weights=weights) & ~weighted).any()
 
 
 @pytest.mark.parametrize("decay", [0.05, 3.0, 300.0, 1e4])
@@ -156,6 +159,23 @@ def test_only_terms_of_visible_gaussians_are_given() -> None:
     assert not activation.active_in_box(low, high, np.zeros(0, np.int64)).any()
 
 
+def test_weights_scale_what_terms_contribute() -> None:
+    rng = np.random.default_rng(17)
+    colors, means = random_colors(rng, 200, "rgb"), rng.normal(size=(200, 3))
+    activation = Activation(colors, means, 0.02)
+    ids, eye = np.flatnonzero(rng.random(200) < 0.5), np.array([1.0, 1.0, 0.5])
+    weights = rng.random(len(ids)).astype(np.float32)
+    factors = np.zeros(200, np.float32)
+    factors[ids] = weights
+    expected = contributions(colors, means, eye) * factors[colors.gaussian_ids] > np.float32(0.02)
+    assert np.array_equal(activation.active(eye, ids, weights), expected)
+    for ask in (activation.active, lambda *a: activation.active_in_box([0, 0, 0], [1, 1, 1], *a[1:])):
+        assert np.array_equal(ask(eye, ids, np.ones(len(ids))), ask(eye, ids))
+        assert not ask(eye, ids, np.zeros(len(ids))).any()
+    nothing_matters_less = Activation(colors, means, 0.0)
+    assert not nothing_matters_less.active_in_box([0, 0, 0], [1, 1, 1], ids, np.zeros(len(ids))).any()
+
+
 def test_active_terms_alone_change_the_colour_little() -> None:
     """Terms left out at epsilon change a channel by at most epsilon each."""
     rng = np.random.default_rng(11)
@@ -190,6 +210,10 @@ def test_bad_arguments_are_named() -> None:
         active_in_box(lobe, means, [0, 0, 1], [1, 1, 0], 0.1)
     with pytest.raises(ValueError, match=r"visible: expected ids in \[0, 1\)"):
         Activation(lobe, means, 0.1).active([0, 0, 0], [1])
+    with pytest.raises(ValueError, match=r"weights: expected shape \(1,\)"):
+        Activation(lobe, means, 0.1).active([0, 0, 0], [0], [0.5, 0.5])
+    with pytest.raises(ValueError, match=r"weights: expected values in \[0, 1\]"):
+        Activation(lobe, means, 0.1).active_in_box([0, 0, 0], [1, 1, 1], weights=[1.5])
     with pytest.raises(ValueError, match="visible: expected integers"):
         Activation(lobe, means, 0.1).active_in_box([0, 0, 0], [1, 1, 1], [0.5])
 
