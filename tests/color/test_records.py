@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.color import _grids
+from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.records import (
     INTENSITY_FLOOR,
     PRECISIONS,
@@ -20,6 +23,9 @@ from gsvis.color.records import (
 )
 from gsvis.color.srbf import SrbfColors, srbf, unit_vectors
 from gsvis.color.variants import VARIANTS
+from gsvis.io import load_scene
+from gsvis.render import psnr, rasterize
+from gsvis.scene.navigable import NavigableSpace
 from tests.color.samples import random_colors
 
 PARTS = ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities")
@@ -227,3 +233,15 @@ def test_a_direction_comes_back_from_the_octahedron() -> None:
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=1e-6)
     np.testing.assert_array_equal(_grids.octahedral(vectors, 6), cells)
     assert np.all(np.isfinite(_grids.unoctahedral(_grids.octahedral(np.zeros((1, 3)), 6), 6)))
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+def test_real_images_keep_their_quality(realdata: Path) -> None:
+    g = load_scene(realdata / "scenes/nika_sh3/lod-meta.json", lod=3)
+    cameras = NavigableSpace.from_scene(g).sample_cameras(4, np.random.default_rng(0))
+    colors = fit_srbf(g, config=FitConfig(variant="rgb", mean_terms=2.0, max_terms=4)).colors
+    exact = rasterize(g, cameras, colors=colors).images
+    for precision, least in (("coarse", 42.0), ("wire", 50.0), ("fine", 60.0)):
+        values = quantise(colors, precision).dequantised()
+        assert float(psnr(rasterize(g, cameras, colors=values).images, exact).mean()) >= least
