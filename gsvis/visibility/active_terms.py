@@ -66,6 +66,7 @@ class ActiveTermsInfo:
         variant: How the colours are split.
         epsilon: Contribution above which a term is active.
         provenance: Where epsilon comes from.
+        weighted: Whether contributions were multiplied by blending weights.
         scene: `scene_hash` of the scene.
         colors: `colors_hash` of the colours.
         sets: `sets_hash` of the visible sets.
@@ -77,6 +78,7 @@ class ActiveTermsInfo:
     variant: str
     epsilon: float
     provenance: str
+    weighted: bool
     scene: str
     colors: str
     sets: str
@@ -293,7 +295,7 @@ class ActiveTerms:
         if version != VERSION:
             raise FormatError(self.path, "version", f"{VERSION}", f"{version}", f"update gsvis, or {_AGAIN}")
         if not self._reader.schema.equals(_SCHEMA):
-            raise self._fault("schema", "columns " + ", ".join(_SCHEMA.names), ", ".join(self._reader.schema.names))
+            raise self._fault("schema", "columns " + ", ".join(_SCHEMA.names), "others")
         return self._info_of(fields)
 
     def _info_of(self, fields: Fields) -> ActiveTermsInfo:
@@ -309,14 +311,14 @@ class ActiveTerms:
         return ActiveTermsInfo(
             fields.integer("cells", 1, 1 << 31), fields.integer("terms", 0, (1 << 32) - 1),
             fields.integer("gaussians", 0, (1 << 31) - 1), text("variant"), epsilon, text("provenance"),
-            text("scene"), text("colors"), text("sets"),
+            fields.raw("weighted") is True, text("scene"), text("colors"), text("sets"),
         )  # fmt: skip
 
     def _checked(self, where: str, read: Any) -> Any:
         """What `read` gives; what Arrow says of bytes that are not its own becomes a FormatError."""
         try:
             return read()
-        except (pa.ArrowException, OSError) as error:  # Arrow also says OSError of bytes that cannot be
+        except (pa.ArrowException, OSError, ValueError) as error:  # Arrow has many words for it
             first = (str(error).splitlines() or [type(error).__name__])[0][:120]
             raise self._fault(where, "an Arrow IPC file", f"other bytes ({first})") from error
 
@@ -331,6 +333,7 @@ def build_active_terms(
     epsilon: float,
     path: str | PathLike[str],
     *,
+    weighted: bool = False,
     provenance: str = "given",
     progress: Progress = silent,
 ) -> ActiveTerms:
@@ -345,6 +348,8 @@ def build_active_terms(
         store: Its visible sets.
         epsilon: Contribution above which a term is active, >= 0.
         path: The file to write, suffix `.terms.arrow`; it appears whole or not at all.
+        weighted: Multiply contributions by the blending weight of the Gaussian, the most that its class in the cell
+            allows: epsilon is then a change of a pixel, not of a Gaussian, and fewer terms serve as well.
         provenance: Where epsilon comes from; kept in the file.
         progress: Called with stage "terms".
 
@@ -366,7 +371,7 @@ def build_active_terms(
     store.check_scene(g)
     activation = Activation(colors, g.means, epsilon)
     info = ActiveTermsInfo(
-        len(store), colors.num_terms, len(colors), colors.variant, activation.epsilon, str(provenance),
+        len(store), colors.num_terms, len(colors), colors.variant, activation.epsilon, str(provenance), bool(weighted),
         store.info.scene, colors_hash(colors), sets_hash(store),
     )  # fmt: skip
     text = json.dumps({"format": FORMAT, "version": VERSION, **asdict(info)}, sort_keys=True, allow_nan=False).encode()
@@ -374,7 +379,7 @@ def build_active_terms(
     with atomic_path(path) as partial:
         options = pa.ipc.IpcWriteOptions(compression="zstd")
         with pa.OSFile(str(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
-            for rows in _groups(activation, store, progress):
+            for rows in _groups(activation, store, weighted, progress):
                 columns = zip(*rows, strict=True)
                 arrays = [pa.array(list(column), field.type) for column, field in zip(columns, schema, strict=True)]
                 writer.write_batch(pa.record_batch(arrays, schema=schema))
@@ -405,14 +410,22 @@ def sets_hash(store: VisibilityStore) -> str:
 _Row = tuple[int, int, int, int, bytes]
 
 
-def _groups(activation: Activation, store: VisibilityStore, progress: Progress) -> Iterator[list[_Row]]:
+def most_weights(store: VisibilityStore, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The (V,) rising ids that a cell sees, and the (V,) weight at which the class of each ends."""
+    ids, classes = store.classes(cell)
+    ends = [store.class_interval(level)[1] for level in range(len(store.info.class_edges))]
+    return ids, np.asarray(ends, np.float32)[classes]
+
+
+def _groups(activation: Activation, store: VisibilityStore, weighted: bool, progress: Progress) -> Iterator[list[_Row]]:
     """Rows of the file, as many as go into a group."""
     counts = activation.colors.counts
     progress("terms", 0, len(store))
     rows: list[_Row] = []
     for cell in range(len(store)):
-        ids = store.visible_ids(cell)
-        found = np.flatnonzero(activation.active_in_box(*store.grid.bounds(cell), ids)).astype(np.uint32)
+        ids, weights = most_weights(store, cell) if weighted else (store.visible_ids(cell), None)
+        mask = activation.active_in_box(*store.grid.bounds(cell), ids, weights)
+        found = np.flatnonzero(mask).astype(np.uint32)
         bitmap = BitMap(found)
         bitmap.run_optimize()
         data, of_visible = bytes(bitmap.serialize()), int(counts[ids].sum())

@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.color.activation import Activation
-from gsvis.color.records import Precision, bytes_per_term
+from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.progress import Progress, silent
-from gsvis.raycast import Tracer
+from gsvis.raycast import Tracer, visible_in
+from gsvis.render.weights import view_weights
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
-from gsvis.visibility.active_terms import ActiveTerms
+from gsvis.visibility.active_terms import ActiveTerms, most_weights
 from gsvis.visibility.store import VisibilityStore
-from gsvis.visibility.walk import PAPER_WALK, VisibleCells, WalkConfig, _watcher
+from gsvis.visibility.walk import PAPER_WALK, VisibleCells, WalkConfig
 
 __all__ = ["PAPER_TERMS", "WalkTerms", "terms_over_walk"]
 
@@ -102,7 +103,7 @@ def terms_over_walk(
     *,
     sets: VisibleCells | Tracer | None = None,
     config: WalkConfig | None = None,
-    precision: Precision | str | None = "wire",
+    weighted: bool = False,
     progress: Progress = silent,
 ) -> WalkTerms:
     """Watch a walk and note when each Gaussian is first visible and each of its terms first active.
@@ -114,9 +115,10 @@ def terms_over_walk(
         epsilon: Contribution above which a term is active; or the active terms of cells, with their store as `sets`.
         sets: Who tells what is visible. None: cameras, by the weights of the rasterizer. A tracer: cameras, by pixel
             rays. A `VisibilityStore`: the cell that the eye is in, with the terms that may be active anywhere in it.
-            Other cells: their sets, with the terms that are active at the eye.
+            Other cells: their sets, with the terms that are active at the eye, without weights.
         config: Time, rate, resolution and threshold; None means `WalkConfig()`.
-        precision: Bits of a term, see `bytes_per_term`.
+        weighted: Multiply contributions by blending weights: of the camera's pixels, or the most that the class of the
+            Gaussian in the cell allows. Active terms of cells know themselves whether they do.
         progress: Called with stage "walk".
 
     Raises:
@@ -129,12 +131,8 @@ def terms_over_walk(
     if len(colors) != len(scene):
         raise ValueError(f"colors: expected those of {len(scene):,} Gaussians, got {len(colors):,}")
     config = config or WalkConfig()
-    walk = path.cut(0.0, config.seconds) if path.duration > config.seconds else path
-    walk = walk.resampled(config.rate)
-    see, known, by = _watcher(scene if sets is None else sets, walk, config)
-    if known not in (None, len(scene)):
-        raise ValueError(f"sets: expected those of {len(scene):,} Gaussians, got those of {known:,}")
-    find, threshold, way = _finder(colors, scene, epsilon, sets)
+    walk = (path.cut(0.0, config.seconds) if path.duration > config.seconds else path).resampled(config.rate)
+    look, threshold, by = _looker(colors, scene, epsilon, sets, walk, config, weighted)
     count, counts, size = len(scene), colors.counts, len(walk)
     curves = {name: np.zeros(size) for name in ("gaussians", "terms", "active", "of_visible", "unpruned")}
     first_active = np.full(colors.num_terms, np.inf, np.float32)
@@ -142,14 +140,12 @@ def terms_over_walk(
     outside, all_terms = 0, max(1, colors.num_terms)
     progress("walk", 0, size)
     for i, time in enumerate(walk.times):
-        ids = see(i)
-        if ids is None:
+        found_here = look(i)
+        if found_here is None:
             outside += 1
         else:
-            if len(ids) and not 0 <= ids.min() <= ids.max() < count:
-                raise ValueError(f"sets: expected ids below {count}, got {ids.max()}; they are of another scene")
+            ids, mask = found_here
             ever[ids] = True
-            mask = find(walk.positions[i], ids)
             first_active[mask & ~sent] = time
             sent |= mask
             found = np.count_nonzero(mask)
@@ -160,34 +156,83 @@ def terms_over_walk(
         curves["unpruned"][i] = int(counts[ever].sum()) / all_terms
         progress("walk", i + 1, size)
     return WalkTerms(
-        walk.times, **curves, first_active=first_active, term_bytes=bytes_per_term(colors.variant, precision),
-        epsilon=threshold, outside=outside, by=f"{by}, {way}", config=config,
+        walk.times, **curves, first_active=first_active, term_bytes=bytes_per_term(colors.variant),
+        epsilon=threshold, outside=outside, by=by, config=config,
     )  # fmt: skip
 
 
-def _finder(
-    colors: SrbfColors, scene: Gaussians, epsilon: float | ActiveTerms, sets: VisibleCells | Tracer | None
-) -> tuple[Callable[[F64, I64], Mask], float, str]:
-    """What is active for an eye that sees some Gaussians, epsilon, and the name of the way."""
+_Look = Callable[[int], tuple[I64, Mask] | None]
+"""Visible Gaussians and active terms at the i-th pose; None outside all cells."""
+
+
+def _looker(
+    colors: SrbfColors, scene: Gaussians, epsilon: float | ActiveTerms, sets: VisibleCells | Tracer | None,
+    walk: HeadPath, config: WalkConfig, weighted: bool,
+) -> tuple[_Look, float, str]:  # fmt: skip
+    """How to look, epsilon, and the name of the way."""
     if isinstance(epsilon, ActiveTerms):
         if not isinstance(sets, VisibilityStore):
             raise ValueError("sets: expected the VisibilityStore of the active terms, got none; pass sets=store")
-        terms, store = epsilon, sets
-        terms.check(scene=scene, colors=colors, sets=store)
-
-        def kept(position: F64, ids: I64) -> Mask:
-            mask = np.zeros(colors.num_terms, bool)
-            mask[terms.active_ids(store.cell_at(position))] = True
-            return mask
-
-        return kept, terms.epsilon, "active in the cell"
+        epsilon.check(scene=scene, colors=colors, sets=sets)
+        return _by_active_terms(epsilon, sets, walk), epsilon.epsilon, "cells, active in the cell"
     activation = Activation(colors, scene.means, epsilon)
     if isinstance(sets, VisibilityStore):
-        store = sets
-        store.check_scene(scene)
+        sets.check_scene(scene)
+        return _by_store(activation, sets, walk, weighted), activation.epsilon, "cells, active in the cell"
+    if sets is None or isinstance(sets, Tracer):
+        by = "raster" if sets is None else "raycast"
         return (
-            lambda position, ids: activation.active_in_box(*store.grid.bounds(store.cell_at(position)), ids),
+            _by_cameras(activation, sets or scene, walk, config, weighted),
             activation.epsilon,
-            "active in the cell",
+            f"{by}, active at the eye",
         )
-    return activation.active, activation.epsilon, "active at the eye"
+    return _by_cells(activation, sets, walk), activation.epsilon, "cells, active at the eye"
+
+
+def _by_active_terms(terms: ActiveTerms, store: VisibilityStore, walk: HeadPath) -> _Look:
+    def look(i: int) -> tuple[I64, Mask] | None:
+        cell = store.cell_at(walk.positions[i])
+        if cell < 0:
+            return None
+        mask = np.zeros(terms.info.terms, bool)
+        mask[terms.active_ids(cell)] = True
+        return store.visible_ids(cell), mask
+
+    return look
+
+
+def _by_store(activation: Activation, store: VisibilityStore, walk: HeadPath, weighted: bool) -> _Look:
+    def look(i: int) -> tuple[I64, Mask] | None:
+        cell = store.cell_at(walk.positions[i])
+        if cell < 0:
+            return None
+        ids, weights = most_weights(store, cell) if weighted else (store.visible_ids(cell), None)
+        return ids, activation.active_in_box(*store.grid.bounds(cell), ids, weights)
+
+    return look
+
+
+def _by_cameras(
+    activation: Activation, scene: Gaussians | Tracer, walk: HeadPath, config: WalkConfig, weighted: bool
+) -> _Look:
+    cameras = walk.cameras(config.width, config.height, config.fov)
+
+    def look(i: int) -> tuple[I64, Mask]:
+        camera = cameras[i]
+        largest = visible_in(scene, camera) if isinstance(scene, Tracer) else view_weights(scene, camera).largest
+        ids = np.flatnonzero(largest[0] >= np.float32(config.tau))
+        return ids, activation.active(walk.positions[i], ids, np.minimum(largest[0, ids], 1.0) if weighted else None)
+
+    return look
+
+
+def _by_cells(activation: Activation, cells: VisibleCells, walk: HeadPath) -> _Look:
+    def look(i: int) -> tuple[I64, Mask] | None:
+        cell = cells.cell_at(walk.positions[i])
+        if cell is None or (isinstance(cell, int | np.integer) and cell < 0):
+            return None
+        found = cells.visible(cell)
+        ids = np.unique(found if isinstance(found, np.ndarray) else np.fromiter(found, np.int64))
+        return ids, activation.active(walk.positions[i], ids)
+
+    return look

@@ -37,8 +37,9 @@ class World:
     def path(self) -> Path:
         return self.store.path.with_suffix(".terms.arrow")
 
-    def build(self) -> ActiveTerms:
-        return build_active_terms(self.colors, self.g, self.store, EPSILON, self.path, provenance="a test")
+    def build(self, weighted: bool = False) -> ActiveTerms:
+        told = {"provenance": "a test", "weighted": weighted}
+        return build_active_terms(self.colors, self.g, self.store, EPSILON, self.path, **told)  # type: ignore[arg-type]
 
 
 def world(folder: Path, cells: int = 11, seed: int = 0, variant: str = "rgb", name: str = "w.pvs") -> World:
@@ -50,7 +51,7 @@ def world(folder: Path, cells: int = 11, seed: int = 0, variant: str = "rgb", na
     seen = rng.random((cells, len(g))) < 0.4
     seen[0] = False
     info = StoreInfo(len(g), scene_hash(g), 1 / 255, np.array([1 / 255, 0.1]))
-    sets = [CellSet(ids := np.flatnonzero(row), np.zeros(len(ids), np.uint8), 4, 0.0) for row in seen]
+    sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4, 0.0) for row in seen]
     write_store(folder / name, grid, info, sets, np.zeros((len(g), 10), np.uint8))
     return World(g, random_colors(rng, len(g), variant), seen, VisibilityStore.open(folder / name))
 
@@ -74,6 +75,21 @@ def test_queries_give_what_the_activation_says(tmp_path: Path, cells: int, varia
             assert share.of_visible == pytest.approx(mask.sum() / max(1, theirs))
             assert share.of_all == pytest.approx(mask.sum() / w.colors.num_terms)
         terms.verify()
+
+
+def test_weighted_contributions_are_bounded_by_the_classes(tmp_path: Path) -> None:
+    """Even Gaussians are of the class that ends at 0.1, odd ones of that which ends at 1."""
+    w = world(tmp_path)
+    activation = Activation(w.colors, w.g.means, EPSILON)
+    with w.build() as plain:
+        everything = [plain.active(cell) for cell in range(11)]
+    with w.build(weighted=True) as terms:
+        assert terms.info.weighted
+        for cell in range(11):
+            ids = np.flatnonzero(w.seen[cell])
+            mask = activation.active_in_box(*w.store.grid.bounds(cell), ids, np.where(ids % 2, 1.0, 0.1))
+            assert terms.active(cell) == BitMap(np.flatnonzero(mask))
+            assert terms.active(cell) <= everything[cell]
 
 
 def test_what_a_client_lacks_is_what_it_does_not_hold(tmp_path: Path) -> None:

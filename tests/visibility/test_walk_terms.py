@@ -80,6 +80,17 @@ def test_by_cameras_terms_are_active_at_the_eye(by: str) -> None:
         assert np.allclose(found.active, [mask.mean() for mask in active])
 
 
+def test_weights_send_less() -> None:
+    scene, colors = rooms()
+    plain, weighted = (
+        terms_over_walk(colors, scene.gaussians, in_rooms(), EPSILON, weighted=w, config=SMALL) for w in (False, True)
+    )
+    lawful(weighted)
+    assert np.all(weighted.first_active >= plain.first_active)
+    assert weighted.terms[-1] < plain.terms[-1]
+    assert np.array_equal(weighted.gaussians, plain.gaussians)
+
+
 def test_larger_epsilons_send_less() -> None:
     scene, colors = rooms()
     ends = [terms_over_walk(colors, scene.gaussians, in_rooms(), e, config=SMALL).terms[-1] for e in (0.0, 0.05, 5.0)]
@@ -97,6 +108,11 @@ def test_by_cells_terms_are_active_anywhere_in_the_cell(tmp_path: Path) -> None:
     path, config = inside(w), WalkConfig(rate=1.5)
     found = lawful(terms_over_walk(w.colors, w.g, path, EPSILON, sets=w.store, config=config))
     assert found.by == "cells, active in the cell"
+    with w.build(weighted=True) as terms:
+        for epsilon in (terms, EPSILON):
+            weighted = terms_over_walk(w.colors, w.g, path, epsilon, sets=w.store, weighted=True, config=config)
+            assert np.all(lawful(weighted).first_active >= found.first_active)
+            assert weighted.terms[-1] < found.terms[-1]
     with w.build() as terms:
         stored = lawful(terms_over_walk(w.colors, w.g, path, terms, sets=w.store, config=config))
         cells = [w.store.cell_at(point) for point in path.resampled(1.5).positions]
@@ -148,11 +164,11 @@ def test_what_does_not_belong_together_is_told(tmp_path: Path) -> None:
     path = inside(w)
     with pytest.raises(ValueError, match="colors: expected those of 150 Gaussians, got 3"):
         terms_over_walk(w.colors[:3], w.g, path, EPSILON, sets=w.store)
-    with pytest.raises(ValueError, match="sets: expected those of 3 Gaussians"):
+    with pytest.raises(FormatError, match="scene: expected a store of 3 Gaussians"):
         terms_over_walk(w.colors[:3], w.g[:3], path, EPSILON, sets=w.store)
     with pytest.raises(FormatError, match="scene"):
         terms_over_walk(w.colors, w.g, path, EPSILON, sets=other.store)
-    with pytest.raises(ValueError, match="sets: expected ids below 150, got 199"):
+    with pytest.raises(ValueError, match=r"visible: expected ids in \[0, 150\), got 0 to 199"):
         terms_over_walk(w.colors, w.g, path, EPSILON, sets=Plain(200))
     with w.build() as terms:
         with pytest.raises(ValueError, match="sets: expected the VisibilityStore"):
