@@ -3,9 +3,14 @@
 SRBF-Gaussian, section 7.3.1 and figure 13: 3.58% of the SRBFs sent at the start of a walk, 22.39% after 30 s, while
 86.85% of the Gaussians have been sent. Three parts, on nika LOD 0:
 
+Two rules. "gaussian", the paper's: a term is active where it changes the colour of its Gaussian by more than epsilon.
+"pixel": where it changes a pixel by more than epsilon, the change of the Gaussian times its largest blending weight (by
+cells: the most that its weight class allows).
+
 1. Held-out cameras (seeded, anywhere in navigable space): images with only the terms that are active for the eye
-   against images with all terms, over epsilon from 0.002 to 0.1; values are clipped to [0, 1] as a display does.
-   Epsilon itself comes from the staircase with FLIP as its observer on other cameras, unless it is given.
+   against images with all terms, over epsilon; values are clipped to [0, 1] as a display does. Epsilon itself comes
+   from the staircase with FLIP as its observer on other cameras, once for each rule, unless it is given; where it gives
+   less than 45 dB, the epsilon that gives 45 dB is used in its place.
 2. Walks that people made with a headset (EyeNavGS), brought into the scene as in `visibility_walk.py`: share and bytes
    of the terms sent so far. Once by cameras: a term is sent when it is first active for an eye whose camera (weights of
    the rasterizer at the stated resolution) sees its Gaussian. Once by cells, which is what a server that knows only
@@ -56,7 +61,8 @@ from gsvis.visibility.store import VisibilityStore
 from gsvis.visibility.walk import PAPER_WALK, WalkConfig
 from gsvis.visibility.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
-EPSILONS = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1)
+RULES = {"gaussian": False, "pixel": True}
+EPSILONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1)
 WALKS = ("room/user111_room", "truck/user107_truck", "room/user120_room", "truck/user122_truck")
 LEAST_PSNR = 45.0
 CAP = 99.0
@@ -76,28 +82,24 @@ class Subject:
         return np.clip(drawn, 0.0, 1.0)
 
 
-class Looks:
-    """What the cameras of a walk see, looked up once: `seen_over_walk` and its like take it for cells."""
+@dataclass(frozen=True)
+class View:
+    """A camera, what it sees, and its image with all terms."""
 
-    def __init__(self, g: Gaussians, path: HeadPath, config: WalkConfig) -> None:
-        walk = (path.cut(0.0, config.seconds) if path.duration > config.seconds else path).resampled(config.rate)
-        self.cameras = walk.cameras(config.width, config.height, config.fov)
-        self.poses = {tuple(position): i for i, position in enumerate(walk.positions.tolist())}
-        self.times = walk.times
-        self.seen: dict[int, NDArray[np.int64]] = {}
-        for i in range(len(walk)):
-            largest = view_weights(g, self.cameras[i]).largest[0]
-            self.seen[i] = np.flatnonzero(largest >= np.float32(config.tau))
-        # A head that turned on the spot sees what it saw from there.
-        for i, position in enumerate(walk.positions.tolist()):
-            first = self.poses[tuple(position)]
-            self.seen[first] = np.union1d(self.seen[first], self.seen[i])
+    camera: Cameras
+    ids: NDArray[np.int64]
+    weights: NDArray[np.float32]
+    full: NDArray[np.float32]
 
-    def cell_at(self, position: Any, /) -> int:
-        return self.poses[tuple(np.asarray(position).tolist())]
+    @classmethod
+    def of(cls, subject: Subject, camera: Cameras) -> View:
+        largest = view_weights(subject.g, camera).largest[0]
+        ids = np.flatnonzero(largest >= np.float32(WalkConfig.tau))
+        return cls(camera, ids, np.minimum(largest[ids], 1.0), subject.image(camera))
 
-    def visible(self, cell: int, /) -> NDArray[np.int64]:
-        return self.seen[cell]
+    def active(self, activation: Activation, weighted: bool) -> NDArray[np.bool_]:
+        """Active terms of the Gaussians it sees."""
+        return activation.active(self.camera.viewpoints[0], self.ids, self.weights if weighted else None)
 
 
 def main() -> None:
@@ -127,50 +129,54 @@ def main() -> None:
     subject = Subject(g, colors, Evaluator(colors))
     log(f"{g}, {colors}: {colors.num_terms / max(1, len(g)):.2f} terms a Gaussian")
 
-    found = calibration(subject, space.sample_cameras(4, np.random.default_rng(2), **size), options.epsilon)
-    epsilon = found["epsilon"]
-    cameras = space.sample_cameras(options.cameras, np.random.default_rng(1), **size)
-    curve = by_epsilon(subject, cameras, sorted({*EPSILONS, epsilon}))
-    at = next(row for row in curve if row["epsilon"] == epsilon)
-    kept = [row["epsilon"] for row in curve if row["psnr"] >= LEAST_PSNR]
-    wanted = sorted({epsilon, max(kept)}) if kept else [epsilon]
+    views = [View.of(subject, camera) for camera in cameras_of(space, 4, 2, size)]
+    found = {rule: calibration(subject, views, weighted, options.epsilon) for rule, weighted in RULES.items()}
+    views = [View.of(subject, camera) for camera in cameras_of(space, options.cameras, 1, size)]
+    rows = {}
+    for rule, weighted in RULES.items():
+        curve = by_epsilon(subject, views, weighted, sorted({*EPSILONS, found[rule]["epsilon"]}))
+        limit = float(np.interp(-LEAST_PSNR, [-r["psnr"] for r in curve], [np.log(r["epsilon"]) for r in curve]))
+        used = min(found[rule]["epsilon"], 0.97 * float(np.exp(limit)))  # the curve between is not quite straight
+        if used < found[rule]["epsilon"]:
+            curve = sorted([*curve, *by_epsilon(subject, views, weighted, [used])], key=lambda r: r["epsilon"])
+        rows[rule] = {"calibration": found[rule], "epsilon": used, "at_45_dB": float(np.exp(limit)), "curve": curve}
     side = CellGrid.over(space, max_cells=options.cells).cell_size
     pvs = PvsConfig(method="raster", size=options.pvs_size, max_viewpoints=options.viewpoints)
     walks = []
     for seed, name in enumerate(WALKS[: options.walks]):
         recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{name}.csv.gz").cut(0.0, config.seconds)
         placed = retarget(recording, space, RetargetConfig(seed=seed))
-        looks = Looks(g, placed.path, config)
-        row: dict[str, Any] = {"walk": name, "retarget": placed.as_dict(), "by_epsilon": []}
+        row: dict[str, Any] = {"walk": name, "retarget": placed.as_dict()}
         along = corridor(space, placed.path.positions)
         grid = CellGrid.over(along, cell_size=side, max_cells=MAX_CELLS)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
             with build_pvs(g, grid, along, Path(folder) / "walk.pvs", pvs) as store:
                 row["pvs"] = {"seconds": time.perf_counter() - start, "bytes": store.path.stat().st_size}
-                for e in wanted:
-                    eye = terms_over_walk(colors, g, placed.path, e, sets=looks, config=config)
-                    cell, stored = by_cells(subject, placed.path, store, e, config)
-                    row["by_epsilon"].append({
-                        "epsilon": e, "eye": eye.as_dict(), "cells": cell.as_dict(), "store": stored,
-                        "shown": shown(subject, looks, eye), "shown_cells": shown(subject, looks, cell),
-                    })  # fmt: skip
-                    log(f"{name}, epsilon {e:.4g}: {eye.terms[-1]:.2%} of the terms, by cells {cell.terms[-1]:.2%}")
+                for rule, weighted in RULES.items():
+                    e = rows[rule]["epsilon"]
+                    eye = terms_over_walk(colors, g, placed.path, e, config=config, weighted=weighted)
+                    cell, stored = by_cells(subject, placed.path, store, e, weighted, config)
+                    row[rule] = {
+                        "epsilon": e, "cameras": eye.as_dict(), "cells": cell.as_dict(), "store": stored,
+                        "shown": shown(subject, placed.path, eye), "shown_cells": shown(subject, placed.path, cell),
+                    }  # fmt: skip
+                    log(f"{name}, {rule}: {eye.terms[-1]:.2%} of the terms, by cells {cell.terms[-1]:.2%}")
         walks.append(row)
 
-    figures = told(at, walks, wanted, epsilon)
-    activation = Activation(colors, g.means, epsilon)
-    eye = cameras.viewpoints[0]
+    figures = told(rows, walks)
+    activation = Activation(colors, g.means, rows["gaussian"]["epsilon"])
+    eye = views[0].camera.viewpoints[0]
     low, high = eye - 0.5 * side, eye + 0.5 * side
     times = {
         "active_s": measure(lambda: activation.active(eye), repeats=5).as_json(),
         "active_in_box_s": measure(lambda: activation.active_in_box(low, high), repeats=5).as_json(),
     }
-    print(table(curve, walks, wanted))
+    print(table(rows, walks))
     details = {
         "scene": options.scene, "gaussians": len(g), "terms": colors.num_terms, "variant": colors.variant,
         "fit": fitted, "term_bytes": bytes_per_term(colors.variant), "all_bytes": record_bytes(colors),
-        "calibration": found, "by_epsilon": curve, "walks": walks, "cell_size": side, "pvs": pvs.as_dict(),
+        "rules": rows, "walks": walks, "cell_size": side, "pvs": pvs.as_dict(),
         "times": times,
         "paper": {**PAPER_TERMS, "gaussians": PAPER_WALK["seen"]},
     }  # fmt: skip
@@ -194,22 +200,26 @@ def colours(g: Gaussians, space: NavigableSpace, options: argparse.Namespace) ->
     return {"seconds": time.perf_counter() - start, "mean_terms": options.terms, "directions": "all"}, fit.colors
 
 
-def calibration(subject: Subject, cameras: Cameras, given: float | None) -> dict[str, Any]:
+def cameras_of(space: NavigableSpace, count: int, seed: int, size: dict[str, Any]) -> list[Cameras]:
+    cameras = space.sample_cameras(count, np.random.default_rng(seed), **size)
+    return [cameras[c] for c in range(count)]
+
+
+def calibration(subject: Subject, views: Sequence[View], weighted: bool, given: float | None) -> dict[str, Any]:
     """Epsilon of the staircase; FLIP notices where the 99th percentile of its map is above the threshold."""
     if given is not None:
         return {"epsilon": given, "provenance": "given"}
-    full = [subject.image(cameras[c]) for c in range(len(cameras))]
 
     def difference(epsilon: float) -> float:
         activation = Activation(subject.colors, subject.g.means, epsilon)
         worst = 0.0
-        for c, image in enumerate(full):
-            partial = subject.image(cameras[c], activation.active(cameras.viewpoints[c]))
-            worst = max(worst, float(np.quantile(flip_map(partial, image), 0.99)))
+        for view in views:
+            partial = subject.image(view.camera, view.active(activation, weighted))
+            worst = max(worst, float(np.quantile(flip_map(partial, view.full), 0.99)))
         log(f"FLIP at epsilon {epsilon:.4g}: {worst:.4f}")
         return worst
 
-    observer = MetricObserver(difference, FLIP_JND, images={"cameras": len(cameras), "quantile": 0.99})
+    observer = MetricObserver(difference, FLIP_JND, images={"cameras": len(views), "quantile": 0.99})
     found = calibrate_epsilon(observer)
     return {
         "epsilon": found.epsilon, "converged": found.converged, "reason": found.reason, "observer": observer.name,
@@ -217,38 +227,36 @@ def calibration(subject: Subject, cameras: Cameras, given: float | None) -> dict
     }  # fmt: skip
 
 
-def by_epsilon(subject: Subject, cameras: Cameras, epsilons: Sequence[float]) -> list[dict[str, Any]]:
-    """Images with active terms against images with all, and the share that is active."""
-    g, colors = subject.g, subject.colors
-    views = [(camera := cameras[c], subject.image(camera), view_weights(g, camera)) for c in range(len(cameras))]
-    seen = [np.flatnonzero(weights.largest[0] >= np.float32(WalkConfig.tau)) for _, _, weights in views]
-    rows = []
+def by_epsilon(
+    subject: Subject, views: Sequence[View], weighted: bool, epsilons: Sequence[float]
+) -> list[dict[str, Any]]:
+    """Images with the active terms of visible Gaussians against images with all terms, and the share that is active."""
+    colors, rows = subject.colors, []
     for epsilon in epsilons:
-        activation = Activation(colors, g.means, epsilon)
+        activation = Activation(colors, subject.g.means, epsilon)
         values, of_visible, of_all = [], [], []
-        for (camera, full, _), ids in zip(views, seen, strict=True):
-            active = activation.active(camera.viewpoints[0])
-            values.append(min(CAP, float(psnr(subject.image(camera, active), full))))
-            theirs = np.repeat(np.isin(np.arange(len(colors)), ids), colors.counts)
-            count = np.count_nonzero(active & theirs)
-            of_visible.append(count / max(1, np.count_nonzero(theirs)))
+        for view in views:
+            active = view.active(activation, weighted)
+            values.append(min(CAP, float(psnr(subject.image(view.camera, active), view.full))))
+            count = int(np.count_nonzero(active))
+            of_visible.append(count / max(1, int(colors.counts[view.ids].sum())))
             of_all.append(count / max(1, colors.num_terms))
         rows.append({
             "epsilon": epsilon, "psnr": float(np.mean(values)), "least_psnr": float(np.min(values)), "psnrs": values,
-            "active_of_visible": float(np.mean(of_visible)), "active_and_visible": float(np.mean(of_all)),
+            "of_visible": float(np.mean(of_visible)), "of_all": float(np.mean(of_all)),
         })  # fmt: skip
         log(f"epsilon {epsilon:.4g}: {np.mean(values):.2f} dB, {np.mean(of_visible):.1%} of the terms of visible ones")
     return rows
 
 
 def by_cells(
-    subject: Subject, path: HeadPath, store: VisibilityStore, epsilon: float, config: WalkConfig
+    subject: Subject, path: HeadPath, store: VisibilityStore, epsilon: float, weighted: bool, config: WalkConfig
 ) -> tuple[WalkTerms, dict[str, Any]]:
     """The walk by the visible sets of its cells, and what the store of active terms takes."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "walk.terms.arrow"
         start = time.perf_counter()
-        with build_active_terms(subject.colors, subject.g, store, epsilon, file) as terms:
+        with build_active_terms(subject.colors, subject.g, store, epsilon, file, weighted=weighted) as terms:
             seconds = time.perf_counter() - start
             walk = terms_over_walk(subject.colors, subject.g, path, terms, sets=store, config=config)
             shares = [terms.share(cell) for cell in range(len(terms))]
@@ -262,73 +270,71 @@ def by_cells(
     return walk, told
 
 
-def shown(subject: Subject, looks: Looks, walk: WalkTerms) -> dict[str, float]:
+def shown(subject: Subject, path: HeadPath, walk: WalkTerms) -> dict[str, float]:
     """Images at eight poses with the terms sent until then, against all terms."""
-    values = []
-    for i in np.unique(np.linspace(0, len(walk.times) - 1, 8).round().astype(int)).tolist():
-        held = walk.first_active <= np.float32(walk.times[i])
-        camera = looks.cameras[i]
-        values.append(min(CAP, float(psnr(subject.image(camera, held), subject.image(camera)))))
+    times = walk.times[np.unique(np.linspace(0, len(walk.times) - 1, 8).round().astype(int))]
+    config, values = walk.config, []
+    cameras = path.resampled(times=times).cameras(config.width, config.height, config.fov)
+    for i, seconds in enumerate(times):
+        held = walk.first_active <= np.float32(seconds)
+        values.append(min(CAP, float(psnr(subject.image(cameras[i], held), subject.image(cameras[i])))))
     return {"psnr": float(np.mean(values)), "least_psnr": float(np.min(values))}
 
 
-def mean_of(walks: list[dict[str, Any]], place: int, way: str, key: str) -> float:
-    return float(np.mean([walk["by_epsilon"][place][way][key] for walk in walks]))
-
-
-def told(at: dict[str, Any], walks: list[dict[str, Any]], wanted: list[float], epsilon: float) -> list[dict[str, Any]]:
+def told(rows: dict[str, Any], walks: list[dict[str, Any]]) -> list[dict[str, Any]]:
     def figure(name: str, reached: float, unit: str, target: float | None = None) -> dict[str, Any]:
         better = "lower" if target is None else "higher"
         return {"name": name, "target": target, "reached": reached, "unit": unit, "better": better}
 
-    figures = [
-        figure("epsilon", epsilon, "change of a channel; paper 0.01 to 0.05"),
-        figure("active terms against all, mean over held-out cameras", at["psnr"], "dB", LEAST_PSNR),
-        figure("active, of the terms of visible Gaussians, held-out cameras", at["active_of_visible"], "share"),
-    ]
-    for place, e in enumerate(wanted):
-        named = (
-            "the calibrated epsilon" if e == epsilon else f"epsilon {e:.4g}, the largest tried with {LEAST_PSNR:g} dB"
-        )
-        if not walks:
-            continue
-        for way, told_as in (("eye", "by cameras"), ("cells", "by cells")):
-            start, end = mean_of(walks, place, way, "terms_at_start"), mean_of(walks, place, way, "terms_at_end")
-            figures.append(figure(f"terms sent at the start, {told_as}, {named}", start, "of all; paper 0.0358"))
-            figures.append(figure(f"terms sent after 30 s, {told_as}, {named}", end, "of all; paper 0.2239"))
-            total = walks[0]["by_epsilon"][place][way]
-            size = total["all_terms"] * total["term_bytes"] * end
-            figures.append(figure(f"bytes of terms sent after 30 s, {told_as}, {named}", size / 1e6, "MB"))
-        least = min(walk["by_epsilon"][place]["shown"]["psnr"] for walk in walks)
-        figures.append(figure(f"image with the terms sent so far, worst walk, {named}", least, "dB", LEAST_PSNR))
-    if walks:
-        seen = mean_of(walks, 0, "eye", "gaussians_at_end")
-        figures.append(figure("Gaussians sent after 30 s", seen, "of all; paper 0.8685"))
-        without = mean_of(walks, 0, "eye", "unpruned_at_end")
-        figures.append(figure("terms sent after 30 s, all of every visible Gaussian", without, "of all"))
+    figures = []
+    for rule, row in rows.items():
+        at = next(r for r in row["curve"] if r["epsilon"] == row["epsilon"])
+        figures += [
+            figure(f"{rule}: epsilon of the staircase", row["calibration"]["epsilon"], "of 1; paper 0.01 to 0.05"),
+            figure(f"{rule}: epsilon at which images have 45 dB", row["at_45_dB"], "of 1"),
+            figure(f"{rule}: active terms against all, held-out cameras, mean", at["psnr"], "dB", LEAST_PSNR),
+            figure(f"{rule}: active, of the terms of visible Gaussians", at["of_visible"], "share"),
+        ]
+        for way in ("cameras", "cells") if walks else ():
+            start = float(np.mean([walk[rule][way]["terms_at_start"] for walk in walks]))
+            end = float(np.mean([walk[rule][way]["terms_at_end"] for walk in walks]))
+            size = float(np.mean([walk[rule][way]["bytes"][-1] for walk in walks]))
+            figures += [
+                figure(f"{rule}: terms sent at the start, by {way}", start, "of all; paper 0.0358"),
+                figure(f"{rule}: terms sent after 30 s, by {way}", end, "of all; paper 0.2239"),
+                figure(f"{rule}: bytes of terms sent after 30 s, by {way}", size / 1e6, "MB"),
+            ]
+        if walks:
+            least = min(walk[rule]["shown"]["psnr"] for walk in walks)
+            figures.append(figure(f"{rule}: images along a walk with the terms sent so far", least, "dB", LEAST_PSNR))
+    for way in ("cameras", "cells") if walks else ():
+        seen = float(np.mean([walk["gaussian"][way]["gaussians_at_end"] for walk in walks]))
+        figures.append(figure(f"Gaussians sent after 30 s, by {way}", seen, "of all; paper 0.8685"))
+        without = float(np.mean([walk["gaussian"][way]["unpruned_at_end"] for walk in walks]))
+        figures.append(figure(f"all terms of visible Gaussians after 30 s, by {way}", without, "of all terms"))
     return figures
 
 
-def table(curve: list[dict[str, Any]], walks: list[dict[str, Any]], wanted: list[float]) -> str:
-    lines = ["| epsilon | PSNR, mean | least | active, of the terms of visible Gaussians |", "|---|---|---|---|"]
-    lines += [
-        f"| {r['epsilon']:.4g} | {r['psnr']:.1f} dB | {r['least_psnr']:.1f} dB | {r['active_of_visible']:.1%} |"
-        for r in curve
+def table(rows: dict[str, Any], walks: list[dict[str, Any]]) -> str:
+    lines = [
+        "| rule | epsilon | PSNR, mean | least | active, of the terms of visible Gaussians |",
+        "|---|---|---|---|---|",
     ]
     lines += [
-        "",
-        "| walk | epsilon | Gaussians | terms | all terms of them | by cells: Gaussians | terms | all terms of them |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| {rule} | {r['epsilon']:.4g} | {r['psnr']:.1f} dB | {r['least_psnr']:.1f} dB | {r['of_visible']:.1%} |"
+        for rule, row in rows.items()
+        for r in row["curve"]
     ]
+    lines += ["", "| walk | rule | epsilon | Gaussians | terms | all terms of them | by cells: the same three | | |"]
+    lines += ["|---|---|---|---|---|---|---|---|---|"]
     for walk in walks:
-        for place, e in enumerate(wanted):
-            eye, cell = walk["by_epsilon"][place]["eye"], walk["by_epsilon"][place]["cells"]
+        for rule in rows:
             cells = [
                 f"{way['gaussians_at_end']:.1%} | {way['terms_at_start']:.2%} to {way['terms_at_end']:.2%}"
                 f" | {way['unpruned_at_end']:.2%}"
-                for way in (eye, cell)
+                for way in (walk[rule]["cameras"], walk[rule]["cells"])
             ]
-            lines.append(f"| {walk['walk']} | {e:.4g} | {' | '.join(cells)} |")
+            lines.append(f"| {walk['walk']} | {rule} | {walk[rule]['epsilon']:.4g} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
