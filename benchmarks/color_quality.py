@@ -46,7 +46,11 @@ from gsvis.visibility.importance import importance_from_views
 SCENES = {"nika": ("nika_sh3", 0), "flowers": ("flowers_sh2", 1)}
 UP = "-y"
 LEVELS = (34.0, 37.0, 40.0, 43.0, 46.0)
-FEW, MANY = (0.5, 2.0, 4.0), (0.25, 0.5, 1.0, 2.0, 4.0)
+MEANS = {
+    **dict.fromkeys(VARIANTS, (0.5, 2.0, 4.0)),
+    **dict.fromkeys(("hsl-l", "hsv", "yuv"), (0.5, 2.0)),
+    **dict.fromkeys(("rgb", "axes-split"), (0.25, 0.5, 1.0, 2.0, 4.0)),
+}
 Images = NDArray[np.float32]
 
 
@@ -114,7 +118,7 @@ def main() -> None:
     ceilings: dict[str, float] = {}
     for name in VARIANTS:
         curves[name] = []
-        for mean_terms in MANY if name in ("rgb", "axes-split") else FEW:
+        for mean_terms in MEANS[name]:
             start = time.perf_counter()
             fit = fit_srbf(g, sets, FitConfig(variant=name, mean_terms=mean_terms), importance=views.importance)
             seconds = time.perf_counter() - start
