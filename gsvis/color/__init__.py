@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 from gsvis.color.activation import Activation, active, active_in_box, contributions
 from gsvis.color.dictionary import Dictionary, srbf_dictionary
 from gsvis.color.epsilon import (
+    DEFAULT_EPSILON,
     FLIP_JND,
     EpsilonCalibration,
     MetricObserver,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from gsvis.color.evaluate_torch import SrbfTensors
 
 __all__ = [
+    "DEFAULT_EPSILON",
     "DEFAULT_VARIANT",
     "FLIP_JND",
     "PRECISIONS",
