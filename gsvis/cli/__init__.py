@@ -25,6 +25,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis render scene.ply -o orbit.gif --orbit 36
   gsvis pvs scene.ply -o scene.pvs           what can be seen from each cell
   gsvis pvs-report scene.pvs scene.ply -o report
+  gsvis color scene.ply -o scene.arrow       colour that can be sent in pieces
   gsvis convert scene.ply small.spz --min-opacity 0.02
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
@@ -128,6 +129,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.pvs_report import run_pvs_report
 
         run_pvs_report(command)
+    elif isinstance(command, arguments.Color):
+        from gsvis.cli.color import run_color
+
+        run_color(command)
     else:
         from gsvis.cli.convert import run_convert
 

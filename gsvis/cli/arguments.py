@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-__all__ = ["Analyze", "Command", "Convert", "Inspect", "Pvs", "PvsReport", "Render"]
+__all__ = ["Analyze", "Color", "Command", "Convert", "Inspect", "Pvs", "PvsReport", "Render"]
 
 
 def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
@@ -93,6 +93,26 @@ def _read_bytes(words: list[str]) -> int:
     return int(size)
 
 
+def _read_mean_terms(words: list[str]) -> float:
+    try:
+        value = float("inf" if words[0] == "all" else words[0])
+    except ValueError:
+        value = -1.0
+    if not value >= 0.0:
+        raise ValueError(f"expected a number of at least 0 or all, got {words[0]!r}")
+    return value
+
+
+def _read_epsilon(words: list[str]) -> float:
+    try:
+        value = 0.0 if words[0] == "auto" else float(words[0])
+    except ValueError:
+        value = -1.0
+    if not (0.0 < value <= 1.0 or words[0] == "auto"):
+        raise ValueError(f"expected a change of colour in (0, 1] or auto, got {words[0]!r}")
+    return value
+
+
 _COUNT = 10**9
 _WHOLE = _number("N", int, 0, _COUNT, "a whole number of at least 0")
 _COUNTED = _number("N", int, 1, _COUNT, "a whole number of at least 1")
@@ -114,6 +134,9 @@ _FACE_PIXELS = _number("PX", int, 4, 4096, "4 to 4096 pixels")
 _TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
 _SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
 _CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
+_TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
+_MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
+_EPSILON = _spec(1, "E|auto", _read_epsilon)
 _RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
 
 
@@ -346,4 +369,52 @@ class PvsReport:
     """Show the traceback of an error."""
 
 
-Command = Inspect | Analyze | Render | Pvs | PvsReport | Convert
+@dataclass(frozen=True)
+class Color:
+    """Put a base colour and a few terms in place of SH colours, to be sent in pieces."""
+
+    scene: Scene
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
+    """The Arrow file to write, such as scene.arrow: geometry, base colours and terms; replaced if it exists."""
+    lod: Lod = None
+    """Level of detail of a streamed scene; 0 is the finest."""
+    pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: directions are traced)")] = None
+    """Visible sets of this scene (gsvis pvs): they tell from where each Gaussian is seen."""
+    variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], _PLAIN] = "rgb"
+    """How colours are split; the first four are the paper's. (default: rgb)"""
+    max_terms: Annotated[int | None, _TERMS, _hint("8")] = None
+    """Most terms of each function of a Gaussian; 0 leaves base colours alone."""
+    mean_terms: Annotated[float | None, _MEAN_TERMS, _hint("2")] = None
+    """Terms a Gaussian on average; they go where they serve most. With all, each that lowers an error."""
+    no_refine: Flag = False
+    """Leave terms on the grid that they are chosen from: quicker, and worse."""
+    views: Annotated[int, _COUNTED] = 96
+    """Views that tell how much each Gaussian counts."""
+    held_out: Annotated[int, _WHOLE] = 8
+    """Further views, for the comparison with SH; 0 for none."""
+    width: Annotated[int, _PIXELS] = 480
+    """Pixels across these, and across those of --epsilon auto and --staircase."""
+    height: Annotated[int, _PIXELS] = 360
+    """Pixels down."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards in the scene, such as -y; not with --pvs."""
+    seed: Annotated[int, _WHOLE] = 0
+    """Seed of everything random: the same seed gives the same file."""
+    precision: Annotated[Literal["coarse", "wire", "fine", "exact"], _PLAIN] = "wire"
+    """Bits of what is written; exact keeps 32 bits a number. (default: wire)"""
+    epsilon: Annotated[float | None, _EPSILON, _hint("auto where it is needed")] = None
+    """Change of colour from which a term is active; auto asks the metric FLIP what an eye would see."""
+    active: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write the terms that each cell of --pvs needs, such as scene.terms.arrow."""
+    report: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
+    staircase: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write a web page on which a person finds their own epsilon, such as test.html."""
+    json: Flag = False
+    """Print one JSON document instead of tables."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+Command = Inspect | Analyze | Render | Pvs | PvsReport | Color | Convert

@@ -31,6 +31,14 @@ _SAID = {
     "store": "writing the store",
     "trying": "trying a few cells",
     "quality": "measuring the sets",
+    "importance": "weighing Gaussians in views",
+    "price": "sharing out terms",
+    "fit": "fitting terms",
+    "records": "rounding to records",
+    "epsilon": "finding epsilon",
+    "terms": "finding active terms of cells",
+    "rungs": "drawing the staircase",
+    "colors": "comparing with SH",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing

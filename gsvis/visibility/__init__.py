@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from gsvis.visibility.build import Estimate, Workers, build_pvs, estimate_pvs
     from gsvis.visibility.cells import CellGrid
     from gsvis.visibility.cluster import connect
+    from gsvis.visibility.color_quality import ColorQuality, ColorQualityConfig, measure_colors
+    from gsvis.visibility.colors import ColorConfig, ColorPreparation, ViewSampling, prepare_colors
+    from gsvis.visibility.fitted_colors import FittedColors
     from gsvis.visibility.pvs import PvsConfig
     from gsvis.visibility.quality import Quality, QualityConfig, measure_quality
     from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
@@ -49,13 +52,19 @@ __all__ = [
     "CellGrid",
     "CellSet",
     "CellViewpoints",
+    "ColorConfig",
+    "ColorPreparation",
+    "ColorQuality",
+    "ColorQualityConfig",
     "DirectionCdf",
     "Estimate",
+    "FittedColors",
     "PvsConfig",
     "Quality",
     "QualityConfig",
     "Settling",
     "StoreInfo",
+    "ViewSampling",
     "VisibilityStore",
     "WalkConfig",
     "WalkTerms",
@@ -68,7 +77,9 @@ __all__ = [
     "connect",
     "corridor",
     "estimate_pvs",
+    "measure_colors",
     "measure_quality",
+    "prepare_colors",
     "seen_over_walk",
     "terms_over_walk",
     "write_store",
@@ -90,6 +101,9 @@ _HOMES = {
     "build": ("Estimate", "Workers", "build_pvs", "estimate_pvs"),
     "cells": ("CellGrid",),
     "cluster": ("connect",),
+    "color_quality": ("ColorQuality", "ColorQualityConfig", "measure_colors"),
+    "colors": ("ColorConfig", "ColorPreparation", "ViewSampling", "prepare_colors"),
+    "fitted_colors": ("FittedColors",),
     "pvs": ("PvsConfig",),
     "quality": ("Quality", "QualityConfig", "measure_quality"),
     "store": ("CellSet", "StoreInfo", "VisibilityStore", "write_store"),

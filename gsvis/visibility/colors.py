@@ -33,7 +33,7 @@ U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
 _PLAN = 1  # raised whenever the same plan would find something else
-_BLOCK = 16384  # Gaussians traced before what was found is kept
+_BLOCK = 8192  # Gaussians traced before what was found is kept
 _TRIES = 32  # times that viewpoints are drawn until enough lie outside of everything solid
 
 
@@ -53,7 +53,7 @@ class ViewSampling:
         ValueError: If a value is out of range.
     """
 
-    count: int = 48
+    count: int = 96
     width: int = 320
     height: int = 240
     fov: float = 60.0
@@ -174,14 +174,16 @@ def prepare_colors(
     found = kept.load({"sets": (len(g), NUM_FACES // 8), "traced": (1,), "importance": (len(g),)})
     if given is None and config.rays_per_face > 0:
         _trace(g, navigable, config.rays_per_face, kept, found, progress)
-        told = f"traced outward with {config.rays_per_face} rays a direction, and those of the fitting views"
+        rays = "1 ray" if config.rays_per_face == 1 else f"{config.rays_per_face} rays"
+        told = f"traced outward ({rays} for each of 80) and gathered from the views of the fit"
     else:
         found.setdefault("sets", np.zeros((len(g), NUM_FACES // 8), np.uint8))
-        told = "the fitting views" if given is None else "the visible sets, and those of the fitting views"
+        told = "gathered from the views of the fit"
+        told = told if given is None else f"of the visible sets and {told}"
     views = config.views.cameras(g, navigable) if config.views.count else None
     if views is None:
         found["importance"] = np.ones(len(g))
-        told = told.replace(", and those of the fitting views", "")
+        told = told.replace(" and gathered from the views of the fit", "")
     elif "importance" not in found:
         from gsvis.visibility.importance import importance_from_views  # imports torch
 

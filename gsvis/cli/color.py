@@ -1,0 +1,370 @@
+"""`gsvis color`: base colours and a few terms in place of SH colours, as a file, with how good they are."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Color
+from gsvis.cli.color_result import tell_result
+from gsvis.cli.source import Source, check_file, check_folder, check_source, given_up, inspected, load_source
+from gsvis.cli.source import navigable_space as found_space
+from gsvis.cli.terminal import Status
+from gsvis.errors import SceneError
+from gsvis.scene.content import space_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility.store import VisibilityStore
+
+if TYPE_CHECKING:
+    from gsvis.color import EpsilonCalibration, Observer
+    from gsvis.color.srbf import SrbfColors
+    from gsvis.visibility.color_quality import ColorQuality
+    from gsvis.visibility.colors import ColorConfig, ColorPreparation
+    from gsvis.visibility.fitted_colors import FittedColors
+
+__all__ = ["PAPER_EPSILON", "run_color"]
+
+PAPER_EPSILON = 0.02
+"""In the middle of the paper's 0.01 to 0.05: where there are no terms, any value does."""
+
+_HELD_OUT, _OBSERVED = 1, 2  # streams of random numbers of views; those of the fit are 0
+_OBSERVED_VIEWS = 4
+_FOV = 60.0
+_PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
+_SPELLED = {("epsilon", 0.0): "auto", ("mean_terms", math.inf): "all"}
+_NUMBERS = (
+    "variant",
+    "max_terms",
+    "mean_terms",
+    "no_refine",
+    "views",
+    "held_out",
+    "up",
+    "seed",
+    "precision",
+    "epsilon",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What is to be done."""
+
+    source: Source
+    store: VisibilityStore | None
+    space: NavigableSpace | None
+    config: ColorConfig
+    remarks: list[str]
+
+
+def run_color(command: Color) -> None:
+    """Read, find directions, fit, write, compare, say what came out.
+
+    Raises:
+        GsvisError: If a file cannot be read, the visible sets are of another scene, or the scene cannot serve.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If a file is missing.
+        OSError: If a file cannot be written.
+        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+    """
+    config = _checked(command)
+    with ExitStack() as opened, Status() as status:
+        store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))
+        plan = _planned(command, config, store, status)
+        fitted = _done(command, plan, status)
+        seconds = dict(status.seconds)
+    tell_result(command, plan.source, fitted, plan.remarks, seconds)
+
+
+def _checked(command: Color) -> ColorConfig:
+    """Everything about the arguments that can be known before work begins."""
+    check_source(command.scene, command.lod)
+    if command.pvs is not None and not Path(command.pvs).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.pvs)
+    targets = {name: getattr(command, name) for name in ("out", "active", "staircase")}
+    for name, path in targets.items():
+        if path is not None:
+            check_file(path)
+            _check_no_input(name, path, command)
+    if command.report is not None:
+        check_folder(command.report)
+    written = [Path(path).absolute() for path in targets.values() if path is not None]
+    if len(set(written)) < len(written):
+        raise ValueError("--out, --active, --staircase: expected files of their own, got one twice; name another")
+    if command.active is not None and command.pvs is None:
+        raise ValueError("--active: expected --pvs with it, got none; gsvis pvs builds one")
+    if command.up is not None and command.pvs is not None:
+        raise ValueError(f"--up: expected none with --pvs, which knows it, got {command.up.strip()}; leave it out")
+    if command.report is not None and command.held_out == 0:
+        raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
+    given_up(command.up)
+    from gsvis.color.fit import FitConfig
+    from gsvis.visibility.colors import ColorConfig, ViewSampling
+
+    if command.epsilon == 0.0 or (command.epsilon is None and command.active is not None):
+        from gsvis.visibility.color_quality import check_flip
+
+        check_flip()
+    chosen: dict[str, Any] = {name: getattr(command, name) for name in ("variant", "max_terms", "mean_terms")}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    if chosen.get("mean_terms") == math.inf:
+        chosen["mean_terms"] = None
+    fit = FitConfig(refine=not command.no_refine, **chosen)
+    return ColorConfig(fit, ViewSampling(command.views, seed=command.seed))
+
+
+def _check_no_input(name: str, path: str, command: Color) -> None:
+    """Refuse to replace what is read: a slip of the keyboard must not cost a scene."""
+    target = Path(path)
+    for given in (command.scene, command.pvs):
+        if given is not None and target.exists() and Path(given).exists() and target.samefile(given):
+            raise ValueError(f"--{name}: expected a file of its own, got {path}, which is read; name another")
+    if name == "out" and target.is_file() and target.stat().st_size > 0:
+        with target.open("rb") as file:
+            if file.read(6) != b"ARROW1":
+                raise ValueError(
+                    f"--out: expected a new file or an Arrow file to replace, got {path}, which is something else;"
+                    " name another"
+                )
+
+
+def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None, status: Status) -> _Plan:
+    """The scene and where eyes may be."""
+    status("reading", 0, 1)
+    source = load_source(command.scene, command.lod)
+    g = source.gaussians
+    if len(g) == 0:
+        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to colour")
+    if store is not None:
+        store.check_scene(g)
+    status("reading", 1, 1)
+    status("space", 0, 1)
+    remarks = []
+    space: NavigableSpace | None
+    if store is not None:
+        space, why_not = _space_of(store, source), ""
+    else:
+        space, why_not = found_space(source, up=given_up(command.up))
+    status("space", 1, 1)
+    if space is None and g.sh_degree > 0:
+        raise SceneError(
+            f"{command.scene}: {why_not}; say where eyes may be with gsvis pvs --box, and give its store with --pvs"
+        )
+    if g.sh_degree == 0:
+        remarks.append(
+            " The scene has SH degree 0: no colour depends on direction, so there is nothing to fit. The file holds the"
+            " base colours and no terms."
+        )
+    return _Plan(source, store, space, config, remarks)
+
+
+def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
+    """The space that visible sets were built in, or as much of it as their cells tell."""
+    space, _ = found_space(source, up=store.grid.up)
+    if space is not None:
+        if store.info.config.get("space") == space_hash(space):
+            return space
+        voxels = np.argwhere(space.free)
+        held = voxels[store.grid.cell_at(space.origin + space.voxel_size * (voxels + 0.5)) >= 0]
+        if np.array_equal(space.origin, store.grid.origin) and len(held):
+            free = np.zeros_like(space.free)
+            free[tuple(held.T)] = True
+            return replace(space, free=free, rule=f"{space.rule}, in the cells")
+    from gsvis.visibility.quality import box_space
+
+    return box_space(store.grid, source.gaussians)
+
+
+def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
+    """Everything between a read scene and the last file that was asked for."""
+    from gsvis.visibility.colors import kept_beside, prepare_colors
+    from gsvis.visibility.fitted_colors import FittedColors, rounded
+
+    g, sets = plan.source.gaussians, None if plan.store is None else plan.store.direction_sets
+    if g.sh_degree > 0:
+        _warm_up(plan.config, status)
+    kept = kept_beside(g, plan.space, plan.config, command.out, sets=sets)
+    try:
+        found = prepare_colors(g, plan.space, plan.config, sets=sets, keep=command.out, progress=status)
+        status("records", 0, 1)
+        colors = rounded(found.fit.colors, command.precision)
+        status("records", 1, 1)
+        epsilon, calibration = _epsilon(command, plan, colors, status)
+        size = _written(command, plan, found, (epsilon, calibration))
+    except KeyboardInterrupt:
+        if kept is None or not kept.exists():
+            raise
+        raise KeyboardInterrupt(f"what was found is kept in {kept.name}; the same command goes on from there") from None
+    if kept is not None:
+        kept.unlink(missing_ok=True)
+    fitted = FittedColors(g, colors, found, command.precision, size, epsilon, calibration)
+    try:
+        return _looked_at(command, plan, fitted, status)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"{command.out} is written, what else was asked for may not be") from None
+
+
+def _warm_up(config: ColorConfig, status: Status) -> None:
+    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
+    from gsvis.color.activation import Activation
+    from gsvis.color.evaluate import evaluate
+    from gsvis.visibility.colors import ColorConfig, ViewSampling, prepare_colors
+    from gsvis.visibility.fitted_colors import rounded
+
+    status("kernels", 0, 1)
+    bands = np.linspace(-0.3, 0.3, 9).reshape(1, 3, 3)
+    one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)), bands)
+    around = NavigableSpace.from_box((3, 3, 3), (4, 4, 4), 1)
+    quick = ColorConfig(replace(config.fit, mean_terms=None, max_terms=1), ViewSampling(1, 16, 12))
+    colors = rounded(prepare_colors(one, around, quick).fit.colors, "wire")
+    evaluate(colors, one.means, (4.0, 0.0, 0.0))
+    Activation(colors, one.means, 0.01).contributions((4.0, 0.0, 0.0))
+    status("kernels", 1, 1)
+
+
+def _epsilon(
+    command: Color, plan: _Plan, colors: SrbfColors, status: Status
+) -> tuple[float | None, EpsilonCalibration | None]:
+    """The epsilon that was given or that the model observer comes to, where it is needed and possible."""
+    from gsvis.visibility.color_quality import has_flip
+    from gsvis.visibility.colors import ViewSampling
+
+    if command.epsilon:
+        return command.epsilon, None
+    needed = command.epsilon is not None or command.active is not None
+    if not needed and (command.report is None or not has_flip()):
+        return None, None
+    if colors.num_terms == 0 or plan.space is None:
+        plan.remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
+        return (PAPER_EPSILON if needed else None), None
+    from gsvis.color import FLIP_JND, MetricObserver, calibrate_epsilon
+    from gsvis.report.approximations import Approximations, flip_difference
+
+    status("epsilon", 0, 1)
+    views = ViewSampling(_OBSERVED_VIEWS, command.width, command.height, _FOV, command.seed, _OBSERVED)
+    g = plan.source.gaussians
+    images = {"views": views.count, "width": views.width, "height": views.height, "fov": views.fov, "seed": views.seed}
+    pictures = Approximations(g, colors, views.cameras(g, plan.space))
+    observer = MetricObserver(flip_difference(pictures), FLIP_JND, images=images)
+    found = calibrate_epsilon(cast("Observer", observer))
+    status("epsilon", 1, 1)
+    if not found.converged:
+        plan.remarks.append(f" Epsilon was not found for certain: {found.reason}.")
+    return found.epsilon, found
+
+
+def _written(
+    command: Color, plan: _Plan, found: ColorPreparation, known: tuple[float | None, EpsilonCalibration | None]
+) -> int:
+    """The file written; its size."""
+    from gsvis.color.storage import save_srbf
+
+    epsilon, calibration = known
+    provenance = {
+        "made_by": f"gsvis {version()}",
+        "fit": asdict(plan.config.fit),
+        "views": asdict(plan.config.views),
+        "directions": found.sets_from,
+        "epsilon": epsilon,
+        "epsilon_from": None if calibration is None else calibration.as_dict(),
+    }
+    precision = None if command.precision == "exact" else command.precision
+    save_srbf(command.out, plan.source.gaussians, found.fit.colors, precision=precision, provenance=provenance)
+    return Path(command.out).stat().st_size
+
+
+def _looked_at(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> FittedColors:
+    """What is made of the colours once they are safe."""
+    g, colors, epsilon = fitted.gaussians, fitted.colors, fitted.epsilon
+    if command.active is not None and plan.store is not None and epsilon is not None:
+        from gsvis.visibility.active_terms import build_active_terms
+
+        told = "given" if fitted.calibration is None else "the model observer FLIP"
+        with build_active_terms(
+            colors, g, plan.store, epsilon, command.active, provenance=told, progress=status
+        ) as active:
+            shares = np.array([active.share(cell).of_all for cell in range(len(active))])
+        fitted = replace(fitted, cell_shares=shares)
+    if plan.space is None:
+        if command.staircase is not None or command.held_out:
+            plan.remarks.append(" Nothing was compared: there is nowhere to look from.")
+        return fitted
+    if command.staircase is not None:
+        _write_staircase(command, plan, colors, status)
+    if command.held_out:
+        fitted = replace(fitted, quality=_compared(command, plan, fitted, status))
+    if command.report is not None:
+        _write_report(command, plan, fitted, status)
+    return fitted
+
+
+def _compared(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> ColorQuality:
+    from gsvis.visibility.color_quality import ColorQualityConfig, has_flip, measure_colors
+    from gsvis.visibility.colors import ViewSampling
+
+    g, epsilon = fitted.gaussians, fitted.epsilon
+    asked = ColorQualityConfig(flip=has_flip())
+    if command.report is None:
+        asked = replace(asked, counts=(), epsilons=() if epsilon is None else (epsilon,))
+    elif epsilon is not None:
+        asked = replace(asked, epsilons=tuple(sorted({*asked.epsilons, epsilon})))
+    views = ViewSampling(command.held_out, command.width, command.height, _FOV, command.seed, _HELD_OUT)
+    assert plan.space is not None
+    return measure_colors(g, fitted.colors, views.cameras(g, plan.space), asked, progress=status)
+
+
+def _write_staircase(command: Color, plan: _Plan, colors: SrbfColors, status: Status) -> None:
+    from gsvis.report.approximations import Approximations
+    from gsvis.report.staircase import PERSON_RULE, write_staircase_page
+    from gsvis.visibility.colors import ViewSampling
+
+    g, space = plan.source.gaussians, plan.space
+    assert command.staircase is not None
+    assert space is not None
+    views = ViewSampling(_OBSERVED_VIEWS, command.width, command.height, _FOV, command.seed, _OBSERVED)
+    pictures = Approximations(g, colors, views.cameras(g, space))
+    ladder = pictures.ladder(PERSON_RULE.rungs, progress=status)
+    about = {"variant": colors.variant, "precision": command.precision, "mean_terms": colors.num_terms / len(colors)}
+    write_staircase_page(
+        command.staircase, pictures.reference, ladder, title=plan.source.name, about=about, progress=status
+    )
+
+
+def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> None:
+    from gsvis.report import Subject  # imports matplotlib
+    from gsvis.report.color_document import write_color_report
+
+    assert command.report is not None
+    assert plan.space is not None
+    subject = Subject(
+        title=plan.source.name,
+        gaussians=fitted.gaussians,
+        up=plan.space.up,
+        cameras_from=f"drawn at random where eyes may be ({plan.space.rule}), apart from those of the fit",
+        command=_spelled(command),
+        version=version(),
+        facts={"path": command.scene, "lod": plan.source.lod, **inspected(plan.source)},
+        parameters={name: getattr(command, name) for name in (*_PATHS, *_NUMBERS)},
+        seconds=dict(status.seconds),
+    )
+    write_color_report(command.report, fitted, subject, progress=status)
+
+
+def _spelled(command: Color) -> str:
+    """The command line that makes all this again."""
+    words = ["gsvis", "color", command.scene, "-o", command.out]
+    for name in (*_PATHS[2:], *_NUMBERS):
+        value = getattr(command, name)
+        if value is not None and value != getattr(Color, name):
+            words.append("--" + name.replace("_", "-"))
+            if value is not True:
+                words.append(_SPELLED.get((name, value)) or (f"{value:g}" if isinstance(value, float) else str(value)))
+    return shlex.join(words)

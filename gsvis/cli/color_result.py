@@ -1,0 +1,106 @@
+"""What `gsvis color` says at its end: a table, or one JSON document."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gsvis.cli.arguments import Color
+from gsvis.cli.source import Source
+from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+
+if TYPE_CHECKING:
+    from gsvis.visibility.fitted_colors import FittedColors
+
+__all__ = ["tell_result"]
+
+
+def tell_result(
+    command: Color, source: Source, fitted: FittedColors, remarks: list[str], seconds: dict[str, float]
+) -> None:
+    """Print what came out.
+
+    Args:
+        command: What was asked for.
+        source: The scene.
+        fitted: Its colours.
+        remarks: Lines for people.
+        seconds: How long each stage took.
+    """
+    document = fitted.as_dict()
+    if command.json:
+        about = {"format": "gsvis-color", "version": 1, "scene": source.name, "lod": source.lod, "out": command.out}
+        written = {name: getattr(command, name) for name in ("active", "report", "staircase")}
+        print_json({**about, **written, **document, "seconds": seconds})
+        return
+    lines = list(remarks)
+    if document["quality"]:
+        looked = document["quality"]
+        lines.append(
+            f" Compared in {looked['views']} views that the fit did not use, {looked['width']} x {looked['height']}"
+            " pixels each."
+        )
+        if "flip" not in looked["all_terms"]:
+            lines.append(" FLIP was not asked: pip install 'gsvis[metrics]'.")
+    if command.report is not None and Path(command.report, "report.html").exists():
+        lines.append(f" Report: {Path(command.report) / 'report.html'}")
+    if command.staircase is not None and Path(command.staircase).exists():
+        lines.append(f" Test for a person: {command.staircase}")
+    total = sum(seconds.values())
+    parts: list[Any] = [facts(source.name, [*_rows(command, document), ("time", clock(total))])]
+    if document["quality"]:
+        parts.append(facts("", _likeness(document["quality"]), _header(document["quality"])))
+    show(*parts, *lines)
+
+
+def _rows(command: Color, document: dict[str, Any]) -> list[tuple[str, str]]:
+    terms, sizes, seen = document["terms"], document["bytes_per_gaussian"], document["directions"]
+    rows = [
+        ("Gaussians", f"{document['gaussians']:,}, SH degree {document['sh_degree']}"),
+        ("directions", f"{seen['from']}; {seen['mean_share']:.1%} on average"),
+    ]
+    if seen["without_any"]:
+        rows.append(("seen from nowhere", f"{seen['without_any']:,}: they get base colours"))
+    rows.append(("terms", f"{terms['mean']:.2f} a Gaussian on average, variant {document['variant']}"))
+    if terms["total"]:
+        told = f"{terms['share_none']:.1%}, {terms['share_1_to_4']:.1%}, {terms['share_more']:.1%}"
+        rows.append(("no term, 1 to 4, more", f"{told} of the Gaussians"))
+    compared = ", ".join(f"{sizes[f'sh_{bits}']:g} with {bits} bits" for bits in (32, 16, 8))
+    rows += [
+        ("bytes of a colour", f"{sizes['records']:.1f} as {document['precision']} records; SH: {compared}"),
+        ("file", f"{Path(command.out).name}, {size_of(document['file_bytes'])} with geometry"),
+    ]
+    if document["epsilon"]:
+        rows.append(("epsilon", _epsilon(document["epsilon"])))
+    cells = document["active_in_cells"]
+    if cells:
+        share = cells["share_of_all"]
+        told = f"{share['mean']:.1%} of all terms; {share['min']:.1%} to {share['max']:.1%}"
+        rows.append(("active in a cell", told))
+    return rows
+
+
+def _epsilon(found: dict[str, Any]) -> str:
+    if found["from"] == "given":
+        return f"{found['value']:g}, as given"
+    interval = found["interval"]
+    spread = f" ({interval[0]:.2g} to {interval[1]:.2g})" if interval else ""
+    return f"{found['value']:.3g}{spread}, by FLIP in {found['trials']} trials"
+
+
+def _header(quality: dict[str, Any]) -> tuple[str, ...]:
+    names = ["PSNR", "worst", "SSIM", "worst"]
+    if "flip" in quality["all_terms"]:
+        names += ["FLIP", "worst"]
+    return ("against SH", *names)
+
+
+def _likeness(quality: dict[str, Any]) -> list[tuple[str, ...]]:
+    rows = []
+    for name, key in (("all terms", "all_terms"), ("base colours alone", "base_only")):
+        row = [name]
+        for measure, digits in (("psnr", 1), ("ssim", 4), ("flip", 4)):
+            if measure in quality[key]:
+                row += [f"{quality[key][measure][which]:.{digits}f}" for which in ("mean", "worst")]
+        rows.append(tuple(row))
+    return rows

@@ -1,0 +1,143 @@
+"""The report on colours on disk: `report.json`, plots and pictures as PNG, `report.html` with all of it inside."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.io.atomic import atomic_folder
+from gsvis.progress import Progress, silent
+from gsvis.render import rasterize
+from gsvis.report.color_page import DIFFERENCE, color_page
+from gsvis.report.color_plots import draw_active, draw_active_psnr, draw_bytes, draw_first_terms, draw_term_counts
+from gsvis.report.color_spheres import draw_spheres, fit_spheres
+from gsvis.report.document import Subject
+from gsvis.report.html import Figure
+from gsvis.report.pictures import png_of
+from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.visibility.color_quality import ColorQuality
+from gsvis.visibility.fitted_colors import FittedColors
+
+__all__ = ["color_document", "write_color_report"]
+
+_ROLES = ("worst", "median")
+_PICTURES = {
+    *(f"{name}.png" for name in ("term_counts", "first_terms", "active", "active_psnr", "bytes", "spheres")),
+    *(f"{role}_{name}.png" for role in _ROLES for name in ("sh", "srbf", "base", "difference")),
+}
+
+
+def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
+    """The content of `report.json`.
+
+    Args:
+        fitted: The colours, with their quality.
+        subject: What they are about; its `cameras_from` says where the views of the comparison come from.
+
+    Raises:
+        ValueError: If the quality was not measured.
+    """
+    document = {
+        "format": "gsvis-color-report",
+        "version": 1,
+        "gsvis": subject.version,
+        "command": subject.command,
+        "parameters": subject.parameters,
+        "scene": {"name": subject.title, **subject.facts},
+        "cameras_from": subject.cameras_from,
+        **fitted.as_dict(),
+        "seconds": subject.seconds,
+    }
+    by_view = {camera: role for role, camera in _views(_quality(fitted)).items()}
+    for camera, row in enumerate(document["quality"]["cameras"]):
+        row["role"] = by_view.get(camera)
+    return document
+
+
+def write_color_report(
+    folder: str | os.PathLike[str], fitted: FittedColors, subject: Subject, *, progress: Progress = silent
+) -> dict[str, Any]:
+    """Draw everything and write the folder, whole or not at all.
+
+    Args:
+        folder: Made if missing; files in it that are not of a report stay.
+        fitted: The colours, with their quality.
+        subject: What they are about.
+        progress: Called with stage "writing".
+
+    Returns:
+        What was written as `report.json`.
+
+    Raises:
+        ValueError: If the quality was not measured.
+        OSError: If the folder cannot be written.
+    """
+    document = color_document(fitted, subject)
+    figures = _figures(fitted, progress)
+    with atomic_folder(folder) as partial_folder:
+        for figure in figures.values():
+            (partial_folder / figure.file).write_bytes(figure.light)
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (partial_folder / "report.json").write_text(text, encoding="utf-8")
+        (partial_folder / "report.html").write_text(color_page(fitted, document, figures), encoding="utf-8")
+    for stale in _PICTURES - {figure.file for figure in figures.values()}:
+        (Path(folder) / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+    return document
+
+
+def _quality(fitted: FittedColors) -> ColorQuality:
+    if fitted.quality is None:
+        raise ValueError("fitted: expected colours whose quality was measured, got none; see measure_colors")
+    return fitted.quality
+
+
+def _views(quality: ColorQuality) -> dict[str, int]:
+    """The views that are shown, by their role."""
+    order = np.argsort(quality.all_terms.psnr, kind="stable")
+    roles = {"worst": int(order[0])}
+    if len(order) > 1:
+        roles["median"] = int(order[len(order) // 2])
+    return roles
+
+
+def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
+    """All plots and pictures by name, plots for light and for dark pages."""
+    quality, epsilon = _quality(fitted), fitted.epsilon
+    plots: dict[str, tuple[Any, tuple[float, float]]] = {"bytes": (partial(draw_bytes, fitted=fitted), (5.2, 2.4))}
+    if fitted.colors.num_terms:
+        plots["term_counts"] = (partial(draw_term_counts, fitted=fitted), (5.2, 3.3))
+        plots["first_terms"] = (partial(draw_first_terms, quality=quality), (5.2, 3.6))
+        if len(quality.epsilons):
+            plots["active"] = (partial(draw_active, quality=quality, epsilon=epsilon), (5.2, 3.3))
+            plots["active_psnr"] = (partial(draw_active_psnr, quality=quality, epsilon=epsilon), (5.2, 3.3))
+    steps = len(plots) + 2
+    progress("writing", 0, steps)
+    if fitted.colors.num_terms:
+        spheres = fit_spheres(fitted)
+        rows = len(spheres.ids)
+        plots["spheres"] = (partial(draw_spheres, spheres=spheres), (7.6, 0.25 + 1.08 * rows))
+    figures = {}
+    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
+        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        progress("writing", min(done, steps - 1), steps)
+    for role, view in _views(quality).items():
+        for name, image in _pictures(fitted, quality, view).items():
+            figures[f"{role}_{name}"] = Figure(f"{role}_{name}.png", png_of(image))
+    progress("writing", steps, steps)
+    return figures
+
+
+def _pictures(fitted: FittedColors, quality: ColorQuality, view: int) -> dict[str, NDArray[np.float32]]:
+    """One view: by SH, by all terms, by base colours, and what differs between the first two."""
+    camera, g = quality.cameras[view], fitted.gaussians
+    images = {
+        name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0].numpy(), 0.0, 1.0)
+        for name, colors in (("sh", None), ("srbf", fitted.colors), ("base", fitted.colors.first(0)))
+    }
+    return {**images, "difference": DIFFERENCE * np.abs(images["sh"] - images["srbf"])}

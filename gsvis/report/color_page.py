@@ -1,0 +1,205 @@
+"""The report on colours as one HTML page that needs nothing else: images inside, no script, no network."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
+from gsvis.report.color_spheres import COUNTS
+from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
+from gsvis.visibility.fitted_colors import FittedColors
+
+__all__ = ["DIFFERENCE", "color_page"]
+
+DIFFERENCE = 8.0
+"""How much differences are enlarged in pictures of them."""
+
+_MEASURES = (("psnr", "PSNR, dB", 1), ("ssim", "SSIM", 4), ("flip", "FLIP", 4))
+
+
+def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """The whole page.
+
+    Args:
+        fitted: The colours, with their quality.
+        document: The content of `report.json`.
+        figures: Plots and pictures by name; what is absent is left out of the page.
+    """
+    return filled(
+        "color_page.html",
+        title=escape(document["scene"]["name"]),
+        version=escape(document["gsvis"]),
+        lead=_lead(document),
+        tiles=_tiles(document),
+        likeness=_likeness(document, figures),
+        terms=_terms(document, figures),
+        active=_active(document, figures),
+        bytes=_bytes(document, figures),
+        spheres=_spheres(fitted, figures),
+        how=described(document),
+    )
+
+
+def _lead(document: dict[str, Any]) -> str:
+    terms, quality = document["terms"], document["quality"]
+    if not terms["total"]:
+        return (
+            f"<p class='lead'>The {document['gaussians']:,} Gaussians of this scene have base colours and no terms:"
+            " nothing of what is sent depends on direction.</p>"
+        )
+    return (
+        f"<p class='lead'>Each of the {document['gaussians']:,} Gaussians has a base colour and"
+        f" {terms['mean']:.2f} terms on average, each of which changes it towards one direction, in place of spherical"
+        f" harmonics (SH) of degree {document['sh_degree']}. Compared with SH in {quality['views']} views that the fit"
+        f" did not use, {escape(document['cameras_from'])}.</p>"
+    )
+
+
+def _tiles(document: dict[str, Any]) -> str:
+    quality, sizes, terms = document["quality"], document["bytes_per_gaussian"], document["terms"]
+    whole, base = quality["all_terms"]["psnr"], quality["base_only"]["psnr"]
+    shown = [
+        (f"{whole['mean']:.1f} dB", "PSNR against SH, on average", f"worst view: {whole['worst']:.1f} dB"),
+        (f"{base['mean']:.1f} dB", "with base colours alone", f"worst view: {base['worst']:.1f} dB"),
+        (f"{sizes['records']:.1f} bytes", "for the colour of a Gaussian", f"SH in 32 bits: {sizes['sh_32']:g}"),
+        (f"{terms['share_1_to_4']:.0%}", "of the Gaussians have 1 to 4 terms", f"none: {terms['share_none']:.0%}"),
+    ]
+    return tiles(shown)
+
+
+def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    quality = document["quality"]
+    rows = []
+    for name, key in (("all terms", "all_terms"), ("base colours alone", "base_only")):
+        cells = [name]
+        for measure, _, digits in _MEASURES:
+            if measure in quality[key]:
+                cells += [f"{quality[key][measure][which]:.{digits}f}" for which in ("mean", "worst")]
+        rows.append(cells)
+    header = ["against SH"]
+    for measure, told, _ in _MEASURES:
+        if measure in quality["all_terms"]:
+            header += [told, "worst"]
+    text = table(header, rows)
+    for role, told in (("worst", "The view that comes out worst"), ("median", "A view in the middle")):
+        if f"{role}_sh" in figures:
+            row = next(each for each in quality["cameras"] if each["role"] == role)
+            text += f"<h3>{told}</h3>" + _pictures(role, row, figures)
+    if "first_terms" in figures:
+        caption = (
+            "Terms come one by one, the most useful of each Gaussian first. Below the number is how many that makes of"
+            " all Gaussians on average, since most have fewer."
+        )
+        text += figure(figures["first_terms"], "PSNR by the number of first terms", caption)
+    text += (
+        f"<p>Each view has {quality['width']} x {quality['height']} pixels, values clipped to what a display shows;"
+        f" equal images count as {quality['psnr_cap']:g} dB. FLIP is an error as an eye would see it, 0 for none.</p>"
+    )
+    return text
+
+
+def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str:
+    shown = (
+        ("sh", "SH, as the scene came."),
+        ("srbf", f"Base colours and all terms: {row['psnr']:.1f} dB."),
+        ("base", f"Base colours alone: {row['base_psnr']:.1f} dB."),
+        ("difference", f"What differs between the first two, brightened {DIFFERENCE:g} times."),
+    )
+    drawn = "".join(figure(figures[f"{role}_{name}"], told, told) for name, told in shown)
+    return f"<div class='pair'>{drawn}</div>"
+
+
+def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    terms, seen = document["terms"], document["directions"]
+    text = ""
+    if "term_counts" in figures:
+        caption = (
+            f"{terms['share_none']:.1%} of the Gaussians have no term, {terms['share_1_to_4']:.1%} have 1 to 4,"
+            f" {terms['share_more']:.1%} more. Beside it the same, each Gaussian counted by how much images show of"
+            " it (its squared blending weights in the views of the fit)."
+        )
+        text += figure(figures["term_counts"], "Share of Gaussians by their number of terms", caption)
+    rows = [
+        ("variant", escape(document["variant"])),
+        ("terms", f"{terms['total']:,}"),
+        ("terms of a Gaussian on average", f"{terms['mean']:.2f}"),
+        ("directions from which a Gaussian counts", escape(seen["from"])),
+        ("their share of all, on average", f"{seen['mean_share']:.1%}"),
+        ("Gaussians without any", f"{seen['without_any']:,}"),
+    ]
+    return text + table(("colours", ""), rows)
+
+
+def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    quality, epsilon = document["quality"], document["epsilon"]
+    if "active" not in figures:
+        return "<p>There are no terms to leave out.</p>"
+    shares = "Share of all terms that change a channel of their Gaussian by more than epsilon, as an eye sees it."
+    kept = f"What leaving out the others costs, against all terms. The target is {ACTIVE_TARGET:g} dB."
+    low, high = PAPER_EPSILONS
+    text = "<div class='pair'>"
+    text += figure(figures["active"], "Share of active terms by epsilon", shares)
+    text += figure(figures["active_psnr"], "PSNR of active terms by epsilon", kept) + "</div>"
+    rows = [
+        (f"{each['epsilon']:.3g}", f"{each['share']:.1%}", f"{each['psnr']:.1f}", f"{each['psnr_worst']:.1f}")
+        for each in quality["active"]
+    ]
+    text += table(("epsilon", "active for an eye", "PSNR against all terms, dB", "worst"), rows)
+    text += f"<p>The paper's epsilons are {low:g} to {high:g}."
+    if epsilon is not None and epsilon["from"] == "calibrated":
+        text += (
+            f" For this scene a model observer came to {epsilon['value']:.3g} in {epsilon['trials']} trials: it notices"
+            f" a difference where the metric FLIP exceeds {epsilon['provenance']['threshold']:g} in the worst hundredth"
+            " of an image."
+        )
+        text += "" if epsilon["converged"] else f" It did not settle: {escape(plain(epsilon['reason']))}."
+    elif epsilon is not None:
+        text += f" {epsilon['value']:g} was given."
+    text += "</p>"
+    cells = document["active_in_cells"]
+    if cells:
+        share = cells["share_of_all"]
+        text += (
+            f"<p>A cell of the visible sets needs {share['mean']:.1%} of all terms on average, {share['min']:.1%} to"
+            f" {share['max']:.1%}: those that may be active from anywhere in it, of the Gaussians that it sees.</p>"
+        )
+    return text
+
+
+def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    sizes, count = document["bytes_per_gaussian"], document["gaussians"]
+    rows = [
+        (name, f"{size:.2f}", f"{size * count / 1e6:.2f}", f"{size / sizes['sh_32']:.1%}")
+        for name, size in (
+            ("SH, 32 bits a coefficient", sizes["sh_32"]),
+            ("SH, 16 bits", sizes["sh_16"]),
+            ("SH, 8 bits", sizes["sh_8"]),
+            (f"base and all terms, {escape(document['precision'])} records", sizes["records"]),
+            ("base alone", sizes["base"]),
+            ("one term", sizes["term"]),
+        )
+    ]
+    rows[-1] = (rows[-1][0], rows[-1][1], "", "")
+    caption = "Bytes of a Gaussian's colour, before any further compression. Geometry is the same in all cases."
+    return (
+        figure(figures["bytes"], "Bytes of a colour, by how it is sent", caption)
+        + table(("colour", "bytes a Gaussian", "MB in all", "of SH in 32 bits"), rows)
+        + f"<p>The file, with geometry in 32 bits a number, takes {document['file_bytes'] / 1e6:.2f} MB.</p>"
+    )
+
+
+def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
+    if "spheres" not in figures:
+        return ""
+    told = ", ".join(str(k) for k in COUNTS)
+    caption = (
+        "Gaussians whose colour depends much on direction, as spheres that show what an eye on that side would see:"
+        f" by SH, by the base colour, and by {told} terms ({escape(fitted.colors.variant)}). Below each is its mean"
+        " squared error over all directions. The terms were fitted for this picture, over the whole sphere."
+    )
+    return (
+        "<section><h2>What terms can say</h2>"
+        + figure(figures["spheres"], "Spheres drawn with more and more terms", caption)
+        + "</section>"
+    )

@@ -1,0 +1,117 @@
+"""Gaussians of a scene as spheres of what they show in each direction: by SH, and by ever more terms.
+
+Figure 15 of the paper for colours that occur: 2, 6, 10, 15, 20 and 30 terms. The fits are made for the picture alone,
+over all directions and without a price for terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from gsvis.color.evaluate import evaluate_along
+from gsvis.color.fit import FitConfig, fit_srbf
+from gsvis.color.sh import sh_colors_along, towards_gaussian
+from gsvis.report.theme import Theme
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import face_directions, face_shares
+from gsvis.visibility.fitted_colors import FittedColors
+
+__all__ = ["COUNTS", "Spheres", "draw_spheres", "fit_spheres"]
+
+COUNTS = (2, 6, 10, 15, 20, 30)
+"""Terms of the paper's figure 15."""
+
+_SIDE = 180  # pixels of a sphere
+_STEP, _ROW = 195, 222  # from one sphere to the next, with its figure below
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """M Gaussians, shown as spheres.
+
+    Attributes:
+        ids: (M,) which.
+        images: (M, 2 + len(COUNTS), S, S, 3) by SH, by the base colour, by so many terms.
+        errors: (M, 1 + len(COUNTS)) squared RGB error, mean over directions and channels, of base and terms.
+    """
+
+    ids: NDArray[np.int64]
+    images: NDArray[np.float32]
+    errors: NDArray[np.float64]
+
+
+def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None) -> Spheres:
+    """The Gaussians whose colour depends most on direction, among those that images show, fitted ever closer.
+
+    Args:
+        fitted: A scene and its colours.
+        count: How many Gaussians; fewer where there are fewer.
+        variant: How to split colours; None takes that of `fitted`.
+    """
+    g, weight = fitted.gaussians, fitted.preparation.importance
+    shown = weight >= np.quantile(weight, 0.9) if len(weight) else np.zeros(0, bool)
+    richness = np.where(shown, np.square(g.shN.astype(np.float64)).sum(axis=(1, 2)), -1.0)
+    ids = _apart(np.argsort(-richness, kind="stable"), g, count)
+    some = g[ids]
+    config = FitConfig(variant or fitted.colors.variant, max_terms=max(COUNTS), mean_terms=None, tolerance=1e-3)
+    colors = fit_srbf(some, None, config).colors
+    towards = _disc()[1].reshape(-1, 3)
+    parts, shares = face_directions(4).reshape(-1, 3), face_shares(4).reshape(-1)
+    steps = [colors.first(k) for k in (0, *COUNTS)]
+    exact = sh_colors_along(some.sh0, some.shN, towards_gaussian(parts))
+    shape = (len(ids), _SIDE, _SIDE, 3)
+    images = np.zeros((len(ids), 2 + len(COUNTS), *shape[1:]), np.float32)
+    images[:, 0] = sh_colors_along(some.sh0, some.shN, towards_gaussian(towards)).reshape(shape)
+    errors = np.zeros((len(ids), len(steps)))
+    for column, step in enumerate(steps):
+        images[:, column + 1] = evaluate_along(step, towards_gaussian(towards)).reshape(shape)
+        squared = np.square(evaluate_along(step, towards_gaussian(parts)).astype(np.float64) - exact)
+        errors[:, column] = np.einsum("mdc,d->m", squared, shares) / (3.0 * shares.sum())
+    return Spheres(ids, images, errors)
+
+
+def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
+    """A row for each Gaussian: SH, base colour, and 2 to 30 terms, with the error below each."""
+    rows, columns = spheres.images.shape[:2]
+    cover = _disc()[0][..., None]
+    paper = np.array([int(theme.paper[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    mosaic = np.empty((rows * _ROW, columns * _STEP, 3))
+    mosaic[:] = paper
+    for m, c in np.ndindex(rows, columns):
+        y, x = m * _ROW, c * _STEP + (_STEP - _SIDE) // 2
+        shown = np.clip(spheres.images[m, c], 0.0, 1.0)
+        mosaic[y : y + _SIDE, x : x + _SIDE] = cover * shown + (1.0 - cover) * paper
+    axes.imshow(mosaic, interpolation="bilinear")
+    axes.set_axis_off()
+    for c, name in enumerate(("SH", "base", *(f"{k} terms" for k in COUNTS))):
+        middle = (c + 0.5) * _STEP
+        axes.text(middle, -12, name, ha="center", va="bottom", fontsize=8, fontweight="bold", color=theme.ink)
+        for m in range(rows if c else 0):
+            told = f"{spheres.errors[m, c - 1]:.1e}"
+            axes.text(middle, m * _ROW + _SIDE + 5, told, ha="center", va="top", fontsize=7, color=theme.muted)
+
+
+def _apart(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:
+    """The first few of an order whose base colours differ, so that the rows do not all look alike."""
+    chosen: list[int] = []
+    candidates = order[: 200 * count]
+    for least in (0.5, 0.2, 0.0):
+        for i in candidates.tolist():
+            apart = [float(np.abs(g.sh0[i] - g.sh0[j]).max()) for j in chosen]
+            if len(chosen) < count and i not in chosen and all(gap >= least for gap in apart):
+                chosen.append(i)
+    return np.array(chosen, np.int64)
+
+
+def _disc() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How much of each pixel (S, S) the sphere covers, and (S, S, 3) from its centre to the point shown there."""
+    at = (np.arange(_SIDE) + 0.5) / _SIDE * 2.0 - 1.0
+    x, z = np.meshgrid(at, -at)
+    radius = np.hypot(x, z)
+    depth = -np.sqrt(np.maximum(1.0 - radius**2, 0.0))
+    cover = np.clip((1.0 - radius) * 0.5 * _SIDE + 0.5, 0.0, 1.0)
+    return cover, np.stack([x, depth, z], axis=-1) / np.maximum(radius, 1.0)[..., None]

@@ -1,0 +1,227 @@
+"""`gsvis color` in this process and as one of its own: what it writes, says, refuses, keeps and leaves behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.cli import main
+from gsvis.color import load_srbf, srbf_info
+from gsvis.color.fit import FitConfig
+from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS
+from gsvis.io import load_scene, save_scene
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import two_rooms
+from gsvis.visibility import ActiveTerms, VisibilityStore
+from gsvis.visibility.colors import ViewSampling
+from gsvis.visibility.fitted_colors import PRECISION_NAMES
+
+Capture = pytest.CaptureFixture[str]
+QUICK = ["--views", "4", "--held-out", "2", "--width", "48", "--height", "36", "--max-terms", "2", "--mean-terms", "1"]
+GSVIS = [sys.executable, "-m", "gsvis.cli"]
+
+
+@pytest.fixture(scope="module")
+def ply(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("in")
+    save_scene(two_rooms(1000, sh_degree=2).gaussians, folder / "rooms.ply")
+    return folder / "rooms.ply"
+
+
+@pytest.fixture(scope="module")
+def pvs(ply: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pvs") / "rooms.pvs"
+    quick = ["--cells", "4", "--size", "16", "--workers", "1", "--max-viewpoints", "6"]
+    box = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
+    assert main(["pvs", str(ply), "-o", str(path), *quick, *box]) == 0
+    return path
+
+
+def document(capsys: Capture, *words: object) -> dict:
+    capsys.readouterr()
+    assert main(["color", *map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def refused(capsys: Capture, *words: object) -> str:
+    capsys.readouterr()
+    assert main(["color", *map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Traceback" not in err
+    return " ".join(err.split())
+
+
+def test_a_file_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "new" / "rooms.arrow"
+    assert main(["color", str(ply), "-o", str(out), *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
+    for told in ("directions", "terms", "bytes of a colour", "all terms", "base colours alone"):
+        assert told in text
+    assert [path.name for path in out.parent.iterdir()] == ["rooms.arrow"]  # what was kept has gone
+    scene, (geometry, colors) = load_scene(ply), load_srbf(out)
+    assert np.array_equal(geometry.means, scene.means)
+    assert colors.variant == DEFAULT_VARIANT
+    assert colors.counts.max() <= 2
+    assert colors.num_terms / len(colors) == pytest.approx(1.0, abs=0.2)
+    info = srbf_info(out)
+    assert info.provenance["fit"]["max_terms"] == 2
+    assert info.provenance["epsilon"] is None
+
+
+def test_the_document_and_the_same_bytes_again(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    found = document(capsys, ply, "-o", tmp_path / "a.arrow", *QUICK)
+    assert (found["format"], found["version"]) == ("gsvis-color", 1)
+    assert found["file_bytes"] == (tmp_path / "a.arrow").stat().st_size
+    _, colors = load_srbf(tmp_path / "a.arrow")
+    assert found["terms"]["total"] == colors.num_terms
+    assert sum(found["terms"]["gaussians_by_count"]) == pytest.approx(1.0)
+    assert sum(found["terms"]["importance_by_count"]) == pytest.approx(1.0)
+    assert found["bytes_per_gaussian"]["sh_32"] == 4 * 27
+    quality = found["quality"]
+    assert quality["views"] == len(quality["cameras"]) == 2
+    assert quality["all_terms"]["psnr"]["mean"] > quality["base_only"]["psnr"]["mean"]
+    assert found["epsilon"] is found["active_in_cells"] is None
+    document(capsys, ply, "-o", tmp_path / "b.arrow", *QUICK)
+    assert (tmp_path / "a.arrow").read_bytes() == (tmp_path / "b.arrow").read_bytes()
+
+
+def test_visible_sets_tell_directions_and_active_terms(ply: Path, pvs: Path, tmp_path: Path, capsys: Capture) -> None:
+    out, active = tmp_path / "rooms.arrow", tmp_path / "rooms.terms.arrow"
+    words = [ply, "-o", out, "--pvs", pvs, "--active", active, "--epsilon", "0.02", *QUICK]
+    found = document(capsys, *words, "--precision", "fine")
+    assert found["epsilon"] == {"value": 0.02, "from": "given"}
+    assert found["directions"]["from"].startswith("of the visible sets")
+    scene, (_, colors) = load_scene(ply), load_srbf(out)
+    with VisibilityStore.open(pvs) as sets, ActiveTerms.open(active, scene=scene, colors=colors, sets=sets) as store:
+        assert store.epsilon == 0.02
+        shares = [store.share(cell).of_all for cell in range(len(store))]
+    assert found["active_in_cells"]["cells"] == len(shares)
+    assert found["active_in_cells"]["share_of_all"]["mean"] == pytest.approx(np.mean(shares))
+    assert srbf_info(out).provenance["epsilon"] == 0.02
+
+
+def test_visible_sets_of_another_scene_are_refused(ply: Path, pvs: Path, tmp_path: Path, capsys: Capture) -> None:
+    save_scene(two_rooms(1000, sh_degree=1).gaussians, tmp_path / "other.ply")
+    told = refused(capsys, tmp_path / "other.ply", "-o", tmp_path / "a.arrow", "--pvs", pvs, *QUICK)
+    assert "expected a store of" in told
+    assert "no.pvs: no such file" in refused(capsys, ply, "-o", tmp_path / "a.arrow", "--pvs", tmp_path / "no.pvs")
+    assert [path.name for path in tmp_path.iterdir()] == ["other.ply"]
+
+
+def test_no_terms_and_no_view_dependence(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    found = document(capsys, ply, "-o", tmp_path / "a.arrow", *QUICK[:8], "--max-terms", "0", "--precision", "exact")
+    assert found["terms"]["total"] == 0
+    assert found["quality"]["all_terms"] == found["quality"]["base_only"]
+    save_scene(two_rooms(1000, sh_degree=0).gaussians, tmp_path / "plain.ply")
+    assert main(["color", str(tmp_path / "plain.ply"), "-o", str(tmp_path / "b.arrow"), *QUICK]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "nothing to fit" in text
+    _, colors = load_srbf(tmp_path / "b.arrow")
+    assert (len(colors), colors.num_terms) == (len(load_scene(tmp_path / "plain.ply")), 0)
+
+
+def test_a_report_and_a_test_for_a_person(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    words = [ply, "-o", tmp_path / "a.arrow", "--report", tmp_path / "r", "--staircase", tmp_path / "t.html", *QUICK]
+    found = document(capsys, *words, "--epsilon", "0.01")
+    report = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
+    assert report["format"] == "gsvis-color-report"
+    assert report["terms"] == found["terms"]
+    assert report["quality"]["all_terms"] == found["quality"]["all_terms"]
+    assert "--epsilon 0.01" in report["command"]
+    assert "gsvis-epsilon" in (tmp_path / "t.html").read_text(encoding="utf-8")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.arrow", "r", "t.html"]
+
+
+def test_contradictions_are_refused_before_the_work(ply: Path, pvs: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "a.arrow"
+    assert "--active: expected --pvs" in refused(capsys, ply, "-o", out, "--active", tmp_path / "b.arrow")
+    assert "--up: expected none with --pvs" in refused(capsys, ply, "-o", out, "--pvs", pvs, "--up", "-y")
+    assert "--held-out" in refused(capsys, ply, "-o", out, "--report", tmp_path / "r", "--held-out", "0")
+    assert "got one twice" in refused(capsys, ply, "-o", out, "--staircase", out)
+    assert "which is read" in refused(capsys, ply, "-o", ply)
+    assert "which is read" in refused(capsys, ply, "-o", out, "--pvs", pvs, "--active", pvs)
+    (tmp_path / "notes.txt").write_text("keep me")
+    assert "something else" in refused(capsys, ply, "-o", tmp_path / "notes.txt")
+    assert "got a folder" in refused(capsys, ply, "-o", tmp_path)
+    assert "rooms.ply" in refused(capsys, ply, "-o", ply / "below.arrow")
+    assert "no.ply: no such file" in refused(capsys, tmp_path / "no.ply", "-o", out)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--variant", "magic"], "axes-split"),
+        (["--max-terms", "33"], "0 to 32"),
+        (["--max-terms", "-1"], "0 to 32"),
+        (["--mean-terms", "few"], "or all"),
+        (["--mean-terms", "nan"], "or all"),
+        (["--epsilon", "0"], "or auto"),
+        (["--epsilon", "2"], "or auto"),
+        (["--precision", "float"], "exact"),
+        (["--views", "0"], "at least 1"),
+        (["--up", "up"], "+z"),
+    ],
+)
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
+    assert told in refused(capsys, "builtin:two_rooms", "-o", "x.arrow", *words)
+    assert not Path("x.arrow").exists()
+
+
+def test_the_help_states_the_defaults_and_choices_of_the_library(capsys: Capture) -> None:
+    assert main(["color", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "{" + ",".join(VARIANTS) + "}" in text
+    assert "{" + ",".join(PRECISION_NAMES) + "}" in text
+    values = (DEFAULT_VARIANT, FitConfig.max_terms, f"{FitConfig.mean_terms:g}", ViewSampling.count, "wire")
+    for value in values:
+        assert f"(default: {value})" in text
+
+
+def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scene.ply").touch()
+    base = [tmp_path / "scene.ply", "-o", tmp_path / "a.arrow", *QUICK]
+    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    assert "nothing to colour" in refused(capsys, *base)
+    faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)), np.ones((1, 3, 3)))
+    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
+    assert "gsvis pvs --box" in refused(capsys, *base)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
+
+
+def test_a_run_that_is_stopped_leaves_no_file_and_is_gone_on_with(tmp_path: Path) -> None:
+    out = tmp_path / "rooms.arrow"
+    save_scene(two_rooms(12_000, sh_degree=1).gaussians, tmp_path / "rooms.ply")
+    words = [str(tmp_path / "rooms.ply"), "-o", str(out), "--held-out", "0", "--views", "2", "--mean-terms", "0.5"]
+    stopped = subprocess.Popen(
+        [*GSVIS, "color", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("rooms.arrow.partial-*.npz")):
+        assert stopped.poll() is None, "ended before it could be stopped"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does
+    said, told = stopped.communicate()
+    assert (stopped.returncode, said) == (130, ""), told
+    (kept,) = tmp_path.glob("rooms.arrow.partial-*.npz")
+    assert f"{kept.name}; the same command goes on from there" in told.splitlines()[-1]
+    assert "Traceback" not in told
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["rooms.ply", kept.name])
+    with np.load(kept) as file:
+        assert file["traced"][0] >= 8192
+    assert main(["color", *words]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rooms.arrow", "rooms.ply"]
