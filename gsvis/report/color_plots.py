@@ -71,7 +71,7 @@ def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
         axes.annotate(
             f"{mean[place]:.1f} dB",
             (place, mean[place]),
-            xytext=(0, 7),
+            xytext=(-4, 13) if place == 0 else (0, 7),
             textcoords="offset points",
             ha="left" if place == 0 else "right",
             va="bottom",

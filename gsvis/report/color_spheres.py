@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from gsvis.color.evaluate import evaluate_along
@@ -86,6 +87,9 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
         shown = np.clip(spheres.images[m, c], 0.0, 1.0)
         mosaic[y : y + _SIDE, x : x + _SIDE] = cover * shown + (1.0 - cover) * paper
     axes.imshow(mosaic, interpolation="bilinear")
+    for m, c in np.ndindex(rows, columns):  # a rim, for spheres as bright or as dark as the page
+        centre = (c + 0.5) * _STEP - 0.5, m * _ROW + 0.5 * _SIDE - 0.5
+        axes.add_patch(Circle(centre, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.4))
     axes.set_axis_off()
     for c, name in enumerate(("SH", "base", *(f"{k} terms" for k in COUNTS))):
         middle = (c + 0.5) * _STEP

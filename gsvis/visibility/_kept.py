@@ -49,7 +49,7 @@ class Kept:
         if self.path is None:
             return {}
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with self.path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 found = {name: file[name] for name in shapes if name in file.files}
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return {}
