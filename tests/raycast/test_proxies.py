@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsvis.raycast import EllipsoidProxies
-from gsvis.scene.icosphere import icosphere
 from gsvis.raycast.proxies import reaches
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import icosphere
 from tests.raycast.scenes import scene
 
 
