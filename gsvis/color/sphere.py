@@ -1,0 +1,234 @@
+"""One function on the sphere as a sum of few lobes, as well as a patient search can: the experiment of figure 15.
+
+A function is given by its values along directions, unit vectors in any frame; nothing here knows of Gaussians or
+colours. Each number of terms has a fit of its own. Scenes, a million functions at a time, are for `fit_srbf`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color._lobe_search import LEAST_DECAY, Fit, LobeSearch
+from gsvis.color.omp import orthogonal_matching_pursuit
+from gsvis.color.srbf import MAX_DECAY
+from gsvis.progress import Progress, silent
+
+__all__ = ["SphereConfig", "SphereFit", "fit_function"]
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SphereConfig:
+    """How hard to search.
+
+    Args:
+        refine: Move centres and decays continuously, and add and take away lobes; without it terms are the atoms that
+            orthogonal matching pursuit chooses.
+        subdivisions: Of the icosphere whose vertices are the centres of the atoms, 0 to 4.
+        max_decay: Narrowest lobe, above 1; None for D / 4 pi, a lobe about as wide as the spacing of D even directions.
+        ridge: Cost of a squared intensity beside the mean squared error, for values of unit variance.
+        steps: Most steps of refinement after each change.
+        tolerance: Relative gain below which two steps in a row end a refinement.
+        searches: Searches from nothing: lobes are added up to the most and taken away again. All but the first choose
+            at random among the good ones.
+        sweeps: Times that the best fits of all searches are then extended and reduced in the same way.
+        seed: Of the random choices.
+
+    Raises:
+        ValueError: If a value is out of its range.
+    """
+
+    refine: bool = True
+    subdivisions: int = 2
+    max_decay: float | None = None
+    ridge: float = 1e-10
+    steps: int = 60
+    tolerance: float = 1e-3
+    sweeps: int = 1
+    searches: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if _check.positive_int("subdivisions", self.subdivisions, at_least=0) > 4:
+            raise ValueError(f"subdivisions: expected 0 to 4, got {self.subdivisions}")
+        for name, least in (("steps", 0), ("sweeps", 0), ("searches", 1), ("seed", 0)):
+            _check.positive_int(name, getattr(self, name), at_least=least)
+        if self.max_decay is not None and not 1.0 <= self.max_decay <= MAX_DECAY:
+            raise ValueError(f"max_decay: expected 1 to {MAX_DECAY:g} or None, got {self.max_decay!r}")
+        if not (np.isfinite(self.ridge) and self.ridge >= 1e-13):
+            raise ValueError(f"ridge: expected a finite number >= 1e-13, got {self.ridge!r}")
+        if not (np.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise ValueError(f"tolerance: expected a finite number >= 0, got {self.tolerance!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class SphereFit:
+    """A base and fits of 0, 1, ..., K terms; row k of each array is the fit of k terms.
+
+    Attributes:
+        base: Weighted mean of the function, to which terms are added.
+        centers: (K + 1, K, 3) unit vectors; 0 beyond `counts`.
+        decays: (K + 1, K) lambda of equation 3; 0 beyond `counts`.
+        intensities: (K + 1, K) in the function's unit; 0 beyond `counts`.
+        counts: (K + 1,) terms in use: fewer than k where more did not help.
+        errors: (K + 1,) weighted mean squared error over the directions given; never rises.
+    """
+
+    base: float
+    centers: F64
+    decays: F64
+    intensities: F64
+    counts: NDArray[np.int64]
+    errors: F64
+
+    @property
+    def max_terms(self) -> int:
+        """K."""
+        return len(self.counts) - 1
+
+    def evaluate(self, directions: ArrayLike, terms: int | None = None) -> F64:
+        """Values of the fit of so many terms.
+
+        Args:
+            directions: (R, 3) of any length > 0, in the frame of those that were fitted.
+            terms: 0 to K; K by default.
+
+        Returns:
+            (R,) values.
+
+        Raises:
+            ValueError: If a direction is zero or `terms` is out of range.
+        """
+        row = self.max_terms if terms is None else _check.positive_int("terms", terms, at_least=0)
+        if row > self.max_terms:
+            raise ValueError(f"terms: expected 0 to {self.max_terms}, got {row}")
+        used = slice(int(self.counts[row]))
+        v = self.centers[row, used] * self.decays[row, used, None]
+        exponents = _check.unit_vectors("directions", directions) @ v.T - self.decays[row, used]
+        return np.asarray(self.base + np.exp(exponents) @ self.intensities[row, used])
+
+
+def fit_function(
+    values: ArrayLike,
+    directions: ArrayLike,
+    *,
+    max_terms: int,
+    weights: ArrayLike | None = None,
+    config: SphereConfig | None = None,
+    progress: Progress = silent,
+) -> SphereFit:
+    """Fits of a function by a base and 0, 1, ..., `max_terms` SRBFs.
+
+    A lobe is added where it helps most beside those there are, then all are moved; from the most lobes on, the least
+    useful is taken away and the rest moved again. Of all fits met with k terms the best is kept.
+
+    Args:
+        values: (D,) the function.
+        directions: (D, 3) of any length > 0, where it has these values.
+        max_terms: K; of D directions no more than D / 4 terms come into use.
+        weights: (D,) >= 0, what a squared error counts there; the solid angles, say. None for all alike.
+        config: Effort and limits.
+        progress: Called with stage "search", in sweeps.
+
+    Raises:
+        ValueError: If shapes disagree, a value is not finite, a direction is zero, or all weights are.
+
+    References:
+        SRBF-Gaussian, equations 3 and 4 and figure 15; Golub and Pereyra 1973 (intensities eliminated); Chen, Billings
+        and Luo 1989 (choice by what is gained once all intensities are fitted anew).
+
+    Examples:
+        >>> from gsvis.scene.icosphere import face_directions
+        >>> x = face_directions(4).reshape(-1, 3)
+        >>> fit = fit_function(np.exp(5.0 * (x[:, 2] - 1.0)), x, max_terms=2)
+        >>> bool(fit.errors[2] < 1e-3 * fit.errors[0])
+        True
+    """
+    config = config or SphereConfig()
+    along = _check.unit_vectors("directions", directions)
+    y = _check.floats("values", values, (len(along),), np.float64)
+    most = _check.positive_int("max_terms", max_terms, at_least=0)
+    shares = np.ones(len(y)) if weights is None else _check.floats("weights", weights, (len(y),), np.float64)
+    _check.in_range("weights", shares, 0.0, np.inf)
+    seen = shares > 0.0
+    if not seen.any():
+        raise ValueError("weights: expected some above 0, got none; a function needs a direction to be seen from")
+    y, along, shares = y[seen], along[seen], shares[seen] / shares.max()
+    shares /= shares.sum()
+    base = float(shares @ y)
+    variance = float(shares @ (y - base) ** 2)
+    limit = min(most, len(y) // 4)
+    if limit == 0 or not variance > (1e-12 * float(np.abs(y).max())) ** 2:
+        return _stacked(base, variance, [], most)
+    most_decay = config.max_decay or min(max(len(seen) / (4.0 * np.pi), 8.0), MAX_DECAY)
+    deviation = variance**0.5
+    search = LobeSearch((y - base) / deviation, along, shares, config, most_decay)
+    fits = _searched(search, limit, len(y) // 4, config, progress) if config.refine else _pursued(search, limit)
+    scaled = [Fit(fit.error, fit.v, deviation * fit.intensities, fit.left) for fit in fits]
+    return _stacked(base, variance, scaled, most)
+
+
+def _searched(search: LobeSearch, limit: int, possible: int, config: SphereConfig, progress: Progress) -> list[Fit]:
+    """Best fits of 0 to `limit` lobes; a few more are tried on the way, so that the last can be reached from above."""
+    high = min(limit + 1 + limit // 10, possible)
+    pool: dict[int, Fit] = {0: search.nothing}
+    rng = np.random.default_rng(config.seed)
+    total = config.searches + config.sweeps
+    progress("search", 0, total)
+    for turn in range(total):
+        own = {0: search.nothing} if turn < config.searches else pool
+        _sweep(search, own, high, rng if 0 < turn < config.searches else None)
+        for k, fit in own.items():
+            _keep(pool, k, fit)
+        progress("search", turn + 1, total)
+    return [pool[k] for k in range(limit + 1)]
+
+
+def _sweep(search: LobeSearch, fits: dict[int, Fit], high: int, rng: np.random.Generator | None) -> None:
+    for k in range(high):
+        exact = fits[k].error <= 1e-13
+        _keep(fits, k + 1, fits[k] if exact else search.extended(fits[k], rng))
+    for k in range(high, 1, -1):
+        if len(fits[k]) == k:
+            _keep(fits, k - 1, search.reduced(fits[k]))
+
+
+def _keep(fits: dict[int, Fit], k: int, fit: Fit) -> None:
+    if k not in fits or fit.error < fits[k].error:
+        fits[k] = fit
+
+
+def _pursued(search: LobeSearch, limit: int) -> list[Fit]:
+    """Fits on the atoms that orthogonal matching pursuit chooses."""
+    codes = orthogonal_matching_pursuit(
+        (search.dictionary / search.roots).T,
+        (search.target / search.roots)[None],
+        max_terms=min(limit, len(search.starts)),
+        weights=search.roots**2,
+    )
+    chosen = search.starts[codes.atoms[0, : codes.counts[0]]]
+    return [search.on(chosen[:k]) for k in range(len(chosen) + 1)]
+
+
+def _stacked(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:
+    """The fits side by side; where more lobes than before are not better, those before stay."""
+    centers, decays, intensities = np.zeros((most + 1, most, 3)), np.zeros((most + 1, most)), np.zeros((most + 1, most))
+    counts, errors = np.zeros(most + 1, np.int64), np.full(most + 1, variance)
+    best: Fit | None = None
+    for k in range(most + 1):
+        if k < len(fits) and (best is None or fits[k].error < best.error):
+            best = fits[k]
+        if best is None or len(best) == 0:
+            continue
+        order = np.argsort(-np.abs(best.intensities), kind="stable")
+        lengths = np.maximum(np.linalg.norm(best.v[order], axis=1), LEAST_DECAY)
+        used = slice(len(best))
+        centers[k, used], decays[k, used] = best.v[order] / lengths[:, None], lengths
+        intensities[k, used] = best.intensities[order]
+        counts[k], errors[k] = len(best), variance * best.error
+    return SphereFit(base, centers, decays, intensities, counts, errors)
