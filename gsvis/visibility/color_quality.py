@@ -231,10 +231,13 @@ def has_flip() -> bool:
 
 
 def check_flip() -> None:
-    """Say at once if FLIP is needed and absent.
+    """Say at once if epsilon cannot be calibrated for want of FLIP.
 
     Raises:
         BackendError: With the remedy.
     """
     if not has_flip():
-        raise BackendError("flip: expected the package flip-evaluator, got none; pip install 'gsvis[metrics]'")
+        raise BackendError(
+            "epsilon: expected the package flip-evaluator, to calibrate it, got none; pip install 'gsvis[metrics]', or give a"
+            " number"
+        )

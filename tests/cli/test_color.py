@@ -133,12 +133,15 @@ def test_no_terms_and_no_view_dependence(ply: Path, tmp_path: Path, capsys: Capt
 
 def test_a_report_and_a_test_for_a_person(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [ply, "-o", tmp_path / "a.arrow", "--report", tmp_path / "r", "--staircase", tmp_path / "t.html", *QUICK]
-    found = document(capsys, *words, "--epsilon", "0.01")
+    found = document(capsys, *words)
     report = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
     assert report["format"] == "gsvis-color-report"
     assert report["terms"] == found["terms"]
     assert report["quality"]["all_terms"] == found["quality"]["all_terms"]
-    assert "--epsilon 0.01" in report["command"]
+    assert "--max-terms 2 --mean-terms 1" in report["command"]
+    assert found["epsilon"]["from"] == "calibrated"  # without being asked for, since the report tells it
+    assert srbf_info(tmp_path / "a.arrow").provenance["epsilon"] == found["epsilon"]["value"]
+    assert found["epsilon"]["value"] in [each["epsilon"] for each in found["quality"]["active"]]
     assert "gsvis-epsilon" in (tmp_path / "t.html").read_text(encoding="utf-8")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.arrow", "r", "t.html"]
 
@@ -157,6 +160,18 @@ def test_contradictions_are_refused_before_the_work(ply: Path, pvs: Path, tmp_pa
     assert "rooms.ply" in refused(capsys, ply, "-o", ply / "below.arrow")
     assert "no.ply: no such file" in refused(capsys, tmp_path / "no.ply", "-o", out)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
+    ply: Path, pvs: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    base = [ply, "-o", tmp_path / "a.arrow", *QUICK]
+    assert "pip install 'gsvis[metrics]'" in refused(capsys, *base, "--epsilon", "auto")
+    assert "give a number" in refused(capsys, *base, "--pvs", pvs, "--active", tmp_path / "b.arrow")
+    assert list(tmp_path.iterdir()) == []
+    assert main(["color", *map(str, base)]) == 0
+    assert "FLIP was not asked" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
