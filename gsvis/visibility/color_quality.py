@@ -238,6 +238,6 @@ def check_flip() -> None:
     """
     if not has_flip():
         raise BackendError(
-            "epsilon: expected the package flip-evaluator, to calibrate it, got none; pip install 'gsvis[metrics]', or give a"
-            " number"
+            "epsilon: expected the package flip-evaluator, to calibrate it, got none; pip install 'gsvis[metrics]', or"
+            " give a number"
         )
