@@ -348,7 +348,7 @@ def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Sta
         title=plan.source.name,
         gaussians=fitted.gaussians,
         up=plan.space.up,
-        cameras_from=f"drawn at random where eyes may be ({plan.space.rule}), apart from those of the fit",
+        cameras_from=f"drawn at random where eyes may be ({plan.space.rule})",
         command=_spelled(command),
         version=version(),
         facts={"path": command.scene, "lod": plan.source.lod, **inspected(plan.source)},
