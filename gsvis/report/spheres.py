@@ -1,0 +1,196 @@
+"""Figure 15 of the paper: a function on the sphere and its fits by ever more terms, as spheres seen from three sides.
+
+Spheres are seen from outside, from a little above, z up; sides turn about z. Functions are taken as they come: one
+number for each unit vector, in the frame of the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Circle
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color.sphere import SphereFit
+from gsvis.report.theme import LIGHT, Theme, drawn
+
+__all__ = ["COUNTS", "SIDES", "draw_sphere_figure", "sphere_directions", "sphere_figure"]
+
+F64 = NDArray[np.float64]
+
+COUNTS = (2, 6, 10, 15, 20, 30)
+"""Terms of the paper's figure."""
+SIDES = (0.0, 120.0, 240.0)
+"""Degrees by which the sphere is turned about z, as in the paper's figure."""
+
+_SIDE = 240  # pixels of a sphere
+_STEP, _ROW = 262, 254  # from one sphere to the next
+_HEIGHT = 20.0  # degrees of the eye above the equator
+_GAP = 46  # above the row of differences, for the errors
+
+
+def sphere_directions(side: float = 0.0, pixels: int = _SIDE) -> tuple[F64, F64]:
+    """What an eye far away sees of the unit sphere: how much of each pixel, and which point of it.
+
+    Args:
+        side: Degrees by which the sphere is turned about z, counter-clockwise from above; at 0 the eye is at +x.
+        pixels: P, across.
+
+    Returns:
+        cover: (P, P) in [0, 1].
+        points: (P, P, 3) unit vectors, from the centre of the sphere; beyond the rim those of the rim.
+    """
+    at = (np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0
+    right, up = np.meshgrid(at, -at)
+    radius = np.hypot(right, up)
+    towards = np.sqrt(np.maximum(1.0 - radius**2, 0.0))
+    right, up = right / np.maximum(radius, 1.0), up / np.maximum(radius, 1.0)
+    forward, _, rise = _eye()
+    turn = -np.radians(side)
+    out, z = towards * forward - up * rise, towards * rise + up * forward
+    points = [out * np.cos(turn) - right * np.sin(turn), out * np.sin(turn) + right * np.cos(turn), z]
+    return np.clip((1.0 - radius) * 0.5 * pixels + 0.5, 0.0, 1.0), np.stack(points, axis=-1)
+
+
+def sphere_figure(
+    function: Callable[[F64], ArrayLike],
+    fit: SphereFit,
+    *,
+    errors: Sequence[float] | None = None,
+    counts: Sequence[int] = COUNTS,
+    title: str = "",
+    theme: Theme = LIGHT,
+) -> bytes:
+    """The figure as PNG bytes; see `draw_sphere_figure`."""
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        draw_sphere_figure(axes, theme, function, fit, errors=errors, counts=counts, title=title)
+
+    return drawn(draw, theme, (1.27 * (1 + len(counts)) + 0.75, 5.75))
+
+
+def draw_sphere_figure(
+    axes: Axes,
+    theme: Theme,
+    function: Callable[[F64], ArrayLike],
+    fit: SphereFit,
+    *,
+    errors: Sequence[float] | None = None,
+    counts: Sequence[int] = COUNTS,
+    title: str = "",
+) -> None:
+    """Truth and fits from three sides, the error beneath, and at the bottom what the fits lack on the first side.
+
+    Args:
+        axes: Where to draw; its limits and its frame go.
+        theme: Colours.
+        function: (R, 3) unit vectors to (R,) values: what was fitted.
+        fit: Its fits.
+        errors: Mean squared error of each of `counts`; those over the fitted directions by default.
+        counts: Numbers of terms, at most those of the fit.
+        title: Name of the function.
+
+    Raises:
+        ValueError: If a number of terms is not one of the fit, or the errors are not as many.
+    """
+    told = [float(fit.errors[_counted(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
+    if len(told) != len(counts):
+        raise ValueError(f"errors: expected {len(counts)}, one for each number of terms, got {len(told)}")
+    values = np.stack([_values(function, fit, counts, sphere_directions(side)[1]) for side in SIDES])
+    cover = sphere_directions()[0]
+    low, high = (float(v) for v in np.quantile(values[:, 0][:, cover > 0.5], [0.001, 0.999]))
+    high = high if high > low else low + 1.0
+    scale = Normalize(low - 0.1 * (high - low), high)  # nothing is drawn black
+    spread = _spread(values[0, 1:, cover > 0.5] - values[0, 0, cover > 0.5][:, None])
+    differences = Normalize(-spread, spread)
+    columns, rows = 1 + len(counts), len(SIDES) + 1
+    canvas = np.empty((rows * _ROW + _GAP, columns * _STEP, 3))
+    canvas[:] = _rgb(theme.paper)
+    lit = 0.8 + 0.2 * sphere_directions()[1] @ _eye()
+    for row, column in np.ndindex(rows, columns):
+        y, x = _corner(row, column)
+        if row < len(SIDES):
+            image = colormaps["inferno"](scale(values[row, column]))[..., :3] * lit[..., None]
+        elif column:
+            image = colormaps["RdBu_r"](differences(values[0, column] - values[0, 0]))[..., :3]
+        else:
+            continue
+        part = canvas[y : y + _SIDE, x : x + _SIDE]
+        part += cover[..., None] * (image - part)
+        centre = x + 0.5 * _SIDE - 0.5, y + 0.5 * _SIDE - 0.5
+        axes.add_patch(Circle(centre, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.5, clip_on=False))
+    axes.imshow(canvas, interpolation="bilinear")
+    axes.set_axis_off()
+    _label(axes, theme, counts, told)
+    if title:
+        axes.set_title(title, color=theme.ink, fontsize=11, fontweight="bold", pad=22)
+    for norm, name, place, label in (
+        (scale, "inferno", (1.012, 0.36, 0.014, 0.6), "value"),
+        (differences, "RdBu_r", (1.012, 0.01, 0.014, 0.2), "difference"),
+    ):
+        bar = axes.figure.colorbar(ScalarMappable(norm, name), cax=axes.inset_axes(place))
+        bar.outline.set_edgecolor(theme.muted)
+        bar.ax.tick_params(labelsize=7)
+        bar.ax.grid(visible=False)
+        bar.set_label(label, fontsize=8, color=theme.ink)
+
+
+def _eye() -> F64:
+    """Towards the eye from the centre of a sphere that is not turned."""
+    height = np.radians(_HEIGHT)
+    return np.array([np.cos(height), 0.0, np.sin(height)])
+
+
+def _counted(fit: SphereFit, terms: int) -> int:
+    if not 0 <= terms <= fit.max_terms:
+        raise ValueError(f"counts: expected 0 to {fit.max_terms}, the terms of the fit, got {terms}")
+    return terms
+
+
+def _values(function: Callable[[F64], ArrayLike], fit: SphereFit, counts: Sequence[int], points: F64) -> F64:
+    """(1 + counts, P, P) of the truth and the fits."""
+    flat = points.reshape(-1, 3)
+    truth = _check.floats("function", function(flat), (len(flat),), np.float64)
+    fits = [fit.evaluate(flat, _counted(fit, k)) for k in counts]
+    return np.stack([truth, *fits]).reshape(-1, *points.shape[:2])
+
+
+def _spread(differences: F64) -> float:
+    """Differences of the scale: those of the middle of the columns, rounded, so that few terms are not all there is."""
+    typical = float(np.quantile(np.abs(differences), 0.9)) if differences.size else 0.0
+    if not typical > 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(typical))
+    return float(np.ceil(typical / power) * power)
+
+
+def _corner(row: int, column: int) -> tuple[int, int]:
+    below = _GAP if row == len(SIDES) else 0
+    return row * _ROW + below, column * _STEP + (_STEP - _SIDE) // 2
+
+
+def _label(axes: Axes, theme: Theme, counts: Sequence[int], errors: Sequence[float]) -> None:
+    names = ["truth", *(f"{k} term{'' if k == 1 else 's'}" for k in counts)]
+    for column, name in enumerate(names):
+        middle = (column + 0.5) * _STEP
+        axes.text(middle, -14, name, ha="center", va="bottom", fontsize=9, fontweight="bold", color=theme.ink)
+        if column:
+            text = f"MSE {errors[column - 1]:.2g}"
+            place = len(SIDES) * _ROW - 4
+            axes.text(middle, place, text, ha="center", va="top", fontsize=8.5, color=theme.gathered)
+    for row, name in enumerate([*(f"{side:g}°" for side in SIDES)]):
+        y = row * _ROW + 0.5 * _SIDE
+        axes.text(-10, y, name, ha="right", va="center", fontsize=9, color=theme.muted)
+    y, x = _corner(len(SIDES), 0)
+    text = "fit minus\ntruth, 0°"
+    axes.text(x + 0.5 * _SIDE, y + 0.5 * _SIDE, text, ha="center", va="center", fontsize=9, color=theme.muted)
+
+
+def _rgb(colour: str) -> F64:
+    return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
