@@ -9,11 +9,13 @@ import numpy as np
 from numba import njit, prange
 
 from gsvis.color._kernels_lobes import LANES, dots, gram, lobes
-from gsvis.color._kernels_refine import refine, settle, work
+from gsvis.color._kernels_refine import falls_along, refine, settle, work
 
 __all__ = ["fit_lobes", "settle_lobes"]
 
 _BLOCK = 64
+_PATIENCE = 4
+"""Refinements after one choice, each with more emphasis on shorter prefixes, until the error falls along them."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -118,13 +120,18 @@ def fit_lobes(directions, dictionary, starts, targets, weights, importance, most
                     s += atom[d] * atom[d]
                 norms[k] = s + np.float32(1e-12)
             left[:, :count] = rows[:channels, :count]
-            scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], limits[5])
+            emphasis = limits[5]
             for k in range(at_most):
                 lobe[k] = starts[_choose(atoms, norms, left, channels, count)]
-                refine(w, points, rows, padded, total, k + 1, channels, lobe, intensities, scaled)
-                lobes(points, padded, lobe, k + 1, w.rows)
-                gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
-                dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
+                for _ in range(_PATIENCE):
+                    scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], emphasis)
+                    refine(w, points, rows, padded, total, k + 1, channels, lobe, intensities, scaled)
+                    lobes(points, padded, lobe, k + 1, w.rows)
+                    gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
+                    dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
+                    if falls_along(w, total, k + 1, channels, intensities):
+                        break
+                    emphasis = min(4.0 * emphasis, 1.0)
                 mean = settle(w, total, k + 1, channels, scaled, intensities, False) / weight
                 _take_away(w.rows, rows, intensities, k + 1, channels, count, left)
                 curves[g, k + 1 :] = mean

@@ -13,7 +13,7 @@ from numba import njit
 
 from gsvis.color._kernels_lobes import dots, gram, lobes
 
-__all__ = ["Work", "best_intensities", "refine", "settle", "work"]
+__all__ = ["Work", "best_intensities", "falls_along", "refine", "settle", "work"]
 
 _ATTEMPTS = 4
 _ATTEMPTS_TO_SETTLE = 16
@@ -225,6 +225,21 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
         w.outer[:size] = w.outer2[:size]
         if gained < tolerance * error:
             break
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def falls_along(w, total, terms, channels, intensities):
+    """Whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
+    for k in range(terms):
+        change = 0.0
+        for c in range(channels):
+            left = w.outer[k, c]
+            for j in range(k):
+                left -= w.inner[k, j] * intensities[j, c]
+            change += intensities[k, c] * (intensities[k, c] * w.inner[k, k] - 2.0 * left)
+        if change > 1e-7 * total:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True, fastmath=True)

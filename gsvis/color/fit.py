@@ -49,7 +49,8 @@ class FitConfig:
         decays: Decays of the atoms; centres are the 42 vertices of the once-subdivided icosahedron if `refine`, else
             the 162 of the twice-subdivided one.
         ridge: Added to the squared norm of each lobe, relative to the weights: keeps intensities small.
-        emphasis: How much the error after fewer terms counts in a fit of more: what makes terms useful one by one.
+        emphasis: How much the error after fewer terms counts in a fit of more, to begin with: what makes terms useful
+            one by one. It is raised for a Gaussian whose error would rise on the way.
         steps: Most steps of refinement after each choice.
         tolerance: Relative gain of a step below which refinement stops.
 
@@ -63,7 +64,7 @@ class FitConfig:
     refine: bool = True
     decays: tuple[float, ...] = (1.5, 6.0)
     ridge: float = 1e-5
-    emphasis: float = 0.05
+    emphasis: float = 0.01
     steps: int = 8
     tolerance: float = 0.01
 
