@@ -6,8 +6,8 @@ from html import escape
 from typing import Any
 
 from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
-from gsvis.report.color_spheres import COUNTS
 from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
+from gsvis.report.spheres import COUNTS
 from gsvis.visibility.fitted_colors import FittedColors
 
 __all__ = ["DIFFERENCE", "color_page"]

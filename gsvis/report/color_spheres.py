@@ -1,7 +1,7 @@
 """Gaussians of a scene as spheres of what they show in each direction: by SH, and by ever more terms.
 
-Figure 15 of the paper for colours that occur: 2, 6, 10, 15, 20 and 30 terms. The fits are made for the picture alone,
-over all directions and without a price for terms.
+Figure 15 of the paper for colours that occur: 2, 6, 10, 15, 20 and 30 terms; `gsvis.report.spheres` draws functions of
+one number. The fits are made for the picture alone, over all directions and without a price for terms.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 from gsvis.color.evaluate import evaluate_along
 from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.sh import sh_colors_along, towards_gaussian
+from gsvis.report.spheres import COUNTS, sphere_directions
 from gsvis.report.theme import Theme
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares
 from gsvis.visibility.fitted_colors import FittedColors
 
-__all__ = ["COUNTS", "Spheres", "draw_spheres", "fit_spheres"]
-
-COUNTS = (2, 6, 10, 15, 20, 30)
-"""Terms of the paper's figure 15."""
+__all__ = ["Spheres", "draw_spheres", "fit_spheres"]
 
 _SIDE = 180  # pixels of a sphere
 _STEP, _ROW = 195, 222  # from one sphere to the next, with its figure below
@@ -60,7 +58,7 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
     some = g[ids]
     config = FitConfig(variant or fitted.colors.variant, max_terms=max(COUNTS), mean_terms=None, tolerance=1e-3)
     colors = fit_srbf(some, None, config).colors
-    towards = _disc()[1].reshape(-1, 3)
+    towards = sphere_directions(pixels=_SIDE)[1].reshape(-1, 3)
     parts, shares = face_directions(4).reshape(-1, 3), face_shares(4).reshape(-1)
     steps = [colors.first(k) for k in (0, *COUNTS)]
     exact = sh_colors_along(some.sh0, some.shN, towards_gaussian(parts))
@@ -78,7 +76,7 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
 def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
     """A row for each Gaussian: SH, base colour, and 2 to 30 terms, with the error below each."""
     rows, columns = spheres.images.shape[:2]
-    cover = _disc()[0][..., None]
+    cover = sphere_directions(pixels=_SIDE)[0][..., None]
     paper = np.array([int(theme.paper[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
     mosaic = np.empty((rows * _ROW, columns * _STEP, 3))
     mosaic[:] = paper
@@ -109,13 +107,3 @@ def _apart(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int
             if len(chosen) < count and i not in chosen and all(gap >= least for gap in apart):
                 chosen.append(i)
     return np.array(chosen, np.int64)
-
-
-def _disc() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How much of each pixel (S, S) the sphere covers, and (S, S, 3) from its centre to the point shown there."""
-    at = (np.arange(_SIDE) + 0.5) / _SIDE * 2.0 - 1.0
-    x, z = np.meshgrid(at, -at)
-    radius = np.hypot(x, z)
-    depth = -np.sqrt(np.maximum(1.0 - radius**2, 0.0))
-    cover = np.clip((1.0 - radius) * 0.5 * _SIDE + 0.5, 0.0, 1.0)
-    return cover, np.stack([x, depth, z], axis=-1) / np.maximum(radius, 1.0)[..., None]

@@ -15,7 +15,8 @@ from gsvis.color.epsilon import MetricObserver, calibrate_epsilon
 from gsvis.color.fit import FitConfig
 from gsvis.report import Subject
 from gsvis.report.color_document import color_document, write_color_report
-from gsvis.report.color_spheres import COUNTS, fit_spheres
+from gsvis.report.color_spheres import fit_spheres
+from gsvis.report.spheres import COUNTS
 from gsvis.scene.procedural import OccluderScene, two_rooms
 from gsvis.visibility.color_quality import ColorQualityConfig, measure_colors
 from gsvis.visibility.colors import ColorConfig, ViewSampling, prepare_colors
