@@ -5,8 +5,7 @@ Run it with `python examples/06_color.py`; the name of an Arrow file to write ma
 
 import sys
 
-from gsvis.color import active, record_bytes, save_srbf, sh_bytes
-from gsvis.color.fit import FitConfig
+from gsvis.color import FitConfig, active, record_bytes, save_srbf, sh_bytes
 from gsvis.scene.procedural import two_rooms
 from gsvis.visibility import ColorConfig, ColorQualityConfig, ViewSampling, measure_colors, prepare_colors
 
