@@ -35,7 +35,8 @@ class SphereConfig:
         steps: Most steps of refinement after each change.
         tolerance: Relative gain below which two steps in a row end a refinement.
         searches: Searches from nothing: lobes are added up to the most and taken away again. All but the first choose
-            at random among the good ones.
+            at random among the good ones, and each of these goes with 4 up to half as many lobes and 16 up to a
+            quarter, which take little time.
         sweeps: Times that the best fits of all searches are then extended and reduced in the same way.
         seed: Of the random choices.
 
@@ -133,7 +134,7 @@ def fit_function(
         max_terms: K; of D directions no more than D / 4 terms come into use.
         weights: (D,) >= 0, what a squared error counts there; the solid angles, say. None for all alike.
         config: Effort and limits.
-        progress: Called with stage "search", in sweeps.
+        progress: Called with stage "search", in searches and sweeps.
 
     Raises:
         ValueError: If shapes disagree, a value is not finite, a direction is zero, or all weights are.
@@ -178,18 +179,24 @@ def _searched(search: LobeSearch, limit: int, possible: int, config: SphereConfi
     high = min(limit + 1 + limit // 10, possible)
     pool: dict[int, Fit] = {0: search.nothing}
     rng = np.random.default_rng(config.seed)
-    total = config.searches + config.sweeps
-    progress("search", 0, total)
-    for turn in range(total):
-        own = {0: search.nothing} if turn < config.searches else pool
-        _sweep(search, own, high, rng if 0 < turn < config.searches else None)
+    depths = [high]
+    for _ in range(config.searches - 1):
+        depths += [high, *[high // 2] * 4, *[high // 4] * 16]
+    progress("search", 0, len(depths) + config.sweeps)
+    for turn, depth in enumerate(depths):
+        own = {0: search.nothing}
+        _sweep(search, own, depth, rng if turn else None)
         for k, fit in own.items():
             _keep(pool, k, fit)
-        progress("search", turn + 1, total)
+        progress("search", turn + 1, len(depths) + config.sweeps)
+    for sweep in range(config.sweeps):
+        _sweep(search, pool, high, None)
+        progress("search", len(depths) + sweep + 1, len(depths) + config.sweeps)
     return [pool[k] for k in range(limit + 1)]
 
 
 def _sweep(search: LobeSearch, fits: dict[int, Fit], high: int, rng: np.random.Generator | None) -> None:
+    """Extend fits up to `high` lobes and reduce them again; each number of lobes keeps the best."""
     for k in range(high):
         exact = fits[k].error <= 1e-13
         _keep(fits, k + 1, fits[k] if exact else search.extended(fits[k], rng))
