@@ -49,7 +49,7 @@ TARGETS = (0.585, 0.126, 0.0358, 0.0083, 0.0030, 0.00074)
 PARTS = 64
 MEASURED = 40_000
 NIKA = 8
-WIDE = 1280  # pixels of a picture
+WIDE = 1100  # pixels of a picture
 VIEWS = {"width": 320, "height": 240, "fov": np.radians(75.0)}
 
 
