@@ -105,6 +105,7 @@ def bytes_at(rows: list[dict[str, Any]], psnr: float) -> float | None:
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--scene", choices=tuple(SCENES), default="nika")
+    parser.add_argument("--variants", nargs="+", choices=tuple(POINTS), default=list(POINTS))
     parser.add_argument("--colors", type=Path, help="folder that keeps the fitted colours of the default variant")
     arguments = parser.parse_args()
     folder, lod = SCENES[arguments.scene]
@@ -118,7 +119,7 @@ def main() -> None:
     reference = rasterize(g, held_out).images.numpy()
     curves: dict[str, list[dict[str, Any]]] = {}
     ceilings: dict[str, float] = {}
-    for name, points in POINTS.items():
+    for name, points in ((name, POINTS[name]) for name in arguments.variants):
         curves[name] = []
         for mean_terms, most in points:
             if any(row["psnr"] >= 43.0 for row in curves[name]) and mean_terms > 2.0:

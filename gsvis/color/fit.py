@@ -31,6 +31,8 @@ _CHUNK = 2048
 """Gaussians fitted at a time; memory is bounded by it."""
 _SAMPLE = 6144
 """Gaussians looked at to find the price at which the mean number of terms is the one asked for."""
+_CAUTION = 0.98
+"""Aimed at that share of the wanted mean: a sample errs by a percent or two, and "at most" should stay true."""
 _PARTS = 4
 """Parts of a face at whose centres colours are fitted: face corners, where a set is ambiguous, stay out."""
 
@@ -167,7 +169,7 @@ def fit_srbf(
     pursuit = Pursuit(config)
     price = 0.0
     if config.mean_terms is not None and config.max_terms > 0 and n > 0:
-        price = _price(pursuit, g, weights, counts, config.mean_terms, progress)
+        price = _price(pursuit, g, weights, counts, _CAUTION * config.mean_terms, progress)
     terms: list[Terms] = []
     progress("fit", 0, n)
     for start in range(0, n, _CHUNK):
