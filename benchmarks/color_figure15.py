@@ -180,7 +180,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-SEARCHES, SWEEPS = 3, 1
+SEARCHES, SWEEPS = 2, 1
 
 LIMITS = {
     "glossy": "a rim all along a great circle, with a crease in the middle of it: round lobes have to be strung along "
