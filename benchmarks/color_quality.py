@@ -59,7 +59,7 @@ Images = NDArray[np.float32]
 def psnr_of(images: Images, reference: Images) -> NDArray[np.float64]:
     """(C,) dB, data range 1."""
     squared = np.square(images.astype(np.float64) - reference).mean(axis=(1, 2, 3))
-    return np.asarray(-10.0 * np.log10(squared))
+    return np.asarray(-10.0 * np.log10(np.maximum(squared, 1e-10)))  # 100 dB is the same
 
 
 def ceiling(g: Gaussians, colors: SrbfColors, cameras: Cameras) -> Images:
