@@ -11,7 +11,6 @@ and axes as fitted.
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 from typing import Any
 
@@ -124,11 +123,9 @@ def main() -> None:
         for mean_terms, most in points:
             if any(row["psnr"] >= 43.0 for row in curves[name]) and mean_terms > 2.0:
                 continue
-            start = time.perf_counter()
             fit = fit_srbf(
                 g, sets, FitConfig(variant=name, mean_terms=mean_terms, max_terms=most), importance=views.importance
             )
-            seconds = time.perf_counter() - start
             colors = fit.colors
             images = rasterize(g, held_out, colors=colors).images.numpy()
             wire = rasterize(g, held_out, colors=quantise(colors, "wire").dequantised()).images.numpy()
@@ -144,7 +141,6 @@ def main() -> None:
                 "bytes_per_gaussian": record_bytes(colors) / len(g),
                 "share_with_terms": float((counts > 0).mean()),
                 "of_those_with_1_to_4": float((counts[counts > 0] <= 4).mean()) if counts.any() else 1.0,
-                "seconds": seconds,
             }
             if mean_terms == 2.0:  # FLIP takes seconds an image
                 row["ssim"] = float(np.mean(ssim(images.clip(0, 1), reference.clip(0, 1))))
