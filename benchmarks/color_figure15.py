@@ -188,7 +188,7 @@ LIMITS = {
     "environment": "a random field of 80 harmonics: searches from different starts end at the same error at 2 and at 6 "
     "terms, so that lobes that come closer are not to be expected; 30 terms are free enough to follow all of it",
     "sky and ground": "an edge all along the horizon, a crease where the sky is brightest, and a sun: lobes around the "
-    "poles that nearly cancel make the edge, with intensities of about a thousand; the search ends in local optima there",
+    "poles that nearly cancel make the edge, with intensities of a thousand; the search ends in local optima there",
 }
 """Why functions miss a target."""
 
