@@ -205,12 +205,17 @@ def _submitted(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight:
                     break
             if not waiting:
                 return
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+            # What is done comes before what is lost: the set has no order, and a loss ends this attempt.
+            for future in sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=_is_lost):
                 task = waiting.pop(future)
                 yield task.cell, future.result()
     finally:
         for future in waiting:
             future.cancel()
+
+
+def _is_lost(future: Future[bytes]) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 @contextmanager
