@@ -1,0 +1,102 @@
+"""Quality levels that share Gaussians: one union, and from which level to which each of its Gaussians stands.
+
+Levels run from low to high. What stands in two neighbours is the same in both, so an upgrade sends only the rest. This
+module knows no file, no camera and no training.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["Levels"]
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Levels:
+    """N Gaussians of all levels together, each a member of the levels first to last.
+
+    Args:
+        union: N Gaussians, each once.
+        first: (N,) the lowest level that has it, 0 is the lowest of all.
+        last: (N,) the highest level that has it, >= first.
+        names: L names, lowest first.
+
+    Raises:
+        ValueError: If lengths differ, a level is out of range, or a level is empty.
+
+    Examples:
+        >>> balls = Gaussians(np.zeros((3, 3)), [[1, 0, 0, 0]] * 3, np.ones((3, 3)), [1] * 3, np.zeros((3, 1, 3)))
+        >>> Levels(balls, first=[0, 0, 1], last=[1, 0, 1], names=("low", "high"))
+        Levels(low 2, high 2 of 3; reuse 50.0%)
+    """
+
+    union: Gaussians
+    first: NDArray[np.uint8]
+    last: NDArray[np.uint8]
+    names: tuple[str, ...]
+
+    def __init__(self, union: Gaussians, first: ArrayLike, last: ArrayLike, names: tuple[str, ...] | list[str]) -> None:
+        names = tuple(names)
+        if not 1 <= len(names) <= 16 or len(set(names)) != len(names):
+            raise ValueError(f"names: expected 1 to 16 different names, got {names!r}")
+        low, high = (
+            _check.integers(name, value, ("N",), np.uint8) for name, value in (("first", first), ("last", last))
+        )
+        _check.same_length(union=union.means, first=low, last=high)
+        for name, value in (("first", low), ("last", high)):
+            _check.in_range(name, value, 0, len(names) - 1)
+        if (low > high).any():
+            raise ValueError(f"last: expected at least first, got less at index {int(np.argmax(low > high))}")
+        for array in (low := low.view(), high := high.view()):
+            array.flags.writeable = False
+        for name, value in (("union", union), ("first", low), ("last", high), ("names", names)):
+            object.__setattr__(self, name, value)
+        empty = [name for k, name in enumerate(names) if not self.member(k).any()]
+        if empty:
+            raise ValueError(f"first: expected a Gaussian in every level, got none in {empty[0]!r}")
+
+    @classmethod
+    def single(cls, gaussians: Gaussians, name: str = "high") -> Levels:
+        """A scene without levels, as one level."""
+        none = np.zeros(len(gaussians), np.uint8)
+        return cls(gaussians, none, none, (name,))
+
+    def __len__(self) -> int:
+        """Number of levels."""
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{name} {count:,}" for name, count in zip(self.names, self.counts, strict=True))
+        reuse = ", ".join(f"{100 * share:.1f}%" for share in self.reuse)
+        return f"Levels({sizes} of {len(self.union):,}" + (f"; reuse {reuse})" if reuse else ")")
+
+    def member(self, level: int) -> NDArray[np.bool_]:
+        """(N,) whether a Gaussian of the union belongs to a level."""
+        if not 0 <= level < len(self.names):
+            raise ValueError(f"level: expected 0 to {len(self.names) - 1}, got {level!r}")
+        return np.asarray((self.first <= level) & (level <= self.last))
+
+    def level(self, level: int) -> Gaussians:
+        """The Gaussians of a level, in the order of the union."""
+        return self.union[self.member(level)]
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Gaussians of each level."""
+        return tuple(int(self.member(k).sum()) for k in range(len(self)))
+
+    @property
+    def reuse(self) -> tuple[float, ...]:
+        """Share of each level but the last that stands in the next: L - 1 values in [0, 1]."""
+        return tuple(float((self.member(k) & self.member(k + 1)).sum() / self.counts[k]) for k in range(len(self) - 1))
+
+    @property
+    def overhead(self) -> float:
+        """What going up level by level sends beyond the highest alone, as a share of that."""
+        return len(self.union) / self.counts[-1] - 1.0

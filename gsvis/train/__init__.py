@@ -1,0 +1,1 @@
+"""Training: from photographs or a finished scene to Gaussians, and to quality levels that share them."""

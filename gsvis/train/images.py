@@ -1,0 +1,76 @@
+"""Posed images: what training aims at, photographs or renders of a finished scene, with the cameras that took them.
+
+Images are sRGB as displayed, in one frame with the scene; OpenCV cameras of one size. This module knows no file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.scene.cameras import Cameras
+
+__all__ = ["PosedImages"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PosedImages:
+    """C images and their cameras.
+
+    Args:
+        cameras: C cameras of one size.
+        images: (C, H, W, 3); uint8 where 255 is white, or float32 where 1 is white and brighter values are kept.
+
+    Raises:
+        ValueError: If the images are of another number, size or type, or not finite.
+
+    Examples:
+        >>> views = PosedImages(Cameras.cubemap([[0, 0, 0]], 16), np.zeros((6, 16, 16, 3), np.uint8))
+        >>> views.split(every=3)
+        (PosedImages(4 of 16 x 16), PosedImages(2 of 16 x 16))
+    """
+
+    cameras: Cameras
+    images: NDArray[Any]
+
+    def __post_init__(self) -> None:
+        shape = (len(self.cameras), self.cameras.height, self.cameras.width, 3)
+        if not isinstance(self.images, np.ndarray) or self.images.dtype not in (np.uint8, np.float32):
+            got = self.images.dtype if isinstance(self.images, np.ndarray) else type(self.images).__name__
+            raise ValueError(f"images: expected an array of uint8 or float32, got {got}")
+        if self.images.shape != shape:
+            raise ValueError(f"images: expected shape {shape} to go with the cameras, got {self.images.shape}")
+        if self.images.dtype == np.float32:
+            _check.floats("images", self.images, shape)
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __repr__(self) -> str:
+        return f"PosedImages({len(self)} of {self.cameras.width} x {self.cameras.height})"
+
+    def __getitem__(self, index: Any) -> PosedImages:
+        """The views at a slice, a mask, an index array, or one integer (one view)."""
+        where = np.arange(len(self))[index].reshape(-1)
+        return PosedImages(self.cameras[where], self.images[where])
+
+    def image(self, index: int) -> NDArray[np.float32]:
+        """(H, W, 3) of one view, 1 is white."""
+        image = self.images[index]
+        return np.asarray(image / np.float32(255.0) if image.dtype == np.uint8 else image, np.float32)
+
+    def split(self, every: int = 8) -> tuple[PosedImages, PosedImages]:
+        """Views to train on and views held out: the first and each `every`th after it, as papers on this do.
+
+        Raises:
+            ValueError: If `every` is below 2, or leaves nothing on one side.
+        """
+        _check.positive_int("every", every, at_least=2)
+        held_out = np.arange(len(self)) % every == 0
+        if held_out.all() or not held_out.any():
+            raise ValueError(f"images: expected at least 2 to hold some out, got {len(self)}")
+        return self[~held_out], self[held_out]
