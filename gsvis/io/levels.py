@@ -1,0 +1,220 @@
+"""Quality levels as a folder: one PLY a level that any viewer opens, and the map of reuse that joins them again.
+
+`levels.arrow` has a row for each Gaussian of the union: the levels it stands in, and its scales and opacity, of which a
+PLY keeps only logarithms and logits. So what is loaded is what was saved, bit by bit. Frame and units are the scene's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._arrow import ArrowFile, write_arrow
+from gsvis.io._json import Fields
+from gsvis.io._limits import Budget, safe_name
+from gsvis.io.atomic import atomic_folder
+from gsvis.io.ply import load_ply, save_ply
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+
+__all__ = ["MAP", "LevelsInfo", "levels_info", "load_levels", "save_levels"]
+
+MAP = "levels.arrow"
+"""Name of the map of reuse in the folder."""
+
+FORMAT, VERSION = "gsvis-levels", 1
+_ROWS = 1 << 16
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_AGAIN = "write the levels again"
+_FIELDS = [
+    pa.field("first_level", pa.uint8(), nullable=False),
+    pa.field("last_level", pa.uint8(), nullable=False),
+    pa.field("scales", pa.list_(pa.field("item", pa.float32(), nullable=False), 3), nullable=False),
+    pa.field("opacity", pa.float32(), nullable=False),
+]
+
+
+@dataclass(frozen=True)
+class LevelsInfo:
+    """What the map of reuse says of its folder.
+
+    Attributes:
+        names: Of the L levels, lowest first.
+        files: Their PLYs, names inside the folder.
+        counts: Gaussians of each.
+        digests: SHA-256 of each PLY, hexadecimal.
+        gaussians: N of the union.
+        extra: What was kept with them, as given to `save_levels`.
+    """
+
+    names: tuple[str, ...]
+    files: tuple[str, ...]
+    counts: tuple[int, ...]
+    digests: tuple[str, ...]
+    gaussians: int
+    extra: dict[str, Any]
+
+
+def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> None:
+    """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map of reuse.
+
+    All files are written beside the folder and moved into it at the end, the old map removed first: a folder whose
+    writing was cut short has no map, or one that fits. Other files in it stay.
+
+    Args:
+        levels: What to write.
+        folder: Where; made if it is missing.
+        extra: Anything that JSON can say, to be kept in the map.
+
+    Raises:
+        ValueError: If a level has a name that is no file name, two differ only in case, or `extra` is no JSON.
+        OSError: If the folder cannot be written.
+    """
+    for name in levels.names:
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"names: expected letters, digits, - and _, got {name!r}; it becomes the name of a file")
+    if len({name.lower() for name in levels.names}) < len(levels):
+        raise ValueError(f"names: expected names that differ in more than case, got {levels.names!r}")
+    try:
+        kept = json.loads(json.dumps(dict(extra or {}), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"extra: expected what JSON can say, got {error}") from error
+    with atomic_folder(folder) as partial:
+        rows = []
+        for k, name in enumerate(levels.names):
+            save_ply(levels.level(k), partial / f"{name}.ply")
+            digest = _digest(partial / f"{name}.ply")
+            rows.append({"name": name, "file": f"{name}.ply", "count": levels.counts[k], "sha256": digest})
+        header = {
+            "format": FORMAT, "version": VERSION, "gaussians": len(levels.union), "levels": rows, "extra": kept,
+        }  # fmt: skip
+        write_arrow(partial / MAP, _FIELDS, header, _batches(levels))
+        (Path(folder) / MAP).unlink(missing_ok=True)
+
+
+def load_levels(folder: str | os.PathLike[str]) -> Levels:
+    """Read what `save_levels` wrote: the same union, in the same order, bit by bit.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        FormatError: If the map is damaged or of a newer version, or a PLY is missing or was changed since.
+        OSError: If the folder or its map cannot be opened.
+    """
+    file = ArrowFile(Path(folder) / MAP, FORMAT, VERSION)
+    info = _info(file)
+    first, last, scales, opacities = _columns(file, info)
+    parts: list[Gaussians] = []
+    places: list[NDArray[np.int64]] = []
+    for k, count in enumerate(info.counts):
+        path = _checked_ply(file.path, info, k)
+        member = (first <= k) & (k <= last)
+        if int(member.sum()) != count:
+            raise FormatError(file.path, f"level {k}", f"{count:,} Gaussians", f"{int(member.sum()):,} rows of the map")
+        new = first[member] == k
+        if new.any():
+            scene = load_ply(path)
+            if len(scene) != count:
+                raise FormatError(path, "", f"{count:,} Gaussians as the map says", f"{len(scene):,}", _AGAIN)
+            parts.append(scene[new])
+            places.append(np.flatnonzero(member)[new])
+    order = np.argsort(np.concatenate(places), kind="stable")
+    union = Gaussians.concatenate(parts)[order]
+    try:
+        exact = Gaussians(union.means, union.quats, scales, opacities, union.sh0, union.shN)
+        return Levels(exact, first, last, info.names)
+    except ValueError as error:
+        raise FormatError(file.path, "rows", "valid values", str(error), _AGAIN) from error
+
+
+def levels_info(folder: str | os.PathLike[str]) -> LevelsInfo:
+    """What the map says about the folder; the map's checksum is looked at, the PLYs are not.
+
+    Raises:
+        FormatError: If the map is damaged or of a newer version.
+        OSError: If it cannot be opened.
+    """
+    return _info(ArrowFile(Path(folder) / MAP, FORMAT, VERSION))
+
+
+def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:
+    schema, union = pa.schema(_FIELDS), levels.union
+    for start in range(0, len(union), _ROWS):
+        some = slice(start, min(start + _ROWS, len(union)))
+        scales = pa.FixedSizeListArray.from_arrays(pa.array(union.scales[some].reshape(-1)), type=_FIELDS[2].type)
+        columns = [pa.array(levels.first[some]), pa.array(levels.last[some]), scales, pa.array(union.opacities[some])]
+        yield pa.record_batch(columns, schema=schema)
+
+
+def _info(file: ArrowFile) -> LevelsInfo:
+    header = file.header
+    rows = [Fields(file.path, f"levels[{k}]", row) for k, row in enumerate(header.items("levels"))]
+    if not 1 <= len(rows) <= 16:
+        raise FormatError(file.path, "levels", "1 to 16 levels", f"{len(rows)}")
+    names, files, digests = [], [], []
+    for row in rows:
+        name, digest = row.raw("name"), row.raw("sha256")
+        if not isinstance(name, str) or name in names:
+            raise FormatError(file.path, row.where("name"), "a name of its own", repr(name)[:60])
+        if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
+            raise FormatError(file.path, row.where("sha256"), "64 hexadecimal digits", repr(digest)[:80])
+        names.append(name)
+        files.append(safe_name(file.path, row.where("file"), row.raw("file")))
+        digests.append(digest)
+    counts = tuple(row.integer("count", 1, (1 << 31) - 1) for row in rows)
+    total = header.integer("gaussians", 1, (1 << 31) - 1)
+    return LevelsInfo(tuple(names), tuple(files), counts, tuple(digests), total, header.child("extra").value)
+
+
+def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """First and last level, scales and opacities of the union."""
+    if not file.schema.equals(pa.schema(_FIELDS)):
+        names = ", ".join(file.schema.names)[:200]
+        raise FormatError(file.path, "columns", ", ".join(field.name for field in _FIELDS), names)
+    budget = Budget(file.path, file.nbytes)
+    pieces: list[list[NDArray[Any]]] = [[], [], [], []]
+    for batch in file.batches(budget):
+        budget.claim(batch.nbytes, "all batches together")
+        for k, column in enumerate(batch.columns):
+            values = column.flatten().to_numpy().reshape(-1, 3) if k == 2 else column.to_numpy()
+            pieces[k].append(values)
+    rows = sum(len(piece) for piece in pieces[0])
+    if rows != info.gaussians:
+        raise FormatError(file.path, "rows", f"{info.gaussians:,} as the header says", f"{rows:,}", _AGAIN)
+    first, last, scales, opacities = (np.concatenate(piece) for piece in pieces)
+    if (first > last).any() or last.max() >= len(info.names):
+        raise FormatError(file.path, "rows", f"levels in order, below {len(info.names)}", "others", _AGAIN)
+    return first, last, scales, opacities
+
+
+def _checked_ply(file: Path, info: LevelsInfo, level: int) -> Path:
+    """The PLY of a level, its content that of the map."""
+    path = file.parent / info.files[level]
+    try:
+        digest = _digest(path)
+    except FileNotFoundError as error:
+        raise FormatError(path, "", f"the PLY of level {info.names[level]!r}", "no such file", _AGAIN) from error
+    if digest != info.digests[level]:
+        wanted, got = f"a content of SHA-256 {info.digests[level][:12]}...", f"{digest[:12]}..."
+        raise FormatError(path, "", wanted, got, f"it was changed since the map was written: {_AGAIN}")
+    return path
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
