@@ -1,7 +1,7 @@
-"""COLMAP sparse models, binary and text: the cameras and images of a folder.
+"""COLMAP sparse models, binary and text: the cameras, images and points of a folder.
 
 Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centres lie at +0.5, as everywhere in
-gsvis. Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Points and tracks are skipped.
+gsvis. Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Tracks are skipped.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
 from gsvis.io.views import F64, Views, pinhole
 from gsvis.scene.gaussians import rotations_from_quats
 
-__all__ = ["find_colmap", "read_colmap"]
+__all__ = ["find_colmap", "find_colmap_points", "read_colmap", "read_colmap_points"]
 
 # Name and number of parameters of COLMAP's camera models, by their id in the binary file.
 _MODELS = (
@@ -93,6 +94,25 @@ def read_colmap(folder: Path) -> Views:
         views.Ks.append(intrinsics[camera_id])
         views.sizes.append(cameras[camera_id][1:3])
     return views
+
+
+def find_colmap_points(folder: Path) -> Path | None:
+    """The points of the COLMAP model in `folder`: `points3D.bin`, `.txt`, or the `.ply` that 3DGS makes of them."""
+    paths = [folder / f"points3D{suffix}" for suffix in (".bin", ".txt", ".ply")]
+    return next((path for path in paths if path.is_file()), None)
+
+
+def read_colmap_points(path: Path) -> tuple[F64, NDArray[np.uint8]]:
+    """The points of a `points3D.bin` or `points3D.txt`, in file order; their positions are not checked.
+
+    Returns:
+        positions: (N, 3), frame of the model.
+        colors: (N, 3) sRGB, 255 is white.
+
+    Raises:
+        FormatError: If the file is cut short or malformed.
+    """
+    return _points_bin(path) if path.suffix == ".bin" else _points_txt(path)
 
 
 def _intrinsics(path: Path, camera_id: int, camera: Camera) -> F64:
@@ -213,3 +233,34 @@ def _images_txt(path: Path) -> Iterator[Image]:
             raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
         yield name, camera_id, np.array(pose[:4]), np.array(pose[4:])
         next(lines, None)  # the image's points, a line that may be empty
+
+
+def _points_bin(path: Path) -> tuple[F64, NDArray[np.uint8]]:
+    with _opened(path) as data:
+        number = data.count(51, "points")
+        positions, colors = np.empty((number, 3)), np.empty((number, 3), np.uint8)
+        for i in range(number):
+            _, *position, red, green, blue, _ = data.take("<Q3d3Bd", f"point {i:,}")
+            images = data.count(8, f"images that see point {i:,}")
+            data.at += 8 * images
+            positions[i], colors[i] = position, (red, green, blue)
+    return positions, colors
+
+
+def _points_txt(path: Path) -> tuple[F64, NDArray[np.uint8]]:
+    positions: list[list[float]] = []
+    colors: list[list[int]] = []
+    for number, line in _lines(path):
+        if not line or line.startswith("#"):
+            continue
+        fields = line.split(maxsplit=8)
+        try:
+            _, x, y, z, *rgb = fields[:7]
+            positions.append([float(x), float(y), float(z)])
+            colors.append([int(c) for c in rgb])
+            good = len(rgb) == 3 and all(0 <= c <= 255 for c in colors[-1])
+        except ValueError:
+            good = False
+        if not good:
+            raise FormatError(path, f"line {number}", "POINT3D_ID X Y Z R G B ERROR", repr(line[:80]))
+    return np.array(positions, np.float64).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3)

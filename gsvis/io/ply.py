@@ -7,9 +7,7 @@ opacity (logit), scale_* (log), rot_* (wxyz). Other columns and elements are ski
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from io import BufferedReader
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,13 +16,13 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.io._build import exp_scales, gaussians_from, logits, sigmoid
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
+from gsvis.io._ply_rows import CHUNK_BYTES, row_chunks
 from gsvis.io.atomic import atomic_path
 from gsvis.io.compressed_ply import is_compressed, read_compressed
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["load_ply", "save_ply"]
 
-_CHUNK_BYTES = 2 << 20  # what is read, transposed and activated while it stays in the cache
 _MEANS = ("x", "y", "z")
 _SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALES = ("scale_0", "scale_1", "scale_2")
@@ -71,7 +69,7 @@ def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     groups += [(sh_rest, higher)] if higher else []
     gather = _Gather(vertex, [columns for _, columns in groups])
     start = 0
-    for rows in _chunks(header, vertex, stream):
+    for rows in row_chunks(header, vertex, stream):
         stop = start + len(rows)
         for group, (array, _) in enumerate(groups):
             gather(rows, group, array[start:stop])
@@ -128,47 +126,6 @@ class _Gather:
                 out[:, j] = rows[name]
 
 
-def _chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> Iterator[NDArray[Any]]:
-    """The rows of an element, a few thousand at a time; a chunk is overwritten by the next one."""
-    row, offset = header.rows_of(element)
-    per_chunk = max(1, _CHUNK_BYTES // row.itemsize)
-    if header.encoding == "ascii":
-        yield from _ascii_chunks(header, element, stream, row, per_chunk)
-        return
-    stream.seek(offset)
-    buffer = np.empty(min(per_chunk, element.count), row)
-    raw = buffer.view(np.uint8).data
-    for start in range(0, element.count, per_chunk):
-        rows = min(per_chunk, element.count - start)
-        if stream.readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
-            raise FormatError(header.path, f"row {start:,}", "a file that stays as long as it was", "its end")
-        yield buffer[:rows]
-
-
-def _ascii_chunks(
-    header: PlyHeader, element: Element, stream: BufferedReader, row: np.dtype[np.void], per_chunk: int
-) -> Iterator[NDArray[Any]]:
-    stream.seek(header.size)
-    lines = islice(stream, element.offset, None)
-    for start in range(0, element.count, per_chunk):
-        rows = min(per_chunk, element.count - start)
-        words = b" ".join(islice(lines, rows)).split()
-        where = f"element {element.name}, rows {start:,} to {start + rows - 1:,}"
-        if len(words) != rows * len(element.properties):
-            raise FormatError(
-                header.path, where, f"{rows * len(element.properties):,} numbers", f"{len(words):,}", "is it truncated?"
-            )
-        try:
-            values = np.array(words, dtype=np.float64).reshape(rows, -1)
-        except ValueError as error:
-            raise FormatError(header.path, where, "numbers", str(error)) from error
-        table = np.empty(rows, row)
-        with np.errstate(all="ignore"):
-            for j, name in enumerate(element.properties):
-                table[name] = values[:, j]
-        yield table
-
-
 def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     """Write an INRIA PLY, binary little endian, in the property order of 3DGS, whole or not at all.
 
@@ -186,7 +143,7 @@ def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     names = (*_MEANS, "nx", "ny", "nz", *_SH0, *rest, "opacity", *_SCALES, *_QUATS)
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *(f"property float {p}" for p in names)]
     at = {name: i for i, name in enumerate(names)}
-    per_chunk = max(1, _CHUNK_BYTES // (4 * len(names)))
+    per_chunk = max(1, CHUNK_BYTES // (4 * len(names)))
     with atomic_path(path) as partial, open(partial, "wb") as stream:
         stream.write(("\n".join(lines) + "\nend_header\n").encode("ascii"))
         for start in range(0, n, per_chunk):

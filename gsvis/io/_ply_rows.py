@@ -1,0 +1,75 @@
+"""The rows of one element of a PLY file, binary or text, read in pieces that stay in the cache.
+
+Knows how rows lie in a file, not what a property means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from io import BufferedReader
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._ply_header import Element, PlyHeader
+
+__all__ = ["CHUNK_BYTES", "row_chunks"]
+
+CHUNK_BYTES = 2 << 20
+"""Bytes that are read, transposed and activated while they stay in the cache."""
+
+
+def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> Iterator[NDArray[Any]]:
+    """The rows of an element, a few thousand at a time; a chunk is overwritten by the next one.
+
+    Args:
+        header: What the file says of itself.
+        element: One of its elements.
+        stream: The file, opened for bytes.
+
+    Yields:
+        Structured rows in the file's byte order, one field for each property.
+
+    Raises:
+        FormatError: If the rows do not fit in the file, or are no numbers.
+    """
+    row, offset = header.rows_of(element)
+    per_chunk = max(1, CHUNK_BYTES // row.itemsize)
+    if header.encoding == "ascii":
+        yield from _ascii_chunks(header, element, stream, row, per_chunk)
+        return
+    stream.seek(offset)
+    buffer = np.empty(min(per_chunk, element.count), row)
+    raw = buffer.view(np.uint8).data
+    for start in range(0, element.count, per_chunk):
+        rows = min(per_chunk, element.count - start)
+        if stream.readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
+            raise FormatError(header.path, f"row {start:,}", "a file that stays as long as it was", "its end")
+        yield buffer[:rows]
+
+
+def _ascii_chunks(
+    header: PlyHeader, element: Element, stream: BufferedReader, row: np.dtype[np.void], per_chunk: int
+) -> Iterator[NDArray[Any]]:
+    stream.seek(header.size)
+    lines = islice(stream, element.offset, None)
+    for start in range(0, element.count, per_chunk):
+        rows = min(per_chunk, element.count - start)
+        words = b" ".join(islice(lines, rows)).split()
+        where = f"element {element.name}, rows {start:,} to {start + rows - 1:,}"
+        if len(words) != rows * len(element.properties):
+            raise FormatError(
+                header.path, where, f"{rows * len(element.properties):,} numbers", f"{len(words):,}", "is it truncated?"
+            )
+        try:
+            values = np.array(words, dtype=np.float64).reshape(rows, -1)
+        except ValueError as error:
+            raise FormatError(header.path, where, "numbers", str(error)) from error
+        table = np.empty(rows, row)
+        with np.errstate(all="ignore"):
+            for j, name in enumerate(element.properties):
+                table[name] = values[:, j]
+        yield table
