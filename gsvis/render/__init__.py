@@ -2,12 +2,14 @@
 
 from gsvis.render.metrics import flip, lpips, psnr, ssim
 from gsvis.render.rasterizer import Rendering, rasterize
+from gsvis.render.removal import RemovalEffects, removal_effects
 from gsvis.render.tensors import GaussianTensors
 from gsvis.render.weights import PixelContributors, ViewWeights, contributors, view_weights
 
 __all__ = [
     "GaussianTensors",
     "PixelContributors",
+    "RemovalEffects",
     "Rendering",
     "ViewWeights",
     "contributors",
@@ -15,6 +17,7 @@ __all__ = [
     "lpips",
     "psnr",
     "rasterize",
+    "removal_effects",
     "ssim",
     "view_weights",
 ]

@@ -1,0 +1,147 @@
+"""What taking one Gaussian away would do to images, for every Gaussian at once, by one pass over each image.
+
+At a pixel the colour is linear in the alpha of any one Gaussian: without it the pixel changes by w (B - c), with w its
+weight, c its colour and B the colour that full light would show behind it, background included. Effects are those of
+removing one Gaussian while all others stay; they do not add up where Gaussians lie behind each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color import _kernels_sh
+from gsvis.progress import Progress, silent
+from gsvis.render import _kernels_removal, _kernels_tiles
+from gsvis.render.colours import CameraColours, Colours, camera_colours
+from gsvis.render.cpu import Projected, View, project
+from gsvis.render.tensors import GaussianTensors
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["RemovalEffects", "removal_effects"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RemovalEffects:
+    """What removing each of N Gaussians alone does, summed over the pixels of all views and averaged over RGB.
+
+    Attributes:
+        absolute: (N,) float64, absolute change of the values.
+        squared: (N,) float64, squared change: the rise of the squared error against the scene's own images.
+        error_change: (N,) float64, change of the squared error against the target images: negative where they are met
+            better without the Gaussian; equal to `squared` where no targets were given.
+        pixels: Number of pixels summed over; sums over `pixels` are changes of mean errors.
+    """
+
+    absolute: F64
+    squared: F64
+    error_change: F64
+    pixels: int
+
+
+def removal_effects(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    images: NDArray[Any] | None = None,
+    colors: Colours = None,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    progress: Progress = silent,
+) -> RemovalEffects:
+    """What removing each Gaussian, alone, would do to the images of some cameras.
+
+    Images stop blending where transmittance falls to 1e-4, and what a removal would let through there they never met.
+    So effects are worked out down to 1e-6: exact, but for at most 1e-6 / (1 - alpha) of a colour, for images that
+    never stop. Against images that do stop they are off by what the stop hides, which matters where a nearly opaque
+    Gaussian stands behind others (it is left out altogether if it would take transmittance to 1e-4).
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: C cameras.
+        images: (C, H, W, 3) targets, photographs or renders of a fuller scene; uint8 where 255 is white, or floats
+            where 1 is white. None for the scene's own images.
+        colors: As in `rasterize`, in place of SH.
+        background: (3,) RGB behind everything.
+        progress: Called with stage "removal", in views.
+
+    Returns:
+        Sums over all pixels and views; zeros for Gaussians that no view shows. The same for any number of threads.
+
+    Raises:
+        ValueError: If an argument has the wrong shape or type, or is not finite.
+    """
+    if np.abs(cameras.Ks[:, 0, 1]).max(initial=0.0) > 0.0:
+        raise ValueError("cameras: expected Ks without skew (Ks[:, 0, 1] == 0); undistort the images first")
+    behind = _check.floats("background", background, (3,))
+    shape = (len(cameras), cameras.height, cameras.width, 3)
+    if images is not None:
+        images = np.asarray(images)
+        if images.dtype != np.uint8 and not np.issubdtype(images.dtype, np.floating):
+            raise ValueError(f"images: expected uint8 or floats, got dtype {images.dtype}")
+        if images.shape != shape:
+            raise ValueError(f"images: expected shape {shape} to go with the cameras, got {images.shape}")
+    tensors = None if colors is None else GaussianTensors.from_gaussians(gaussians)
+    colours = None if tensors is None else camera_colours(colors, tensors, cameras, "cpu")
+    sums = np.zeros((len(gaussians), 3))
+    progress("removal", 0, len(cameras))
+    for c in range(len(cameras)):
+        view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
+        projected = project(gaussians, view, antialiased=False, pairs=True)
+        features = _features(gaussians, view, projected, colours, c)
+        residual = np.zeros(shape[1:], np.float32)
+        if images is not None:
+            residual = _blended(view, projected, features, behind) - _target(images[c])
+        pairs = np.empty((len(projected.members), 4), np.float32)
+        _kernels_removal.remove_tiles(
+            projected.splats, features, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
+            behind, residual, pairs,
+        )  # fmt: skip
+        if len(pairs):
+            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs every stretch non-empty
+            ids = projected.ids[projected.order[met]]
+            starts = projected.first_pair[met]
+            sums[ids] += np.add.reduceat(pairs[:, :3], starts, axis=0, dtype=np.float64)
+        progress("removal", c + 1, len(cameras))
+    sums /= 3.0
+    absolute, squared, error_change = (np.ascontiguousarray(column) for column in sums.T)
+    return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.height * cameras.width)
+
+
+def _features(g: Gaussians, view: View, projected: Projected, colours: CameraColours | None, c: int) -> F32:
+    """(M, 4) colour and depth of each splat."""
+    features = np.empty((len(projected.ids), 4), np.float32)
+    features[:, 3] = projected.depths
+    given = None if colours is None else colours.of(c)
+    if given is None:
+        _kernels_sh.colours_from_sh(
+            projected.ids, g.means, g.sh0, g.shN, g.sh_degree, view.eye, np.float32(0.0), features
+        )
+    else:
+        features[:, :3] = given.detach().to(torch.float32).numpy()[projected.ids]
+    return features
+
+
+def _blended(view: View, projected: Projected, features: F32, background: F32) -> F32:
+    """(H, W, 3) the image, as `rasterize` draws it."""
+    shape = (view.height, view.width)
+    image = np.empty((*shape, 3), np.float32)
+    others = (np.empty(shape, np.float32) for _ in range(4))
+    _kernels_tiles.blend_tiles(
+        projected.splats, features, projected.offsets, projected.members, view.tiles[0], background, image, *others
+    )
+    return image
+
+
+def _target(image: NDArray[Any]) -> F32:
+    """(H, W, 3) of one target, 1 is white."""
+    values = image / np.float32(255.0) if image.dtype == np.uint8 else image
+    return np.asarray(_check.floats("images", values, image.shape), np.float32)
