@@ -1,0 +1,281 @@
+"""What a scheduler has to know of a scene: places, sizes, levels and bytes of its records, and what each cell sees.
+
+Plain arrays without geometry or colours, so a package can give them from a part of its files. Scene frame and units,
+bytes as they travel. This module knows no file and no client.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from gsvis import _check
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.visibility._codec import pack, word_count
+from gsvis.visibility.cells import CellGrid
+
+__all__ = ["CellMembers", "CellSets", "SceneIndex", "extents", "nearest_replacements"]
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
+Words = NDArray[np.uint64]
+
+EXTENT = 3.0
+"""Standard deviations from its centre at which a Gaussian ends, where it is asked whether it is in view."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellMembers:
+    """The Gaussians that a cell sees.
+
+    Attributes:
+        words: (W,) uint64 packed set of N Gaussians in scene order, whole roaring containers (`CellMembers.of`).
+        classes: (V,) uint8 weight class of each member, in rising order of ids.
+    """
+
+    words: Words
+    classes: U8
+
+    @classmethod
+    def of(cls, ids: ArrayLike, count: int, classes: ArrayLike | None = None) -> CellMembers:
+        """Members from ids.
+
+        Args:
+            ids: (V,) rising, each in [0, count).
+            count: N, the Gaussians of the scene.
+            classes: (V,) weight class of each; None means 0.
+
+        Raises:
+            ValueError: If ids do not rise or are out of range, or lengths differ.
+        """
+        members = _check.integers("ids", ids, ("V",))
+        if len(members) and (members[0] < 0 or members[-1] >= count or np.any(np.diff(members) <= 0)):
+            raise ValueError(f"ids: expected rising ids in [0, {count}), got others; sort them with np.unique")
+        levels = np.zeros(len(members)) if classes is None else classes
+        levels = _check.integers("classes", np.asarray(levels, np.uint8), (len(members),), np.uint8)
+        return cls(pack(members, count), levels)
+
+
+class CellSets(Protocol):
+    """Where the sets of cells come from: a store, a package, or arrays. Called from several threads at once."""
+
+    def members(self, cell: int, /) -> CellMembers:
+        """What a cell sees."""
+        ...
+
+    def terms(self, cell: int, /) -> U32:
+        """(A,) rising ids of the terms that are active in a cell, of Gaussians that it sees."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SceneIndex:
+    """N Gaussians of all levels and their T terms, as records to be sent, and C cells.
+
+    Args:
+        means: (N, 3) centres.
+        radii: (N,) distance from the centre at which each ends, scene units.
+        areas: (N,) mean cross-section, scene units squared.
+        importance: (N,) >= 0, blending weight of each where it is seen, or a factor to that of its class in a cell.
+        gaussian_bytes: (N,) bytes of the record of geometry and base colour, >= 1; one number for all.
+        first: (N,) uint8 lowest level that has it.
+        last: (N,) uint8 highest level that has it.
+        level_names: L names, lowest first.
+        term_offsets: (N + 1,) terms of Gaussian i are `term_offsets[i]:term_offsets[i + 1]`.
+        term_bytes: (T,) bytes of the record of each term, > 0; one number for all.
+        replacement_offsets: (N + 1,) those that take the place of Gaussian i, which ends below the highest level, are
+            `replacement_ids[replacement_offsets[i]:replacement_offsets[i + 1]]`; they enter at the level above it.
+        replacement_ids: (M,) int32.
+        class_weights: (K,) weight that stands for each class of a cell.
+        grid: The cells.
+        cells: What they see.
+
+    Raises:
+        ValueError: If lengths differ or a value is out of range.
+    """
+
+    means: F32
+    radii: F32
+    areas: F32
+    importance: F32
+    gaussian_bytes: F32
+    first: U8
+    last: U8
+    level_names: tuple[str, ...]
+    term_offsets: I64
+    term_bytes: F32
+    replacement_offsets: I64
+    replacement_ids: I32
+    class_weights: F32
+    grid: CellGrid
+    cells: CellSets
+
+    def __post_init__(self) -> None:
+        means = _check.floats("means", self.means, ("N", 3))
+        n, levels = len(means), len(self.level_names)
+        if not 1 <= levels <= 16:
+            raise ValueError(f"level_names: expected 1 to 16 levels, got {levels}")
+        offsets = _check.integers("term_offsets", self.term_offsets, (n + 1,))
+        if offsets[0] != 0 or np.any(np.diff(offsets) < 0) or offsets[-1] >= 1 << 31:
+            raise ValueError("term_offsets: expected to start at 0, never to fall, and to end below 2^31, got others")
+        arrays: dict[str, NDArray[Any]] = {"means": means, "term_offsets": offsets}
+        for name in ("radii", "areas", "importance"):
+            arrays[name] = _check.floats(name, getattr(self, name), (n,))
+            _check.in_range(name, arrays[name], 0.0, np.inf)
+        for name, length, least in (("gaussian_bytes", n, 1.0), ("term_bytes", int(offsets[-1]), 0.125)):
+            value = np.asarray(getattr(self, name), np.float32)
+            value = np.full(length, value, np.float32) if value.ndim == 0 else value
+            arrays[name] = _check.floats(name, value, (length,))
+            _check.in_range(name, arrays[name], least, 1e6)
+        for name in ("first", "last"):
+            arrays[name] = _check.integers(name, getattr(self, name), (n,), np.uint8)
+            _check.in_range(name, arrays[name], 0, levels - 1)
+        if np.any(arrays["first"] > arrays["last"]):
+            raise ValueError("last: expected at least first, got less")
+        starts = _check.integers("replacement_offsets", self.replacement_offsets, (n + 1,))
+        ids = _check.integers("replacement_ids", self.replacement_ids, ("M",), np.int32)
+        if starts[0] != 0 or np.any(np.diff(starts) < 0) or starts[-1] != len(ids):
+            raise ValueError(f"replacement_offsets: expected to rise from 0 to {len(ids)}, got others")
+        _check.in_range("replacement_ids", ids, 0, n - 1)
+        replaced = np.repeat(np.arange(n), np.diff(starts))
+        if np.any(arrays["first"][ids] != arrays["last"][replaced].astype(np.int64) + 1):
+            raise ValueError("replacement_ids: expected Gaussians that enter at the level above, got others")
+        arrays["replacement_offsets"], arrays["replacement_ids"] = starts, ids
+        arrays["class_weights"] = _check.floats("class_weights", self.class_weights, ("K",))
+        _check.in_range("class_weights", arrays["class_weights"], 0.0, np.inf)
+        if not 1 <= len(arrays["class_weights"]) <= 255:
+            raise ValueError(f"class_weights: expected 1 to 255, got {len(arrays['class_weights'])}")
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @classmethod
+    def from_levels(
+        cls,
+        levels: Levels,
+        grid: CellGrid,
+        cells: CellSets,
+        *,
+        gaussian_bytes: ArrayLike = 16.0,
+        term_offsets: ArrayLike | None = None,
+        term_bytes: ArrayLike = 4.5,
+        class_weights: ArrayLike | None = None,
+    ) -> SceneIndex:
+        """The index of levels; what is not given follows from their Gaussians.
+
+        Args:
+            levels: The scene, its union in the order of ids.
+            grid: The cells.
+            cells: What they see.
+            gaussian_bytes: One number, or (N,).
+            term_offsets: (N + 1,); None means no terms.
+            term_bytes: One number, or (T,).
+            class_weights: (K,) weight that stands for each class of a cell; None where cells give no classes: the
+                opacity of a Gaussian then stands for its weight.
+        """
+        union = levels.union
+        n = len(union)
+        return cls(
+            union.means, *extents(union),  # radii and areas
+            union.opacities if class_weights is None else np.ones(n, np.float32),
+            np.asarray(gaussian_bytes, np.float32), levels.first, levels.last, levels.names,
+            np.zeros(n + 1, np.int64) if term_offsets is None else np.asarray(term_offsets),
+            np.asarray(term_bytes, np.float32), *nearest_replacements(levels),
+            np.ones(1, np.float32) if class_weights is None else np.asarray(class_weights, np.float32), grid, cells,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.means)
+
+    def __repr__(self) -> str:
+        levels = ", ".join(self.level_names)
+        return f"SceneIndex({len(self):,} Gaussians, {self.num_terms:,} terms, {len(self.grid):,} cells; {levels})"
+
+    @property
+    def num_terms(self) -> int:
+        """T."""
+        return int(self.term_offsets[-1])
+
+    @property
+    def num_levels(self) -> int:
+        """L."""
+        return len(self.level_names)
+
+    @property
+    def word_count(self) -> int:
+        """Words of a packed set of Gaussians."""
+        return word_count(len(self))
+
+    @cached_property
+    def replaced(self) -> tuple[I64, I32]:
+        """(N + 1,) offsets and (M,) ids: those whose place each Gaussian takes."""
+        n = len(self)
+        owners = np.repeat(np.arange(n, dtype=np.int32), np.diff(self.replacement_offsets))
+        order = np.argsort(self.replacement_ids, kind="stable")
+        return _offsets(self.replacement_ids, n), owners[order]
+
+    def with_cells(self, cells: CellSets) -> SceneIndex:
+        """The same scene with other sets."""
+        return replace(self, cells=cells)
+
+    def as_dict(self) -> Mapping[str, Any]:
+        """Counts and bytes, ready for JSON."""
+        return {
+            "gaussians": len(self),
+            "terms": self.num_terms,
+            "cells": len(self.grid),
+            "levels": list(self.level_names),
+            "gaussian_bytes": float(self.gaussian_bytes.sum(dtype=np.float64)),
+            "term_bytes": float(self.term_bytes.sum(dtype=np.float64)),
+        }
+
+
+def extents(g: Gaussians) -> tuple[F32, F32]:
+    """Radius (N,) at which each Gaussian ends, and its mean cross-section (N,): the integral of its response over a
+    plane, averaged over the planes across its three axes."""
+    s = g.scales.astype(np.float64)
+    pairs = s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]
+    most = float(np.finfo(np.float32).max)
+    radii, areas = EXTENT * s.max(axis=1, initial=0.0), 2.0 * np.pi * pairs / 3.0
+    return np.minimum(radii, most).astype(np.float32), np.minimum(areas, most).astype(np.float32)
+
+
+def nearest_replacements(levels: Levels) -> tuple[I64, I32]:
+    """Who takes the place of a Gaussian that ends below the highest level: those to which it is the nearest that ends.
+
+    One that is nearest to nobody is replaced by the one nearest to it, so that all are let go of in the end.
+
+    Returns:
+        offsets: (N + 1,).
+        ids: (M,) int32, rising for each Gaussian.
+    """
+    means, n = levels.union.means, len(levels.union)
+    pairs = [np.zeros((0, 2), np.int64)]
+    for level in range(1, len(levels)):
+        enters, ends = np.flatnonzero(levels.first == level), np.flatnonzero(levels.last == level - 1)
+        if len(enters) == 0 or len(ends) == 0:
+            continue
+        nearest = cKDTree(means[ends]).query(means[enters])[1]
+        alone = np.setdiff1d(np.arange(len(ends)), nearest)
+        pairs.append(np.stack([ends[nearest], enters], axis=1))
+        if len(alone):
+            pairs.append(np.stack([ends[alone], enters[cKDTree(means[enters]).query(means[ends[alone]])[1]]], axis=1))
+    found = np.concatenate(pairs)
+    found = found[np.lexsort((found[:, 1], found[:, 0]))]
+    return _offsets(found[:, 0], n), found[:, 1].astype(np.int32)
+
+
+def _offsets(owners: NDArray[Any], count: int) -> I64:
+    return np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=count))]).astype(np.int64)
