@@ -1,0 +1,173 @@
+"""The photographs that a reconstruction names: where they are, whether they can be read, how large they are.
+
+Only headers are read here. Images are taken as they are stored: an EXIF orientation is ignored, as COLMAP does, so that
+pixels are those the model was made of.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from gsvis.errors import FormatError
+from gsvis.io._limits import safe_name
+from gsvis.io.colmap import find_colmap, read_colmap
+from gsvis.io.transforms_json import read_transforms
+from gsvis.io.views import Views, read_json
+
+__all__ = ["FAULTS", "MODES", "find_files", "find_views", "named", "read_sizes", "whole_factor"]
+
+Size = tuple[int, int]
+
+MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
+"""Pillow's modes that are read: up to 8 bits a channel, in grey or RGB, with or without alpha."""
+
+FAULTS = (OSError, SyntaxError, ValueError, EOFError, LookupError, ArithmeticError, Image.DecompressionBombError)
+"""What Pillow raises at a damaged file."""
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp")
+_KNOWN = "a COLMAP model (cameras and images, .bin or .txt) or a transforms.json"
+_MOST_SHRUNK = 64
+_SHOWN = 5
+
+
+def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
+    """The posed images of a folder of photographs, and where its images may lie.
+
+    Args:
+        path: The folder of a COLMAP model or one above it, a `transforms.json`, or the folder with one.
+        images: Folder of the photographs, as given or inside `path`; None looks at the usual places.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`, or no folder `images`.
+        FormatError: If there is no model, or it is malformed or distorted.
+    """
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, "no file or folder here", str(path))
+    given = [] if images is None else [folder for folder in (images, path / images) if folder.is_dir()][:1]
+    if images is not None and not given:
+        raise FileNotFoundError(errno.ENOENT, "no folder of images here", str(images))
+    root = path if path.is_dir() else path.parent
+    model = find_colmap(root) if path.is_dir() or path.suffix in (".bin", ".txt") else None
+    if model is not None:
+        above = dict.fromkeys((root, model, model.parent, model.parent.parent))
+        return read_colmap(model), given or [place for folder in above for place in (folder / "images", folder)]
+    file = path / "transforms.json" if path.is_dir() else path
+    if not file.is_file() or file.suffix.lower() != ".json":
+        told = "a folder without either" if path.is_dir() else "another file"
+        raise FormatError(path, "", _KNOWN, told, "make one with COLMAP, and give its folder")
+    content = read_json(file)
+    if not isinstance(content, dict):
+        raise FormatError(file, "", "a transforms.json", f"JSON of {type(content).__name__}")
+    folders = given or [root, root / "images"]
+    return read_transforms(file, content, _size_of_first(file, content, folders)), folders
+
+
+def _size_of_first(file: Path, content: dict[str, Any], folders: Sequence[Path]) -> Size | None:
+    """Size of the first image, where a `transforms.json` states none; None if it has no such image."""
+    frames = content.get("frames")
+    first = frames[0] if isinstance(frames, list) and frames else None
+    if not isinstance(first, dict) or {"w", "h"} <= {*content, *first}:
+        return None
+    name = first.get("file_path")
+    if not isinstance(name, str):
+        return None
+    found = [place for folder in folders if (place := _place(file, folder, name.removeprefix("./"))) is not None]
+    return read_sizes(found[:1])[0] if found else None
+
+
+def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
+    """The file of each view, all from the folder that holds most of them.
+
+    Raises:
+        FormatError: If one is missing; up to five are named.
+    """
+    held = [[_place(views.path, folder, name) for name in views.names] for folder in folders]
+    counts = [sum(place is not None for place in places) for places in held]
+    if not counts or max(counts) == 0:
+        looked = ", ".join(dict.fromkeys(str(folder) for folder in folders))
+        told = f"none of them in {looked}"
+        raise FormatError(views.path, "", f"the {len(views.names):,} images it names", told, "say where with --images")
+    best = counts.index(max(counts))
+    missing = [name for name, place in zip(views.names, held[best], strict=True) if place is None]
+    if missing:
+        told = f"{len(missing):,} of {len(views.names):,} missing: {named(missing)}"
+        raise FormatError(folders[best], "", f"the images that {Path(views.path).name} names", told)
+    return [place for place in held[best] if place is not None]
+
+
+def _place(file: Any, folder: Path, name: str) -> Path | None:
+    """The image of that name in a folder, without the folder or the suffix of its name if need be."""
+    inner = name if ".." not in name and not name.startswith("/") else Path(name).name
+    path = folder / safe_name(file, f"image {name!r}", inner)
+    for place in (path, folder / path.name):
+        if place.is_file():
+            return place
+        if place.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"):
+            for suffix in _SUFFIXES:
+                if (longer := place.with_name(place.name + suffix)).is_file():
+                    return longer
+    return None
+
+
+def read_sizes(files: Sequence[Path]) -> list[Size]:
+    """Width and height of each image, from its header.
+
+    Raises:
+        FormatError: If a file is no image, or of a kind that is not read.
+    """
+    sizes = []
+    for path in files:
+        try:
+            with Image.open(path) as image:
+                mode, size = image.mode, image.size
+        except FAULTS as error:
+            told = "something else" if "cannot identify" in str(error) else str(error) or type(error).__name__
+            raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", told, "is it damaged?") from error
+        if mode not in MODES:
+            remedy = "convert the images to 8-bit RGB"
+            raise FormatError(path, "", "grey or RGB with 8 bits a channel", f"Pillow's mode {mode}", remedy)
+        sizes.append(size)
+    return sizes
+
+
+def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
+    """By how much all images are smaller than the model says: 1 as a rule, 4 for `images_4`.
+
+    Args:
+        views: What the model says.
+        sizes: (width, height) of each image.
+
+    Raises:
+        FormatError: If they are of other sizes that are not all the same whole part of it; up to five are named.
+    """
+    pairs = list(zip(views.sizes, sizes, strict=True))
+    factors = {max(1, round(told[0] / have[0])) for told, have in pairs}
+    best = max(sorted(factors), key=lambda k: sum(_fits(told, have, k) for told, have in pairs))
+    wrong = [i for i, (told, have) in enumerate(pairs) if not _fits(told, have, best)]
+    if not wrong:
+        return best
+    (width, height), have = pairs[wrong[0]]
+    expected = f"{width} x {height} as the model says, or that divided by one number for all"
+    told = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
+    remedy = "give the images that the model was made of, undistorted with it, or evenly shrunk from those"
+    if have == (height, width):
+        remedy = "the model is of turned images: write their EXIF orientation into the pixels"
+    raise FormatError(views.path, f"images {named([views.names[i] for i in wrong])}", expected, told, remedy)
+
+
+def _fits(told: Size, have: Size, factor: int) -> bool:
+    """Whether an image is the factor-th part of what the model says, rounded in either direction."""
+    if not 1 <= factor <= _MOST_SHRUNK:
+        return False
+    return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(told, have, strict=True))
+
+
+def named(names: Sequence[str]) -> str:
+    """Up to five names, and how many more there are."""
+    more = f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else ""
+    return ", ".join(map(repr, names[:_SHOWN])) + more

@@ -1,0 +1,234 @@
+"""Photographs with a reconstruction, ready to train on: checked first, then read and shrunk.
+
+What comes out is `PosedImages` sorted by name, 8 bits a channel, sRGB as stored; intrinsics go with the size that the
+images have in the end, pixel centres at +0.5. Poses, and the points beside them, stay in the frame of the model.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gsvis import _check
+from gsvis.errors import FormatError, SceneError
+from gsvis.io.points import find_points, load_points
+from gsvis.io.views import Views
+from gsvis.progress import Progress, silent
+from gsvis.scene.points import PointCloud
+from gsvis.train._photo_files import FAULTS, find_files, find_views, named, read_sizes, whole_factor
+from gsvis.train.images import PosedImages
+
+__all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
+
+Size = tuple[int, int]
+
+FEWEST_VIEWS = 8
+"""Fewer photographs do not tell a scene."""
+
+_LEAST_SIDE = 16  # pixels; SSIM needs 11
+_THREADS = 2
+_MEMORY_SHARE = 0.5  # of what the machine has, for images
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Photos:
+    """Photographs and what is known about the scene in them.
+
+    Attributes:
+        views: Images and cameras, sorted by name.
+        points: Points of the reconstruction; None where it has none.
+        remarks: What was done to the images that the user may not expect, a sentence each.
+    """
+
+    views: PosedImages
+    points: PointCloud | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the images, as the model has them."""
+        return self.views.cameras.names
+
+    def __repr__(self) -> str:
+        points = "no points" if self.points is None else f"{len(self.points):,} points"
+        return f"Photos({self.views!r}, {points})"
+
+
+def load_photos(
+    folder: str | PathLike[str],
+    *,
+    images: str | PathLike[str] | None = None,
+    downscale: float | None = None,
+    size: Size | None = None,
+    progress: Progress = silent,
+) -> Photos:
+    """Read photographs and the model that posed them.
+
+    Everything that headers tell is checked before the first image is decoded. Images are taken as they are stored: an
+    EXIF orientation is ignored, as COLMAP does. Transparency is blended over black. Images are shrunk by Pillow's
+    Lanczos filter, which weighs all pixels under it.
+
+    Args:
+        folder: A COLMAP model (its folder, or one above it), a `transforms.json`, or the folder with one.
+        images: Folder of the photographs, as it is or inside `folder`; None looks in `images` beside the model. If all
+            are the same whole part of what the model says, as those in `images_4`, intrinsics are rescaled.
+        downscale: Factor to shrink the images by, at least 1.
+        size: (width, height) in pixels to shrink them to instead; needed when their sizes differ.
+        progress: Called for every image; stage "photos".
+
+    Returns:
+        The photographs, sorted by name.
+
+    Raises:
+        FileNotFoundError: If there is no such folder.
+        FormatError: If there is no model, it is malformed or distorted, or images are missing, unreadable, cut short
+            or of another size than the model says.
+        SceneError: If there are fewer than 8 of them.
+        ValueError: If a size or factor is out of range.
+
+    Examples:
+        >>> load_photos("../shared/data/photos/bonsai", size=(400, 266))  # doctest: +SKIP
+        Photos(PosedImages(292 of 400 x 266), 51,939 points)
+    """
+    _check_target(downscale, size)
+    path = Path(folder)
+    views, folders = find_views(path, None if images is None else Path(images))
+    if len(views.names) < FEWEST_VIEWS:
+        raise SceneError(
+            f"{views.path}: expected at least {FEWEST_VIEWS} posed images, got {len(views.names)};"
+            " add photographs, or find out why COLMAP left them out"
+        )
+    files = find_files(views, folders)
+    sizes = read_sizes(files)
+    factor = whole_factor(views, sizes)
+    remarks = []
+    if factor > 1:
+        remarks.append(f"The images are 1/{factor} of the size in the model; its intrinsics were rescaled to them.")
+    views = _of_size(views, sizes)
+    width, height = _target(views, downscale, size)
+    _check_memory(len(files), width, height)
+    cameras = views.cameras((width, height))
+    found = find_points(path)
+    points = None if found is None else load_points(found)
+    order = sorted(range(len(files)), key=views.names.__getitem__)
+    pixels, transparent = _read([files[i] for i in order], (width, height), progress)
+    if transparent:
+        remarks.append(f"Transparency was blended over black in {transparent:,} of {len(files):,} images.")
+    return Photos(PosedImages(cameras, pixels), points if points is not None and len(points) else None, tuple(remarks))
+
+
+def _check_target(downscale: float | None, size: Size | None) -> None:
+    if size is not None:
+        if downscale is not None:
+            raise ValueError("size / downscale: expected one of them, got both; leave one out")
+        if not isinstance(size, tuple | list) or len(size) != 2:
+            raise ValueError(f"size: expected (width, height), got {size!r}")
+        for name, side in zip(("width", "height"), size, strict=True):
+            _check.positive_int(f"size: {name}", side, at_least=_LEAST_SIDE)
+    if downscale is not None and not 1.0 <= downscale < np.inf:
+        raise ValueError(f"downscale: expected a factor of at least 1, got {downscale!r}")
+
+
+def _of_size(views: Views, sizes: list[Size]) -> Views:
+    """The same views with intrinsics for images of these sizes; pixel centres lie at +0.5, so they simply scale."""
+    ratios = [
+        np.array([have[0] / told[0], have[1] / told[1], 1.0]) for told, have in zip(views.sizes, sizes, strict=True)
+    ]
+    ks = [k * ratio[:, None] for k, ratio in zip(views.Ks, ratios, strict=True)]
+    return Views(views.path, views.names, views.viewmats, ks, sizes)
+
+
+def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
+    """The size to shrink to."""
+    found = sorted(set(views.sizes))
+    least = min(width for width, _ in found), min(height for _, height in found)
+    if size is None:
+        if len(found) > 1:
+            told = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
+            remedy = f"give one to shrink all to, such as --size {least[0]}x{least[1]}"
+            raise FormatError(views.path, "", "images of one size", f"{len(found)} sizes: {told}", remedy)
+        size = max(1, round(least[0] / (downscale or 1.0))), max(1, round(least[1] / (downscale or 1.0)))
+        if min(size) < _LEAST_SIDE:
+            told = f"{size[0]} x {size[1]}"
+            raise ValueError(f"downscale: expected images of at least {_LEAST_SIDE} pixels a side, got {told}")
+    if size[0] > least[0] or size[1] > least[1]:
+        name = next(
+            n for n, have in zip(views.names, views.sizes, strict=True) if size[0] > have[0] or size[1] > have[1]
+        )
+        told = f"{size[0]} x {size[1]}, which is more than {name!r} has"
+        raise ValueError(f"size: expected at most {least[0]} x {least[1]}, got {told}")
+    return size[0], size[1]
+
+
+def _check_memory(count: int, width: int, height: int) -> None:
+    """Refuse what would not fit beside everything else."""
+    needed = 3 * count * width * height
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not on this system
+        return
+    if needed > _MEMORY_SHARE * memory:
+        raise ValueError(
+            f"size: expected images that fit into half of the memory ({memory / 1e9:.1f} GB), got {count:,} of"
+            f" {width} x {height}, {needed / 1e9:.1f} GB; shrink them with --downscale or --size"
+        )
+
+
+def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np.uint8], int]:
+    """(C, H, W, 3) uint8 of the images, and how many of them were transparent anywhere."""
+    pixels = np.empty((len(files), size[1], size[0], 3), np.uint8)
+
+    def read(index: int) -> tuple[bool, FormatError | None]:
+        try:
+            pixels[index], transparent = _shrunk(files[index], size)
+        except FormatError as error:
+            return False, error
+        return transparent, None
+
+    progress("photos", 0, len(files))
+    count, broken = 0, []
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            for done, (transparent, error) in enumerate(pool.map(read, range(len(files))), 1):
+                count += transparent
+                if error is not None:
+                    broken.append(error)
+                progress("photos", done, len(files))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    if len(broken) > 1:
+        names = named([Path(error.path).name for error in broken])
+        told = f"{len(broken):,} that cannot be read: {names}"
+        raise FormatError(files[0].parent, "", "whole images", told, broken[0].got)
+    if broken:
+        raise broken[0]
+    return pixels, count
+
+
+def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
+    """(H, W, 3) of one image at a size, and whether it was transparent anywhere."""
+    transparent = False
+    try:
+        with Image.open(path) as image:
+            if image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info:
+                with_alpha = image.convert("RGBA")
+                alpha = with_alpha.getchannel("A")
+                transparent = alpha.getextrema()[0] < 255
+                rgb = Image.new("RGB", image.size)
+                rgb.paste(with_alpha.convert("RGB"), mask=alpha)
+            else:
+                rgb = image.convert("RGB")
+    except FAULTS as error:
+        told = str(error) or type(error).__name__
+        raise FormatError(path, "", "a whole image", told, "is it damaged? copy it again") from error
+    if rgb.size != size:
+        rgb = rgb.resize(size, Image.Resampling.LANCZOS)
+    return np.asarray(rgb), transparent
