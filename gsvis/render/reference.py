@@ -12,12 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
-from torch.nn.functional import normalize
 from torch.utils.checkpoint import checkpoint
 
 from gsvis import _check
 from gsvis.color.sh_torch import sh_colors_torch
-from gsvis.render.tensors import GaussianTensors
+from gsvis.render.tensors import GaussianTensors, rotations_from_quats
 
 __all__ = [
     "MAX_ALPHA",
@@ -144,7 +143,7 @@ def project_reference(
     )
     # With A = J W R S the covariance on the screen is A A^T, and its determinant the squared area its rows span:
     # so written it cannot come out negative for a needle.
-    half = jacobian @ rotation @ (_rotations(tensors.quats) * tensors.scales[:, None, :])
+    half = jacobian @ rotation @ (rotations_from_quats(tensors.quats) * tensors.scales[:, None, :])
     u, v = half.unbind(dim=1)
     xx, xy, yy = (u * u).sum(dim=1), (u * v).sum(dim=1), (v * v).sum(dim=1)
     sharp = torch.linalg.cross(u, v).square().sum(dim=1)
@@ -344,17 +343,6 @@ def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None
         raise ValueError(f"sh_degree: expected 0 to {tensors.sh_degree}, the scene's own, got {sh_degree!r}")
     shN = tensors.shN[:, : (degree + 1) ** 2 - 1]
     return sh_colors_torch(tensors.means, tensors.sh0, shN, eye)
-
-
-def _rotations(quats: Tensor) -> Tensor:
-    """(N, 3, 3) world from Gaussian, of quaternions wxyz of any length."""
-    w, x, y, z = normalize(quats, dim=1).unbind(dim=1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
 
 
 def _pixel_centres(width: int, height: int, like: Tensor) -> Tensor:

@@ -9,11 +9,12 @@ from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import sh_degree_of
 
-__all__ = ["GaussianTensors"]
+__all__ = ["GaussianTensors", "rotations_from_quats"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,3 +129,14 @@ class GaussianTensors:
 _SHAPES: dict[str, tuple[int | None, ...]] = dict(
     zip((f.name for f in fields(GaussianTensors)), ((3,), (4,), (3,), (), (1, 3), (None, 3)), strict=True)
 )
+
+
+def rotations_from_quats(quats: Tensor) -> Tensor:
+    """(N, 3, 3) world from Gaussian, of quaternions wxyz of any length."""
+    w, x, y, z = normalize(quats, dim=1).unbind(dim=1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)

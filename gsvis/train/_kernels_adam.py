@@ -1,0 +1,26 @@
+"""Adam on flat arrays in one pass over memory: each value, its gradient and its two moments are read once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+_BLOCK = 1 << 14
+
+
+@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
+def adam_step(values, gradients, first, second, rate, beta1, beta2, eps, root):
+    """One step in place; `rate` and `root` hold the corrections for moments that began at 0.
+
+    values -= rate * first / (sqrt(second) / root + eps)
+    """
+    rate, beta1, beta2 = np.float32(rate), np.float32(beta1), np.float32(beta2)
+    eps, scale, one = np.float32(eps), np.float32(1.0 / root), np.float32(1.0)
+    count = len(values)
+    for block in prange((count + _BLOCK - 1) // _BLOCK):
+        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+            g = gradients[i]
+            m = beta1 * first[i] + (one - beta1) * g
+            v = beta2 * second[i] + (one - beta2) * g * g
+            first[i], second[i] = m, v
+            values[i] -= rate * m / (np.sqrt(v) * scale + eps)

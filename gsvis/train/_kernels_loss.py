@@ -1,0 +1,98 @@
+"""The training loss and its gradient by the image: |difference| and SSIM in two passes over rows of all channels.
+
+Images are (H, 3 W) float32, channels interleaved, so that a step across is three values. Windows reach over black
+surroundings ("same" padding). Sums are taken by bands of rows and do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+ROWS = 16  # of one task
+_C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy", inline="always")
+def _across(row, window, reach, out):
+    """Blur a row that has `reach` zeros on either side, three values a step."""
+    out[:] = 0
+    for k in range(len(window)):
+        weight = window[k]
+        for x in range(len(out)):
+            out[x] += weight * row[x + 3 * k]
+
+
+@njit(cache=True, parallel=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def compare(image, target, window, slopes, sums):
+    """SSIM of every value, as sums and as what its gradient is made of.
+
+    slopes: (3, H, 3 W), out: of SSIM by the windows' mean of the image, of its square and of the product.
+    sums: (bands, 2), out: of |image - target| and of SSIM.
+    """
+    height, width = image.shape
+    taps = len(window)
+    margin, one, two = taps // 2, np.float32(1.0), np.float32(2.0)
+    reach = 3 * margin
+    for band in prange(len(sums)):
+        rows = np.zeros((5, width + 2 * reach), np.float32)
+        means = np.empty((5, width), np.float32)
+        difference, likeness = 0.0, 0.0
+        for y in range(band * ROWS, min((band + 1) * ROWS, height)):
+            inner = rows[:, reach : reach + width]
+            inner[:] = 0
+            for k in range(max(0, margin - y), min(taps, height + margin - y)):
+                weight, a, b = window[k], image[y + k - margin], target[y + k - margin]
+                for x in range(width):
+                    wa, wb = weight * a[x], weight * b[x]
+                    inner[0, x] += wa
+                    inner[1, x] += wb
+                    inner[2, x] += wa * a[x]
+                    inner[3, x] += wb * b[x]
+                    inner[4, x] += wa * b[x]
+            for e in range(5):
+                _across(rows[e], window, reach, means[e])
+            line, other = image[y], target[y]
+            away, alike = np.float32(0.0), np.float32(0.0)
+            for x in range(width):
+                mx, my = means[0, x], means[1, x]
+                a1, a2 = two * mx * my + _C1, two * (means[4, x] - mx * my) + _C2
+                b1, b2 = mx * mx + my * my + _C1, (means[2, x] - mx * mx) + (means[3, x] - my * my) + _C2
+                whole = one / (b1 * b2)
+                s = a1 * a2 * whole
+                slopes[0, y, x] = two * (my * (a2 - a1) * whole - s * mx * (one / b1 - one / b2))
+                slopes[1, y, x] = -s / b2
+                slopes[2, y, x] = two * a1 * whole
+                alike += s
+                away += abs(line[x] - other[x])
+            difference += away
+            likeness += alike
+        sums[band, 0], sums[band, 1] = difference, likeness
+
+
+@njit(cache=True, parallel=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def slope(image, target, window, slopes, by_difference, by_likeness, out):
+    """Gradient (H, 3 W) of by_difference * sum |image - target| + by_likeness * sum of SSIM, into out."""
+    height, width = image.shape
+    taps = len(window)
+    margin, two = taps // 2, np.float32(2.0)
+    by_difference, by_likeness = np.float32(by_difference), np.float32(by_likeness)
+    reach = 3 * margin
+    for band in prange((height + ROWS - 1) // ROWS):
+        rows = np.zeros((3, width + 2 * reach), np.float32)
+        blurred = np.empty((3, width), np.float32)
+        for y in range(band * ROWS, min((band + 1) * ROWS, height)):
+            inner = rows[:, reach : reach + width]
+            inner[:] = 0
+            for k in range(max(0, margin - y), min(taps, height + margin - y)):
+                weight = window[k]
+                for e in range(3):
+                    source, into = slopes[e, y + k - margin], inner[e]
+                    for x in range(width):
+                        into[x] += weight * source[x]
+            for e in range(3):
+                _across(rows[e], window, reach, blurred[e])
+            line, other = image[y], target[y]
+            for x in range(width):
+                likeness = blurred[0, x] + two * line[x] * blurred[1, x] + other[x] * blurred[2, x]
+                out[y, x] = by_difference * np.sign(line[x] - other[x]) + by_likeness * likeness

@@ -1,0 +1,117 @@
+"""A training run on disk: everything that its course from here on depends on, in one NumPy archive.
+
+Written whole or not at all. A checkpoint knows which run it is of: another configuration, other images or other
+Gaussians to begin with are refused, not mixed. No code is ever read from one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io.atomic import atomic_path
+from gsvis.train.history import Record
+from gsvis.train.parameters import NAMES
+
+if TYPE_CHECKING:
+    from gsvis.train.trainer import Trainer
+
+__all__ = ["load_checkpoint", "run_key", "save_checkpoint"]
+
+_FORMAT, _VERSION = "gsvis-training", 1
+_STORES = ("values", "first", "second")
+_AGAIN = "delete it to train from the beginning"
+
+
+def run_key(trainer: Trainer) -> str:
+    """Hash of what a run is of: its configuration, its images and cameras, and what it began with."""
+    digest = hashlib.sha256(json.dumps(asdict(trainer.config), sort_keys=True).encode())
+    views = trainer.views
+    for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
+        digest.update(str((array.shape, array.dtype)).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    digest.update(trainer.beginning.encode())
+    return digest.hexdigest()
+
+
+def save_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
+    """Write a run as it stands.
+
+    Raises:
+        OSError: If it cannot be written; what was there before is still there.
+    """
+    p, rules = trainer.parameters, trainer.densifier
+    arrays: dict[str, NDArray[Any]] = {
+        f"{store}/{name}": getattr(p, store)[name].detach().cpu().numpy() for store in _STORES for name in NAMES
+    }
+    if rules is not None:
+        arrays |= {"densifier/total": rules.total.cpu().numpy(), "densifier/seen": rules.seen.cpu().numpy()}
+    header = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "run": trainer.key,
+        "step": trainer.step,
+        "adam_steps": p.steps,
+        "seconds": trainer.seconds,
+        "loss": trainer.loss,
+        "history": [asdict(record) for record in trainer.history],
+    }
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    with atomic_path(path) as partial, open(partial, "wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
+    """Bring a run to where a checkpoint left it.
+
+    Raises:
+        FormatError: If the file is damaged, of another format or of a newer version.
+        ValueError: If it is of another run.
+    """
+    header, arrays = _read(path)
+    if header.get("run") != trainer.key:
+        raise ValueError(
+            f"checkpoint: expected {os.fspath(path)} to be of the same images, Gaussians and configuration, "
+            f"got another run's; {_AGAIN}, or name another file"
+        )
+    try:
+        p = trainer.parameters
+        for store in _STORES:
+            for name in NAMES:
+                tensor = torch.from_numpy(arrays[f"{store}/{name}"]).to(p.values[name].device)
+                getattr(p, store)[name] = tensor.requires_grad_(store == "values")
+        if trainer.densifier is not None:
+            like = p.values["means"]
+            trainer.densifier.total = torch.from_numpy(arrays["densifier/total"]).to(like)
+            trainer.densifier.seen = torch.from_numpy(arrays["densifier/seen"]).to(like)
+        p.steps, trainer.step = int(header["adam_steps"]), int(header["step"])
+        trainer.seconds, trainer.loss = float(header["seconds"]), float(header["loss"])
+        trainer.history = [Record(**record) for record in header["history"]]
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise FormatError(path, "", "a whole checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        header = json.loads(arrays.pop("header").tobytes())
+        if header["format"] != _FORMAT:
+            raise ValueError(f"format {header['format']!r}")
+        version = int(header["version"])
+    except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, FileNotFoundError | PermissionError):
+            raise
+        raise FormatError(path, "", "a checkpoint of gsvis", f"{type(error).__name__}: {error}", _AGAIN) from error
+    if version > _VERSION:
+        raise FormatError(path, "version", f"at most {_VERSION}", str(version), "update gsvis")
+    return header, arrays

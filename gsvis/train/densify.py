@@ -1,0 +1,169 @@
+"""Where a scene in training gets more Gaussians and where it loses some: clone, split, prune, reset of opacities.
+
+The default rules of 3DGS, and the gentler ones of SRBF-Gaussian for levels with frozen rows (`split=False`,
+`most_share`). What drives them is the mean length of the loss's gradient by projected centres, in half image sizes.
+
+References:
+    Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", TOG 2023, section 5.2.
+    SRBF-Gaussian, section 6.1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gsvis.render.tensors import rotations_from_quats
+from gsvis.train.parameters import Parameters
+
+__all__ = ["Densifier", "DensifyConfig"]
+
+_SMALLER = 1.6  # a split Gaussian is this much larger than its two parts
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """When and what to add and to take away.
+
+    Attributes:
+        start: Step of the first change, without it.
+        stop: Step of the last.
+        every: Steps from one to the next.
+        threshold: Mean gradient by projected centres, in half image sizes, above which a Gaussian is cloned or split.
+        small: Largest scale of what is cloned, as a share of the extent; larger ones are split.
+        split: Whether large ones are split in two; else they are cloned as well.
+        most_share: Of all Gaussians, how many may be added at a time; those of largest gradient are.
+        most_count: Gaussians beyond which none is added.
+        least_opacity: Below it a Gaussian is pruned.
+        largest: Scale above which one is pruned, as a share of the extent, after the first reset.
+        reset_every: Steps between resets of opacities; 0 for none.
+    """
+
+    start: int = 500
+    stop: int = 15_000
+    every: int = 100
+    threshold: float = 2e-4
+    small: float = 0.01
+    split: bool = True
+    most_share: float = 1.0
+    most_count: int = 5_000_000
+    least_opacity: float = 0.005
+    largest: float = 0.1
+    reset_every: int = 3_000
+
+    def __post_init__(self) -> None:
+        for name in ("every", "most_count"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+        for name in ("start", "stop", "reset_every"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}: expected at least 0, got {getattr(self, name)}")
+        for name in ("threshold", "small", "largest"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)}")
+        if not 0.0 < self.most_share <= 1.0:
+            raise ValueError(f"most_share: expected a share in (0, 1], got {self.most_share}")
+        if not 0.0 <= self.least_opacity < 1.0:
+            raise ValueError(f"least_opacity: expected a value in [0, 1), got {self.least_opacity}")
+
+
+class Densifier:
+    """Sums gradients between changes, and makes the changes.
+
+    Args:
+        config: The rules.
+        extent: Size of the scene, in its units: how far cameras stand from their middle.
+        parameters: What is trained; edited in place by `refine`.
+
+    Attributes:
+        total: (N,) summed length of gradients.
+        seen: (N,) float, in how many views a Gaussian had one.
+    """
+
+    def __init__(self, config: DensifyConfig, extent: float, parameters: Parameters) -> None:
+        self.config, self.extent, self.parameters = config, extent, parameters
+        self._forget()
+
+    def _forget(self) -> None:
+        like = self.parameters.values["logit_opacities"].detach()
+        self.total, self.seen = torch.zeros_like(like), torch.zeros_like(like)
+
+    def observe(self, gradient: Tensor, width: int, height: int) -> None:
+        """Add the gradient (N, 2) of one view's loss by projected centres in pixels."""
+        length = torch.hypot(gradient[:, 0] * (0.5 * width), gradient[:, 1] * (0.5 * height))
+        self.total += length
+        self.seen += length > 0
+
+    def refine(self, step: int, generator: torch.Generator) -> tuple[int, int]:
+        """Change the Gaussians if this step is one to do so.
+
+        Args:
+            step: Steps taken, from 1.
+            generator: Where the parts of a split lie.
+
+        Returns:
+            How many were added and how many were pruned.
+        """
+        c = self.config
+        if c.reset_every and step % c.reset_every == 0 and step <= c.stop:
+            self._reset()
+        if step <= c.start or step > c.stop or step % c.every:
+            return 0, 0
+        with torch.no_grad():
+            before = len(self.parameters)
+            removed = self._grow(generator)
+            grown = len(self.parameters)
+            prune = torch.cat([removed, removed.new_zeros(grown - before)])
+            split = int(prune.sum())
+            prune |= self._spent(step)
+            prune[: self.parameters.frozen] = False
+            self.parameters.keep(~prune)
+            self._forget()
+        return grown - before - split, int(prune.sum()) - split
+
+    def _grow(self, generator: torch.Generator) -> Tensor:
+        """Append clones and parts; the mask (N before) of what was split and is to go."""
+        c, p = self.config, self.parameters
+        mean = self.total / self.seen.clamp(min=1.0)
+        chosen = mean > c.threshold
+        room = max(min(int(c.most_share * len(p)), c.most_count - len(p)), 0)
+        if int(chosen.sum()) > room:
+            largest = torch.argsort(mean, descending=True, stable=True)[:room]
+            among = torch.zeros_like(chosen)
+            among[largest] = True
+            chosen &= among
+        large = p.values["log_scales"].detach().amax(dim=1) > math.log(c.small * self.extent)
+        split = chosen & large if c.split else torch.zeros_like(chosen)
+        split[: p.frozen] = False  # a frozen one is cloned instead
+        cloned = {name: value.detach()[chosen & ~split] for name, value in p.values.items()}
+        parts = self._parts(split, generator)
+        p.append({name: torch.cat([cloned[name], parts[name]]) for name in cloned})
+        return split
+
+    def _parts(self, split: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+        """Two smaller Gaussians for each of a mask, drawn from it."""
+        rows = {name: value.detach()[split] for name, value in self.parameters.values.items()}
+        parts = {name: torch.cat([value, value]) for name, value in rows.items()}
+        normal = torch.randn(parts["means"].shape, generator=generator).to(parts["means"])
+        offsets = normal * parts["log_scales"].exp()
+        parts["means"] = parts["means"] + torch.einsum("nij,nj->ni", rotations_from_quats(parts["quats"]), offsets)
+        parts["log_scales"] = parts["log_scales"] - math.log(_SMALLER)
+        return parts
+
+    def _spent(self, step: int) -> Tensor:
+        """Mask of what is too faint, or too large."""
+        c, values = self.config, self.parameters.values
+        spent = values["logit_opacities"].detach().sigmoid() < c.least_opacity
+        if c.reset_every and step > c.reset_every:
+            spent |= values["log_scales"].detach().amax(dim=1) > math.log(c.largest * self.extent)
+        return spent
+
+    def _reset(self) -> None:
+        """Lower all opacities to twice what is pruned, so that those which count must show it."""
+        p = self.parameters
+        rows = slice(p.frozen, None)
+        most = math.log(2.0 * self.config.least_opacity / (1.0 - 2.0 * self.config.least_opacity))
+        p.replace("logit_opacities", rows, p.values["logit_opacities"].detach()[rows].clamp(max=most))

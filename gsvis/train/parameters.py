@@ -1,0 +1,146 @@
+"""What training changes: raw values of Gaussians, their Adam moments, and edits of rows that keep all in step.
+
+Raw values are unbounded: `log_scales`, `logit_opacities`, quaternions of any length; colours are SH. The first `frozen`
+rows are drawn but never changed. Nothing here renders or chooses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gsvis.render.tensors import GaussianTensors
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train._kernels_adam import adam_step
+
+__all__ = ["NAMES", "Parameters"]
+
+NAMES = ("means", "log_scales", "quats", "logit_opacities", "sh0", "shN")
+
+_MOST_LOGIT = 16.0  # opacity 1 - 1e-7, what float32 tells from 1
+_BETAS = (0.9, 0.999)
+_EPS = 1e-15
+
+
+@dataclass(eq=False, repr=False)
+class Parameters:
+    """N Gaussians as training holds them.
+
+    Attributes:
+        values: Raw tensors by name: means (N, 3), log_scales (N, 3), quats (N, 4), logit_opacities (N,), sh0 (N, 1, 3),
+            shN (N, K-1, 3); leaves that gather gradients.
+        first: First moments of Adam, shaped as the values.
+        second: Second moments.
+        frozen: How many rows at the start stand unchanged.
+        steps: Adam steps taken.
+    """
+
+    values: dict[str, Tensor]
+    first: dict[str, Tensor]
+    second: dict[str, Tensor]
+    frozen: int = 0
+    steps: int = 0
+
+    @classmethod
+    def from_gaussians(cls, gaussians: Gaussians, *, frozen: int = 0, device: str = "cpu") -> Parameters:
+        """Raw values of a scene, moments 0."""
+        opacities = torch.tensor(gaussians.opacities)
+        raw = {
+            "means": torch.tensor(gaussians.means),
+            "log_scales": torch.tensor(gaussians.scales).log(),
+            "quats": torch.tensor(gaussians.quats),
+            "logit_opacities": torch.logit(opacities).clamp(-_MOST_LOGIT, _MOST_LOGIT),
+            "sh0": torch.tensor(gaussians.sh0),
+            "shN": torch.tensor(gaussians.shN),
+        }
+        values = {name: raw[name].to(device).requires_grad_() for name in NAMES}
+        first, second = ({name: torch.zeros_like(v, requires_grad=False) for name, v in values.items()} for _ in "12")
+        return cls(values, first, second, frozen)
+
+    def __len__(self) -> int:
+        return len(self.values["means"])
+
+    def activated(self) -> GaussianTensors:
+        """What a rasterizer draws; gradients flow back to the raw values."""
+        v = self.values
+        scales, opacities = v["log_scales"].exp(), v["logit_opacities"].sigmoid()
+        return GaussianTensors(v["means"], v["quats"], scales, opacities, v["sh0"], v["shN"])
+
+    def gaussians(self) -> Gaussians:
+        """The scene as it stands, in NumPy, a copy."""
+        with torch.no_grad():
+            now = self.activated()
+            return Gaussians(**{name: part.cpu().numpy().copy() for name, part in vars(now).items()})
+
+    def adam_step(self, rates: Mapping[str, float]) -> None:
+        """One step of Adam along the gradients gathered, which are then let go; frozen rows stay.
+
+        Args:
+            rates: Learning rate of each name.
+
+        References:
+            Kingma and Ba, "Adam: a method for stochastic optimization", ICLR 2015, algorithm 1.
+        """
+        self.steps += 1
+        beta1, beta2 = _BETAS
+        root = math.sqrt(1.0 - beta2**self.steps)
+        with torch.no_grad():
+            for name, value in self.values.items():
+                gradient = value.grad
+                value.grad = None
+                if gradient is None or value.numel() == 0:
+                    continue
+                rate = rates[name] / (1.0 - beta1**self.steps)
+                value, gradient = value[self.frozen :], gradient[self.frozen :]
+                first, second = self.first[name][self.frozen :], self.second[name][self.frozen :]
+                step = _adam_cpu if value.device.type == "cpu" else adam_reference
+                step(value, gradient, first, second, rate, root)
+
+    def keep(self, rows: Tensor) -> None:
+        """Keep only the rows of a mask or an index, moments with them; frozen rows must come first in it."""
+        for moments in (self.first, self.second):
+            moments.update({name: m[rows].contiguous() for name, m in moments.items()})
+        for name, value in self.values.items():
+            self.values[name] = value.detach()[rows].contiguous().requires_grad_()
+
+    def append(self, rows: Mapping[str, Tensor]) -> None:
+        """Add rows of raw values, their moments 0."""
+        for name, new in rows.items():
+            nothing = torch.zeros_like(new)
+            for moments in (self.first, self.second):
+                moments[name] = torch.cat([moments[name], nothing])
+            self.values[name] = torch.cat([self.values[name].detach(), new.detach()]).requires_grad_()
+
+    def replace(self, name: str, rows: Tensor | slice, values: Tensor) -> None:
+        """Write raw values, their moments 0."""
+        with torch.no_grad():
+            self.values[name][rows] = values
+        self.first[name][rows] = 0.0
+        self.second[name][rows] = 0.0
+
+    def raise_sh_degree(self, degree: int) -> None:
+        """Room for SH of a higher degree, zeros at first; nothing where there is enough."""
+        have, want = self.values["shN"].shape[1], (degree + 1) ** 2 - 1
+        if want <= have:
+            return
+        for store in (self.values, self.first, self.second):
+            held = store["shN"].detach()
+            store["shN"] = torch.cat([held, held.new_zeros(len(held), want - have, 3)], dim=1).contiguous()
+        self.values["shN"].requires_grad_()
+
+
+def _adam_cpu(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
+    flat = (t.reshape(-1).numpy() for t in (value, gradient.contiguous(), first, second))
+    adam_step(*flat, rate, *_BETAS, _EPS, root)
+
+
+def adam_reference(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
+    """The same step in torch, for every device; the slow twin of the kernel."""
+    beta1, beta2 = _BETAS
+    first.lerp_(gradient, 1.0 - beta1)
+    second.mul_(beta2).addcmul_(gradient, gradient, value=1.0 - beta2)
+    value.addcdiv_(first, (second.sqrt() / root).add_(_EPS), value=-rate)

@@ -1,0 +1,300 @@
+"""Training of a scene on posed images, step by step: one loop for every backend of the rasterizer.
+
+A step draws one view, compares it, and moves the Gaussians; now and then Gaussians come and go. Every random choice is
+a function of the seed and the step, so a run that goes on from a checkpoint takes the same course as one never stopped.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import time
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.render.metrics import psnr
+from gsvis.render.rasterizer import rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.checkpoint import load_checkpoint, run_key, save_checkpoint
+from gsvis.train.densify import Densifier, DensifyConfig
+from gsvis.train.history import Record
+from gsvis.train.images import PosedImages
+from gsvis.train.loss import photometric_loss
+from gsvis.train.parameters import Parameters
+
+__all__ = ["Record", "TrainConfig", "TrainResult", "Trainer", "extent_of", "train"]
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a scene is trained; the rates and rules of 3DGS unless told otherwise.
+
+    Attributes:
+        iterations: Steps, one view each.
+        sh_degree: Highest degree of colour, 0 to 3.
+        sh_every: Steps after which the degree rises by one, from 0; 0 starts at the highest.
+        ssim_weight: Share of SSIM in the loss.
+        means_rate: Learning rate of centres at the start, over the extent of the scene; falls exponentially.
+        means_rate_end: The same at the last step.
+        scales_rate, quats_rate, opacities_rate, sh0_rate, shN_rate: Learning rates of the other raw values.
+        densify: When Gaussians come and go; None for never.
+        evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
+        seed: Of the order of views and of where parts of split Gaussians lie.
+        backend: Of the rasterizer.
+    """
+
+    iterations: int = 7_000
+    sh_degree: int = 3
+    sh_every: int = 1_000
+    ssim_weight: float = 0.2
+    means_rate: float = 1.6e-4
+    means_rate_end: float = 1.6e-6
+    scales_rate: float = 5e-3
+    quats_rate: float = 1e-3
+    opacities_rate: float = 5e-2
+    sh0_rate: float = 2.5e-3
+    shN_rate: float = 1.25e-4  # noqa: N815  the field's own name
+    densify: DensifyConfig | None = field(default_factory=DensifyConfig)
+    evaluate_every: int = 1_000
+    seed: int = 0
+    backend: str = "auto"
+
+    def __post_init__(self) -> None:
+        _check.positive_int("iterations", self.iterations)
+        for name in ("sh_degree", "sh_every", "evaluate_every", "seed"):
+            _check.positive_int(name, getattr(self, name), at_least=0)
+        if self.sh_degree > 3:
+            raise ValueError(f"sh_degree: expected 0 to 3, got {self.sh_degree}")
+        if not 0.0 <= self.ssim_weight <= 1.0:
+            raise ValueError(f"ssim_weight: expected a share in [0, 1], got {self.ssim_weight}")
+        for name in ("means", "means_end", "scales", "quats", "opacities", "sh0", "shN"):
+            name = name.replace("means_end", "means_rate_end") if name == "means_end" else f"{name}_rate"
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, eq=False)
+class TrainResult:
+    """What training gave.
+
+    Attributes:
+        gaussians: The scene; its first rows are the frozen ones, unchanged.
+        history: A record for each evaluation, the last at the end.
+    """
+
+    gaussians: Gaussians
+    history: list[Record]
+
+
+class Trainer:
+    """A scene in training.
+
+    Args:
+        views: Images to come close to, with their cameras.
+        start: Gaussians to begin with.
+        config: How to train.
+        frozen: Gaussians that are drawn but stand unchanged; they come first in the result.
+        held_out: Views to measure on.
+
+    Attributes:
+        parameters: Raw values.
+        step: Steps taken.
+        seconds: Time spent in them.
+        history: Evaluations so far.
+        beginning: Hash of the Gaussians that training began with.
+
+    Raises:
+        ValueError: If there are no views, or nothing to train.
+    """
+
+    def __init__(
+        self,
+        views: PosedImages,
+        start: Gaussians,
+        config: TrainConfig,
+        *,
+        frozen: Gaussians | None = None,
+        held_out: PosedImages | None = None,
+        device: str = "cpu",
+    ) -> None:
+        if len(views) == 0:
+            raise ValueError("views: expected at least one image to train on, got none")
+        if len(start) == 0:
+            raise ValueError("start: expected at least one Gaussian to begin with, got none")
+        self.views, self.held_out, self.config = views, held_out, config
+        self.extent = extent_of(views.cameras)
+        self._frozen = frozen
+        self.beginning = "".join(scene_hash(part) for part in (start, frozen) if part is not None)
+        degree = config.sh_degree if config.sh_every == 0 else min(start.sh_degree, config.sh_degree)
+        whole = _of_degree(start, degree)
+        if frozen is not None and len(frozen):
+            degree = max(degree, frozen.sh_degree)
+            whole = Gaussians.concatenate([_of_degree(part, degree) for part in (frozen, start)])
+        self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen), device=device)
+        rules = config.densify
+        self.densifier = Densifier(rules, self.extent, self.parameters) if rules is not None else None
+        self.step, self.seconds, self.loss = 0, 0.0, math.nan
+        self.history: list[Record] = []
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the configuration, the images and what training began with: which run this is."""
+        return run_key(self)
+
+    def rates(self) -> dict[str, float]:
+        """Learning rates of the coming step."""
+        c = self.config
+        share = self.step / max(c.iterations - 1, 1)
+        means = c.means_rate ** (1.0 - share) * c.means_rate_end**share * self.extent
+        return {
+            "means": means,
+            "log_scales": c.scales_rate,
+            "quats": c.quats_rate,
+            "logit_opacities": c.opacities_rate,
+            "sh0": c.sh0_rate,
+            "shN": c.shN_rate,
+        }
+
+    def view_of(self, step: int) -> int:
+        """The view that a step draws: all once in each round, in an order of its own."""
+        turn, place = divmod(step, len(self.views))
+        return int(np.random.default_rng([self.config.seed, turn]).permutation(len(self.views))[place])
+
+    def advance(self) -> float:
+        """Take one step; its loss."""
+        c, began = self.config, time.perf_counter()
+        if c.sh_every and self.step % c.sh_every == 0:
+            self.parameters.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
+        index = self.view_of(self.step)
+        camera = self.views.cameras[index]
+        drawn = rasterize(self.parameters.activated(), camera, backend=c.backend)
+        target = torch.from_numpy(self.views.image(index)).to(drawn.images)
+        loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
+        loss.backward()  # type: ignore[no-untyped-call]
+        if self.densifier is not None and drawn.means2d.grad is not None:
+            self.densifier.observe(drawn.means2d.grad[0], camera.width, camera.height)
+        self.parameters.adam_step(self.rates())
+        self.step += 1
+        if self.densifier is not None:
+            self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
+        value = float(loss.detach())
+        share = max(1.0 / self.step, 0.01)
+        self.loss = value if math.isnan(self.loss) else (1.0 - share) * self.loss + share * value
+        self.seconds += time.perf_counter() - began
+        return value
+
+    def record(self) -> Record:
+        """Measure on held-out views, if there are any, and note how things stand."""
+        now = Record(self.step, self.seconds, self.loss, len(self.parameters))
+        if self.held_out is not None:
+            now = replace(now, psnr=mean_psnr(self.gaussians(), self.held_out, self.config.backend))
+        self.history.append(now)
+        _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
+        return now
+
+    def gaussians(self) -> Gaussians:
+        """The scene as it stands, frozen rows exactly as they were given."""
+        whole = self.parameters.gaussians()
+        if self._frozen is None or len(self._frozen) == 0:
+            return whole
+        degree = max(self._frozen.sh_degree, whole.sh_degree)
+        own = _of_degree(whole[len(self._frozen) :], degree)
+        return Gaussians.concatenate([_of_degree(self._frozen, degree), own])
+
+
+def train(
+    views: PosedImages,
+    start: Gaussians,
+    config: TrainConfig | None = None,
+    *,
+    frozen: Gaussians | None = None,
+    held_out: PosedImages | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint_seconds: float = 120.0,
+    progress: Progress = silent,
+) -> TrainResult:
+    """Train a scene on images.
+
+    Args:
+        views: Images to come close to, with their cameras.
+        start: Gaussians to begin with, such as those of `gaussians_from_points`.
+        config: How; the defaults of `TrainConfig` if None.
+        frozen: Gaussians that are drawn but stand unchanged; they come first in the result.
+        held_out: Views to measure on, never trained on.
+        checkpoint: A file to write every so often and on Ctrl-C, and to go on from where it is there. It must be of the
+            same images, start and configuration. It stays when training is done.
+        checkpoint_seconds: Time between writes.
+        progress: Called with every step; stage "train".
+
+    Raises:
+        ValueError: If there are no views or Gaussians, or the checkpoint is of another run.
+        FormatError: If the checkpoint is damaged.
+        KeyboardInterrupt: Raised on, after a checkpoint was written.
+    """
+    config = config or TrainConfig()
+    trainer = Trainer(views, start, config, frozen=frozen, held_out=held_out)
+    if checkpoint is not None and os.path.exists(checkpoint):
+        load_checkpoint(checkpoint, trainer)
+    progress("train", trainer.step, config.iterations)
+    saved = time.monotonic()
+    try:
+        while trainer.step < config.iterations:
+            trainer.advance()
+            due = trainer.step == config.iterations or (
+                config.evaluate_every and trainer.step % config.evaluate_every == 0
+            )
+            if due:
+                trainer.record()
+            if checkpoint is not None and (
+                time.monotonic() - saved > checkpoint_seconds or trainer.step == config.iterations
+            ):
+                save_checkpoint(checkpoint, trainer)
+                saved = time.monotonic()
+            progress("train", trainer.step, config.iterations)
+    except KeyboardInterrupt:
+        if checkpoint is not None:
+            save_checkpoint(checkpoint, trainer)
+        raise
+    return TrainResult(trainer.gaussians(), trainer.history)
+
+
+def extent_of(cameras: Cameras) -> float:
+    """1.1 times the distance of the farthest viewpoint from the middle of all; 1 for a single one. Scene units."""
+    away = np.linalg.norm(cameras.viewpoints - cameras.viewpoints.mean(axis=0), axis=1)
+    return 1.1 * float(away.max()) or 1.0
+
+
+def mean_psnr(gaussians: Gaussians, views: PosedImages, backend: str = "auto") -> float:
+    """Mean PSNR over views in dB, of images clipped to [0, 1] as a display does."""
+    with torch.no_grad():
+        values = []
+        for index in range(len(views)):
+            drawn = rasterize(gaussians, views.cameras[index], backend=backend).images[0].clamp(0.0, 1.0)
+            target = torch.from_numpy(views.image(index)).to(drawn).clamp(0.0, 1.0)
+            values.append(float(psnr(drawn, target)))
+    return float(np.mean(values))
+
+
+def hash_of(seed: int, step: int) -> int:
+    """A seed for torch from the run's own and a step."""
+    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
+
+
+def _of_degree(gaussians: Gaussians, degree: int) -> Gaussians:
+    """The same Gaussians with SH cut or filled up with zeros to a degree."""
+    have, want = gaussians.shN.shape[1], (degree + 1) ** 2 - 1
+    if have == want:
+        return gaussians
+    shN = np.zeros((len(gaussians), want, 3), np.float32)
+    shN[:, : min(have, want)] = gaussians.shN[:, : min(have, want)]
+    return Gaussians(gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh0, shN)
