@@ -1,0 +1,140 @@
+"""What training from photographs starts with: Gaussians at the points of a reconstruction, or at random ones.
+
+World frame and units are those of the cameras. Nothing here looks at an image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.points import PointCloud
+from gsvis.scene.sh import SH_C0
+
+__all__ = ["gaussians_from_points", "random_points"]
+
+F64 = NDArray[np.float64]
+
+_NEIGHBOURS = 3
+_OPACITY = 0.1
+_LEAST_SCALE = 1e-7  # of the size of the cloud: what float32 still tells apart
+_ROUNDS = 200
+
+
+def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
+    """A faint ball at each point, as large as its neighbours are far.
+
+    The scale is the root mean square distance to the 3 nearest points at other places (to those there are, if fewer),
+    the opacity 0.1, the colour that of the point from every side.
+
+    Args:
+        points: N points, at 2 places or more.
+        sh_degree: Degree of the colours, the higher coefficients 0. Training raises it from 0 by itself.
+
+    Returns:
+        N Gaussians in the order of the points.
+
+    Raises:
+        ValueError: If all points lie at one place, there are none, or the degree is not 0 to 3.
+
+    References:
+        Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", TOG 2023, section 5.1 and the
+        authors' code, which takes duplicates for neighbours at distance 0.
+
+    Examples:
+        >>> start = gaussians_from_points(PointCloud([[0, 0, 0], [3, 0, 0], [0, 4, 0]]))
+        >>> float(start.scales[0, 0])  # root of (9 + 16) / 2
+        3.535534
+    """
+    if sh_degree not in (0, 1, 2, 3):
+        raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
+    places, of_point = np.unique(points.means.astype(np.float64), axis=0, return_inverse=True)
+    if len(places) < 2:
+        told = f"{len(points):,} at {len(places)}"
+        raise ValueError(f"points: expected points at 2 places or more, got {told}; random_points makes some")
+    near, _ = cKDTree(places).query(places, k=min(_NEIGHBOURS, len(places) - 1) + 1)
+    apart = np.sqrt((near[:, 1:] ** 2).mean(axis=1))  # the first is the point itself
+    size = float(np.ptp(places, axis=0).max())
+    scales = np.maximum(apart, _LEAST_SCALE * size)[of_point.reshape(-1)]
+    n = len(points)
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1.0
+    return Gaussians(
+        points.means,
+        quats,
+        np.repeat(scales[:, None], 3, axis=1),
+        np.full(n, _OPACITY, np.float32),
+        ((points.colors - 0.5) / SH_C0)[:, None, :],
+        np.zeros((n, (sh_degree + 1) ** 2 - 1, 3), np.float32),
+    )
+
+
+def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> PointCloud:
+    """Points for a reconstruction that has none: grey, uniform in the box that cameras look at, where one sees them.
+
+    The box holds the viewpoints and, from each, what lies twice as far as the point nearest to all lines of sight (at
+    least as far as cameras stand apart, where they look past each other).
+
+    Args:
+        cameras: C cameras, C >= 1.
+        count: N, how many points.
+        rng: Where they lie.
+
+    Returns:
+        N points, each inside the image of at least one camera.
+
+    Raises:
+        ValueError: If there is no camera, or `count` is below 1.
+        SceneError: If the cameras see next to nothing of the box.
+
+    Examples:
+        >>> around = Cameras.orbit((0, 0, 0), 2.0, 8)
+        >>> random_points(around, 100, np.random.default_rng(0))
+        PointCloud(100)
+    """
+    _check.positive_int("count", count)
+    if len(cameras) == 0:
+        raise ValueError("cameras: expected at least one, got none")
+    low, high = _seen_box(cameras)
+    kept: list[F64] = []
+    have = 0
+    for _ in range(_ROUNDS):
+        drawn = rng.uniform(low, high, (count, 3))
+        kept.append(drawn[_seen(cameras, drawn)])
+        have += len(kept[-1])
+        if have >= count:
+            return PointCloud(np.concatenate(kept)[:count])
+    raise SceneError(
+        f"the {len(cameras):,} cameras see next to nothing of the box they look at; are their poses right?"
+    )
+
+
+def _seen_box(cameras: Cameras) -> tuple[F64, F64]:
+    """Lowest and highest corner of the box, (3,) each."""
+    eyes, axes = cameras.viewpoints, cameras.forwards
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # takes away what lies along the line of sight
+    focus, *_ = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, eyes), rcond=1e-6)
+    spread = float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) or 1.0
+    far = np.maximum(np.einsum("ci,ci->c", focus - eyes, axes), spread)
+    corners = np.concatenate([eyes, eyes + 2.0 * far[:, None] * axes])
+    middle, half = 0.5 * (corners.min(axis=0) + corners.max(axis=0)), 0.5 * np.ptp(corners, axis=0)
+    half = np.maximum(half, 0.25 * half.max())  # cameras on a line or in a plane see what is beside it
+    return middle - half, middle + half
+
+
+def _seen(cameras: Cameras, points: F64) -> NDArray[np.bool_]:
+    """(N,) whether a point is inside the image of at least one camera."""
+    seen = np.zeros(len(points), bool)
+    for pose, k in zip(cameras.viewmats, cameras.Ks, strict=True):
+        rest = np.flatnonzero(~seen)
+        local = points[rest] @ pose[:3, :3].T + pose[:3, 3]
+        with np.errstate(all="ignore"):
+            x, y = (local @ k[:2].T / local[:, 2:]).T
+        inside = (local[:, 2] > 0) & (x >= 0) & (x < cameras.width) & (y >= 0) & (y < cameras.height)
+        seen[rest[inside]] = True
+    return seen
