@@ -1,0 +1,197 @@
+"""Which Gaussians matter to images, and nested subsets of a scene that keep those that do.
+
+Errors are squared differences of RGB values where 1 is white, averaged over channels, pixels and views: against
+photographs where there are any, else against the scene's own images. docs/design/015-importance.md says what was tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.render.rasterizer import rasterize
+from gsvis.render.removal import removal_effects
+from gsvis.render.tensors import GaussianTensors
+from gsvis.render.weights import view_weights
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.images import PosedImages
+
+__all__ = ["IMPORTANCE_METHODS", "importance", "most_important", "prune"]
+
+IMPORTANCE_METHODS = ("removal", "absolute", "gradient", "weight")
+
+_BLACK = (0.0, 0.0, 0.0)
+
+
+def importance(
+    gaussians: Gaussians,
+    views: PosedImages | Cameras,
+    *,
+    method: str = "removal",
+    background: ArrayLike = _BLACK,
+    progress: Progress = silent,
+) -> NDArray[np.float64]:
+    """How much each Gaussian matters to the images of some views.
+
+    Args:
+        gaussians: N Gaussians.
+        views: Photographs with their cameras, or cameras alone, for which the scene's own images stand in.
+        method: "removal": what removing the Gaussian alone adds to the mean squared error; negative where the
+            photographs are met better without it. "absolute": the mean absolute change of the images by its removal,
+            whatever the photographs. "gradient": eq. 6, the sum over views of |dE_i / dg| over the sum of pixels, with
+            E_i the squared error of view i and dE_i / dg taken over the opacity, times the opacity: the removal's
+            effect on the error to first order. "weight": the mean blending weight.
+        background: (3,) RGB behind everything.
+        progress: Called with stage "importance", in views.
+
+    Returns:
+        (N,) per pixel, the larger the more important; 0 for what no view shows.
+
+    Raises:
+        ValueError: If the method is unknown, or is "gradient" without photographs: the error against the scene's own
+            images is zero and so is its gradient.
+
+    References:
+        SRBF-Gaussian, section 6.1, equation 6.
+    """
+    _check.one_of("method", method, IMPORTANCE_METHODS)
+    cameras, images = (views.cameras, views.images) if isinstance(views, PosedImages) else (views, None)
+    pixels = max(len(cameras), 1) * cameras.width * cameras.height
+
+    def told(stage: str, done: int, total: int) -> None:
+        progress("importance", done, total)
+
+    if method == "weight":
+        summed = np.zeros(len(gaussians))
+        progress("importance", 0, len(cameras))
+        for c in range(len(cameras)):  # all views at once would be a (C, N) array
+            summed += view_weights(gaussians, cameras[c]).summed[0]
+            progress("importance", c + 1, len(cameras))
+        return summed / pixels
+    if method == "gradient":
+        if not isinstance(views, PosedImages):
+            raise ValueError(
+                "method: expected photographs for 'gradient', got cameras alone; the error against the scene's own "
+                "images is zero and so is its gradient: use 'removal'"
+            )
+        return _gradients(gaussians, views, background, told) / pixels
+    effects = removal_effects(gaussians, cameras, images=images, background=background, progress=told)
+    return (effects.absolute if method == "absolute" else effects.error_change) / pixels
+
+
+def _gradients(g: Gaussians, views: PosedImages, background: ArrayLike, progress: Progress) -> NDArray[np.float64]:
+    """(N,) sum over views of |opacity dE_i / d opacity|, E_i summed over pixels and averaged over channels."""
+    tensors = GaussianTensors.from_gaussians(g)
+    tensors.opacities.requires_grad_(True)
+    total = torch.zeros(len(g), dtype=torch.float64)
+    progress("gradient", 0, len(views))
+    for c in range(len(views)):
+        drawn = rasterize(tensors, views.cameras[c], background=background).images[0]
+        error = (drawn - torch.from_numpy(views.image(c))).square().sum() / 3.0
+        (by_opacity,) = torch.autograd.grad(error, [tensors.opacities])
+        total += (tensors.opacities.detach() * by_opacity).abs()
+        progress("gradient", c + 1, len(views))
+    return total.numpy()
+
+
+def most_important(gaussians: Gaussians, importance: ArrayLike, count: int) -> NDArray[np.bool_]:
+    """The most important Gaussians, equal ones in the order of their content, so that no permutation counts.
+
+    Args:
+        gaussians: N Gaussians.
+        importance: (N,) the larger the more important.
+        count: How many, 0 to N.
+
+    Returns:
+        (N,) mask of `count` Gaussians.
+
+    Raises:
+        ValueError: If `count` or the number of values does not fit.
+    """
+    values = _check.floats("importance", importance, (len(gaussians),), np.float64)
+    if _check.positive_int("count", count, at_least=0) > len(values):
+        raise ValueError(f"count: expected at most {len(values)}, the Gaussians there are, got {count}")
+    if count == 0:
+        return np.zeros(len(values), bool)
+    least = -np.partition(-values, count - 1)[count - 1]
+    chosen = values > least
+    equal = np.flatnonzero(values == least)
+    some = gaussians[equal]
+    columns = some.means, some.scales, some.quats, some.opacities[:, None], some.sh0[:, 0]
+    keys = [key for column in columns for key in column.T]
+    chosen[equal[np.lexsort(keys[::-1])[: count - int(chosen.sum())]]] = True
+    return np.asarray(chosen)
+
+
+def prune(
+    gaussians: Gaussians,
+    views: PosedImages | Cameras,
+    counts: Sequence[int],
+    *,
+    share: float = 0.2,
+    background: ArrayLike = _BLACK,
+    progress: Progress = silent,
+) -> list[NDArray[np.bool_]]:
+    """Nested subsets, found by taking away what is missed least, a share at a time, and looking again.
+
+    Effects of single removals do not add up: of two Gaussians that hide each other either may go, but not both. So
+    after each round the importance ("removal") of those that stay is measured again, against the same images.
+
+    Args:
+        gaussians: N Gaussians.
+        views: Photographs with their cameras, or cameras alone, for which the full scene's own images stand in.
+        counts: Sizes wanted, falling, each 1 to N.
+        share: Most of what is left that one round takes away, in (0, 1); each round costs a pass over all views.
+        background: (3,) RGB behind everything.
+        progress: Called with stage "prune", in views of all rounds.
+
+    Returns:
+        A mask (N,) for each count, each a subset of the one before; the same whatever the order of the Gaussians.
+
+    Raises:
+        ValueError: If the counts do not fall or `share` is out of range.
+    """
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"share: expected a value in (0, 1), got {share!r}")
+    schedule = _schedule(len(gaussians), counts, share)
+    cameras = views.cameras if isinstance(views, PosedImages) else views
+    if isinstance(views, Cameras):
+        targets = np.empty((len(views), views.height, views.width, 3), np.float32)
+        for c in range(len(views)):
+            targets[c] = rasterize(gaussians, views[c], background=background).images[0].numpy()
+        views = PosedImages(views, targets)
+    total, kept = len(schedule) * len(cameras), np.arange(len(gaussians))
+    masks = {}
+    progress("prune", 0, total)
+    for number, size in enumerate(schedule):
+
+        def told(stage: str, done: int, of: int, before: int = number * len(cameras)) -> None:
+            if done:
+                progress("prune", before + done, total)
+
+        if size < len(kept):
+            left = gaussians[kept]
+            values = importance(left, views, background=background, progress=told)
+            kept = kept[most_important(left, values, size)]
+        masks[size] = np.isin(np.arange(len(gaussians)), kept, assume_unique=True)
+    progress("prune", total, total)
+    return [masks[count].copy() for count in counts]
+
+
+def _schedule(n: int, counts: Sequence[int], share: float) -> list[int]:
+    """Sizes to go through, each of `counts` among them."""
+    sizes: list[int] = []
+    now = n
+    for count in counts:
+        if _check.positive_int("counts", count) > now:
+            raise ValueError(f"counts: expected falling sizes of at most {n}, got {list(counts)}")
+        rounds = max(int(np.ceil(np.log(count / now) / np.log1p(-share) - 1e-9)), 1)
+        sizes += [round(now * (count / now) ** ((k + 1) / rounds)) for k in range(rounds - 1)] + [int(count)]
+        now = int(count)
+    return sizes

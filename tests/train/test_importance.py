@@ -1,0 +1,130 @@
+"""Importance: what it is on scenes with a known answer, and laws of subsets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gsvis.render import rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.images import PosedImages
+from gsvis.train.importance import IMPORTANCE_METHODS, importance, most_important, prune
+from tests.raycast.scenes import scene
+
+
+def views(count: int = 3) -> Cameras:
+    return Cameras.orbit([0, 0, 0], 3.0, count, width=40, height=30)
+
+
+def photographs(g: Gaussians, cameras: Cameras) -> PosedImages:
+    return PosedImages(cameras, rasterize(g, cameras).images.numpy())
+
+
+def error(g: Gaussians, aims: PosedImages) -> float:
+    """Mean squared error."""
+    return float(np.square(rasterize(g, aims.cameras).images.numpy().astype(np.float64) - aims.images).mean())
+
+
+@pytest.mark.parametrize("method", IMPORTANCE_METHODS)
+def test_laws_of_every_method(method: str) -> None:
+    g, cameras = scene("mixed", n=150), views()
+    aims = photographs(scene("blobs", seed=2, n=100), cameras)
+    calls: list[tuple[str, int, int]] = []
+    values = importance(g, aims, method=method, progress=lambda *call: calls.append(call))
+    assert values.dtype == np.float64
+    assert values.shape == (150,)
+    assert calls == [("importance", i, 3) for i in range(4)]
+    turn = np.random.default_rng(0).permutation(len(g))
+    np.testing.assert_array_equal(importance(g[turn], aims, method=method), values[turn])
+    hidden = Gaussians(g.means, g.quats, g.scales, np.zeros(len(g)), g.sh0, g.shN)
+    assert not importance(hidden, aims, method=method).any()
+    assert importance(Gaussians.empty(1), aims, method=method).shape == (0,)
+
+
+def test_removal_is_the_rise_of_the_error() -> None:
+    g, cameras = scene("blobs", n=20), views()
+    g = Gaussians(g.means, g.quats, g.scales, 0.6 * g.opacities, g.sh0, g.shN)
+    for aims in (photographs(g, cameras), photographs(scene("blobs", seed=2, n=20), cameras)):
+        values = importance(g, aims)
+        for index in range(len(g)):
+            risen = error(g[np.arange(len(g)) != index], aims) - error(g, aims)
+            np.testing.assert_allclose(values[index], risen, atol=1e-6)
+    np.testing.assert_array_equal(importance(g, cameras), importance(g, cameras, method="removal"))
+
+
+def test_gradient_is_the_first_order_of_removal() -> None:
+    """In one view, opacity times |dE / d opacity| is the change of the error by removal less that change squared."""
+    g, cameras = scene("blobs", n=40), views(1)
+    g = Gaussians(g.means, g.quats, g.scales, np.full(len(g), 0.02), g.sh0, g.shN)
+    aims = photographs(scene("blobs", seed=2, n=40), cameras)
+    squared = importance(g, cameras)
+    np.testing.assert_allclose(importance(g, aims, method="gradient"), np.abs(importance(g, aims) - squared), atol=1e-7)
+
+
+def test_gradient_asks_for_photographs() -> None:
+    with pytest.raises(
+        ValueError, match=r"^method: expected photographs for 'gradient', got cameras alone; .* 'removal'"
+    ):
+        importance(scene("one"), views(), method="gradient")
+    with pytest.raises(ValueError, match=r"^method: expected one of 'removal', "):
+        importance(scene("one"), views(), method="guess")
+
+
+def test_most_important_whatever_the_order() -> None:
+    g = scene("coincident", n=60)
+    values = np.random.default_rng(3).integers(0, 4, 60).astype(float)  # many ties
+    turn = np.random.default_rng(4).permutation(60)
+    for count in (0, 1, 17, 30, 59, 60):
+        chosen = most_important(g, values, count)
+        assert chosen.sum() == count
+        assert values[chosen].min(initial=9) >= values[~chosen].max(initial=-9)
+        np.testing.assert_array_equal(most_important(g[turn], values[turn], count), chosen[turn])
+    with pytest.raises(ValueError, match=r"^count: expected at most 60"):
+        most_important(g, values, 61)
+    with pytest.raises(ValueError, match=r"^importance: expected shape \(60,\)"):
+        most_important(g, values[:5], 3)
+
+
+def test_pruning_nests_and_takes_one_of_two_twins() -> None:
+    """Every Gaussian stands twice: either may go, both may not, and one look cannot tell. One goes each round."""
+    x, y = np.meshgrid(np.linspace(-0.9, 0.9, 6), np.linspace(-0.6, 0.6, 5))
+    shades = np.random.default_rng(0).uniform(0.1, 1.0, (30, 1, 3))
+    means = np.stack([x.ravel(), y.ravel(), np.zeros(30)], axis=1)
+    apart = Gaussians(means, [[1, 0, 0, 0]] * 30, [[0.05] * 3] * 30, [0.95] * 30, shades)
+    g = apart[np.repeat(np.arange(30), 2)]
+    camera = Cameras.look_at([[0, 0, -3.0]], [[0, 0, 0]], up=[0, -1, 0], width=64, height=48)
+    calls: list[tuple[str, int, int]] = []
+    masks = prune(g, camera, (40, 30, 10), share=0.016, progress=lambda *call: calls.append(call))
+    assert [int(mask.sum()) for mask in masks] == [40, 30, 10]
+    assert not (masks[1] & ~masks[0]).any()
+    assert not (masks[2] & ~masks[1]).any()
+    np.testing.assert_array_equal(masks[1].reshape(30, 2).sum(axis=1), 1)
+    assert most_important(g, importance(g, camera), 30).reshape(30, 2).all(axis=1).any()
+    assert calls[0][1] == 0
+    assert calls[-1][1] == calls[-1][2]
+    assert sorted(calls) == calls
+    for mask, again in zip(masks, prune(g, photographs(g, camera), (40, 30, 10), share=0.016), strict=True):
+        np.testing.assert_array_equal(mask, again)
+
+
+def test_pruning_takes_what_photographs_do_not_show() -> None:
+    g, cameras = scene("blobs", n=60), views()
+    extra = scene("blobs", seed=9, n=12)
+    both = Gaussians(*(np.concatenate([getattr(s, n) for s in (g, extra)]) for n in
+                       ("means", "quats", "scales", "opacities", "sh0", "shN")))  # fmt: skip
+    aims = photographs(g, cameras)
+    (mask,) = prune(both, aims, (60,), share=0.05)
+    assert error(both[mask], aims) < 0.05 * error(both, aims)
+
+
+def test_pruning_refuses() -> None:
+    g, cameras = scene("blobs", n=20), views(1)
+    assert [m.sum() for m in prune(g, cameras, (20, 20))] == [20, 20]
+    for counts in ((5, 10), (21,)):
+        with pytest.raises(ValueError, match=r"^counts: expected falling sizes of at most 20, got"):
+            prune(g, cameras, counts)
+    with pytest.raises(ValueError, match=r"^counts: expected an integer of at least 1"):
+        prune(g, cameras, (0,))
+    with pytest.raises(ValueError, match=r"^share: expected a value in \(0, 1\), got 1.0"):
+        prune(g, cameras, (5,), share=1.0)
