@@ -85,6 +85,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         )
     try:
         p = trainer.parameters
+        _check_shapes(arrays)
         for store in _STORES:
             for name in NAMES:
                 tensor = torch.from_numpy(arrays[f"{store}/{name}"]).to(p.values[name].device)
@@ -100,9 +101,20 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         raise FormatError(path, "", "a whole checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
 
 
+def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:
+    """Raise ValueError unless values and moments have the shapes of one set of Gaussians."""
+    count, terms = len(arrays["values/means"]), arrays["values/shN"].shape[1]
+    shapes = dict(zip(NAMES, ((3,), (3,), (4,), (), (1, 3), (terms, 3)), strict=True))
+    expected = {f"{store}/{name}": (count, *shape) for store in _STORES for name, shape in shapes.items()}
+    expected |= {name: (count,) for name in ("densifier/total", "densifier/seen") if name in arrays}
+    for name, shape in expected.items():
+        if arrays[name].shape != shape or arrays[name].dtype != np.float32:
+            raise ValueError(f"{name}: float32 of shape {shape}, not {arrays[name].dtype} of {arrays[name].shape}")
+
+
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         header = json.loads(arrays.pop("header").tobytes())
         if header["format"] != _FORMAT:
