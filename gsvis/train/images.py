@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["PosedImages"]
+__all__ = ["PosedImages", "render_views"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,3 +77,28 @@ class PosedImages:
         if held_out.all() or not held_out.any():
             raise ValueError(f"images: expected at least 2 to hold some out, got {len(self)}")
         return self[~held_out], self[held_out]
+
+
+def render_views(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    backend: str = "auto",
+    progress: Progress = silent,
+) -> PosedImages:
+    """Images of a finished scene, brighter values kept: what stands in for photographs where there are none.
+
+    Args:
+        gaussians: The scene.
+        cameras: C cameras.
+        background: (3,) RGB behind everything.
+        backend: Of the rasterizer.
+        progress: Called with stage "views", in cameras.
+    """
+    images = np.empty((len(cameras), cameras.height, cameras.width, 3), np.float32)
+    progress("views", 0, len(cameras))
+    for c in range(len(cameras)):
+        images[c] = rasterize(gaussians, cameras[c], backend=backend, background=background).images[0].numpy(force=True)
+        progress("views", c + 1, len(cameras))
+    return PosedImages(cameras, images)

@@ -1,0 +1,249 @@
+"""Quality levels that reuse each other: the most important Gaussians of a scene, frozen, and a few more that repair.
+
+The highest level is the scene itself. Each lower one keeps a part of it unchanged, nested in the part that the next
+level keeps, and is trained on what it lacks: photographs, or renders of the scene where there are none. So going up a
+level sends the difference alone.
+
+References:
+    SRBF-Gaussian, section 6.1.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io.atomic import atomic_path
+from gsvis.progress import Progress, silent
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.train.densify import DensifyConfig
+from gsvis.train.history import Record
+from gsvis.train.images import PosedImages
+from gsvis.train.importance import prune
+from gsvis.train.trainer import TrainConfig, train
+
+__all__ = ["LevelsConfig", "TrainedLevels", "train_levels"]
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LevelsConfig:
+    """Sizes of the levels below the scene itself, and how they are trained.
+
+    Attributes:
+        shares: Most Gaussians of each, as a share of the scene's; rising, in (0, 1).
+        reuse: Least share of each that stands in the next.
+        names: Of all levels, the scene's own last.
+        iterations: Steps of training for each level.
+        kept: Of what a level may have of its own, how much begins as the scene's next most important Gaussians; the
+            rest are clones that training adds where it needs them.
+        threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
+        most_share: Of all Gaussians of a level, how many may be cloned at a time.
+        prune_share: Of what is left, how much one round of the choice of frozen Gaussians takes away.
+        evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
+        seed: Of training.
+        backend: Of the rasterizer.
+    """
+
+    shares: tuple[float, ...] = (0.25, 0.5)
+    reuse: tuple[float, ...] = (0.90, 0.96)
+    names: tuple[str, ...] = ("low", "medium", "high")
+    iterations: int = 1_500
+    kept: float = 0.5
+    threshold: float = 4e-4
+    most_share: float = 0.01
+    prune_share: float = 0.2
+    evaluate_every: int = 500
+    seed: int = 0
+    backend: str = "auto"
+
+    def __post_init__(self) -> None:
+        for name in ("shares", "reuse", "names"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name in ("shares", "reuse"):
+            for value in getattr(self, name):
+                if not 0.0 < value <= 1.0:
+                    raise ValueError(f"{name}: expected shares in (0, 1], got {value!r}")
+        if not self.shares or any(low >= high for low, high in zip(self.shares, (*self.shares[1:], 1.0), strict=True)):
+            raise ValueError(
+                f"shares: expected each below the next and the last below 1, got {list(self.shares)}; "
+                "a level cannot be larger than the one above it"
+            )
+        if len(self.reuse) != len(self.shares):
+            raise ValueError(f"reuse: expected one for each of {len(self.shares)} shares, got {len(self.reuse)}")
+        frozen = [r * s for r, s in zip(self.reuse, self.shares, strict=True)]
+        if sorted(frozen) != frozen:
+            raise ValueError(f"reuse: expected each level to keep more of the scene than the one below, got {frozen}")
+        if len(self.names) != len(self.shares) + 1 or len(set(self.names)) != len(self.names):
+            raise ValueError(
+                f"names: expected {len(self.shares) + 1} different ones, the scene's own last, got {list(self.names)}"
+            )
+        if not 0.0 <= self.kept <= 1.0:
+            raise ValueError(f"kept: expected a share in [0, 1], got {self.kept!r}")
+        if not 0.0 < self.prune_share < 1.0:
+            raise ValueError(f"prune_share: expected a share in (0, 1), got {self.prune_share!r}")
+        self.training(2, 1)
+
+    def sizes(self, count: int) -> list[tuple[int, int, int]]:
+        """Of each level below a scene of `count` Gaussians: most in all, frozen, and those that training begins with.
+
+        Raises:
+            ValueError: If a level would be empty.
+        """
+        found = []
+        for share, reuse in zip(self.shares, self.reuse, strict=True):
+            total = round(share * count)
+            frozen = min(int(np.ceil(reuse * total)), total - 1)
+            if frozen < 1:
+                raise ValueError(f"shares: expected at least 2 Gaussians in each level, got {share:g} of {count}")
+            found.append((total, frozen, min(frozen + max(round(self.kept * (total - frozen)), 1), total)))
+        return found
+
+    def training(self, most_count: int, sh_degree: int) -> TrainConfig:
+        """How one level of at most `most_count` Gaussians is trained.
+
+        References:
+            SRBF-Gaussian, section 6.1: a higher threshold, clones in place of splits, at most 1% of all at a time.
+        """
+        rules = DensifyConfig(
+            start=0,
+            stop=(3 * self.iterations) // 4,
+            every=min(100, max(self.iterations // 15, 1)),
+            threshold=self.threshold,
+            split=False,
+            most_share=self.most_share,
+            most_count=most_count,
+            reset_every=0,
+        )
+        return TrainConfig(
+            iterations=self.iterations,
+            sh_degree=sh_degree,
+            sh_every=0,
+            densify=rules,
+            evaluate_every=self.evaluate_every,
+            seed=self.seed,
+            backend=self.backend,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedLevels:
+    """Levels and how their training went.
+
+    Attributes:
+        levels: The scene's Gaussians first, in their order, then what each lower level has of its own.
+        histories: Records of training, by the name of the level.
+    """
+
+    levels: Levels
+    histories: dict[str, list[Record]]
+
+
+def train_levels(
+    scene: Gaussians,
+    views: PosedImages,
+    config: LevelsConfig | None = None,
+    *,
+    held_out: PosedImages | None = None,
+    work: str | os.PathLike[str] | None = None,
+    progress: Progress = silent,
+) -> TrainedLevels:
+    """Make the levels of a scene.
+
+    Args:
+        scene: N Gaussians, the highest level.
+        views: What lower levels are to look like: photographs, or `render_views` of the scene.
+        config: Sizes and training; the defaults of `LevelsConfig` if None.
+        held_out: Views to measure on, never trained on.
+        work: A folder for unfinished work, to go on from where it is there; it must be of the same scene, views and
+            configuration. It stays when all is done.
+        progress: Called with stages "prune" and "train NAME".
+
+    Raises:
+        ValueError: If a level would be empty, there are no views, or `work` is of another run.
+        FormatError: If a file in `work` is damaged.
+    """
+    config = config or LevelsConfig()
+    if len(views) == 0:
+        raise ValueError("views: expected at least one image to train on, got none")
+    sizes = config.sizes(len(scene))
+    if work is not None:
+        Path(work).mkdir(parents=True, exist_ok=True)
+    masks = _subsets(scene, views, sizes, config.prune_share, work, progress)
+    top = len(sizes)
+    first = np.full(len(scene), top, np.uint8)
+    owns: list[Gaussians] = []
+    histories = {}
+    for k in reversed(range(top)):  # a lower level keeps less
+        first[masks[sizes[k][1]]] = k
+    for k, (total, frozen, begun) in enumerate(sizes):
+        name = config.names[k]
+        stays = masks[frozen]
+
+        def told(stage: str, done: int, of: int, name: str = name) -> None:
+            progress(f"train {name}", done, of)
+
+        result = train(
+            views,
+            scene[masks[begun] & ~stays],
+            config.training(total, scene.sh_degree),
+            frozen=scene[stays],
+            held_out=held_out,
+            checkpoint=None if work is None else Path(work) / f"{name}.checkpoint",
+            progress=told,
+        )
+        owns.append(result.gaussians[frozen:])
+        histories[name] = result.history
+    own = np.repeat(np.arange(top, dtype=np.uint8), [len(part) for part in owns])
+    last = np.concatenate([np.full(len(scene), top, np.uint8), own])
+    union = Gaussians.concatenate([scene, *owns])
+    return TrainedLevels(Levels(union, np.concatenate([first, own]), last, config.names), histories)
+
+
+def _subsets(
+    scene: Gaussians,
+    views: PosedImages,
+    sizes: list[tuple[int, int, int]],
+    share: float,
+    work: str | os.PathLike[str] | None,
+    progress: Progress,
+) -> dict[int, Mask]:
+    """Nested masks by their size, from a file of the same run if there is one."""
+    counts = sorted({count for _, frozen, begun in sizes for count in (frozen, begun)}, reverse=True)
+    if work is None:
+        return dict(zip(counts, prune(scene, views, counts, share=share, progress=progress), strict=True))
+    path = Path(work) / "subsets.npz"
+    digest = hashlib.sha256(json.dumps([scene_hash(scene), counts, share]).encode())
+    for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
+        digest.update(np.ascontiguousarray(array).data)
+    key = digest.hexdigest()
+    if path.exists():
+        try:
+            with path.open("rb") as source, np.load(source, allow_pickle=False) as archive:
+                found, packed = archive["key"].tobytes().decode(), archive["masks"]
+            bits = np.unpackbits(packed, axis=1, count=len(scene)).astype(bool)
+            if found == key and bits.sum(axis=1).tolist() != counts:
+                raise ValueError("masks of other sizes")
+        except (OSError, KeyError, ValueError, EOFError) as error:
+            told = f"{type(error).__name__}: {error}"
+            raise FormatError(path, "", "the chosen subsets", told, "delete it to choose anew") from error
+        if found != key:
+            raise ValueError(
+                f"work: expected {os.fspath(work)} to be of the same scene, views and sizes, got another run's; "
+                "delete it to begin anew, or name another folder"
+            )
+        return dict(zip(counts, bits, strict=True))
+    masks = prune(scene, views, counts, share=share, progress=progress)
+    with atomic_path(path) as partial, partial.open("wb") as file:
+        np.savez(file, key=np.frombuffer(key.encode(), np.uint8), masks=np.packbits(np.stack(masks), axis=1))
+    return dict(zip(counts, masks, strict=True))
