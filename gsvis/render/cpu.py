@@ -144,9 +144,9 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, view: View, options: tuple[F32, int, bool, bool], probe: Tensor, *tensors: Tensor | None
+        ctx: Any, view: View, options: tuple[F32, int, bool, bool, int], probe: Tensor, *tensors: Tensor | None
     ) -> tuple[Tensor, ...]:
-        background, degree, antialiased, with_gradient = options
+        background, degree, antialiased, with_gradient, _ = options
         arrays = [None if t is None else _array(t) for t in tensors]
         scene, colours = _Scene(*arrays[:6]), arrays[6]  # type: ignore[arg-type]
         projected = project(scene, view, antialiased=antialiased, pairs=with_gradient)
@@ -174,7 +174,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
-        view, (background, degree, antialiased, _), scene, colours, projected, features, *forward = ctx.saved
+        view, (background, degree, antialiased, _, frozen), scene, colours, projected, features, *forward = ctx.saved
         shape = (view.height, view.width)
         by_image, by_alpha, by_depth = (
             np.zeros((*shape, *extra), np.float32) if v is None else np.ascontiguousarray(v.numpy(), np.float32)
@@ -190,29 +190,23 @@ class _Rasterize(torch.autograd.Function):
         v_means, v_quats, v_scales = (np.zeros_like(a) for a in (scene.means, scene.quats, scene.scales))
         v_opacities, v_sh0, v_shN = (np.zeros_like(a) for a in (scene.opacities, scene.sh0, scene.shN))
         v_means2d = np.empty((len(projected.ids), 2))
+        stand = int(np.searchsorted(projected.ids, frozen))  # ids rise
+        ids, moved = projected.ids[stand:], sums[stand:]
+        v_means2d[:stand] = _by_centres(projected.splats[:stand], sums[:stand])
         _kernels_project.project_backward(
             scene.means, scene.quats, scene.scales, scene.opacities, view.viewmat, view.intrinsics,
-            (view.width, view.height), antialiased, projected.ids, sums, v_means2d, v_opacities,
+            (view.width, view.height), antialiased, ids, moved, v_means2d[stand:], v_opacities,
             (v_means, v_quats, v_scales),
         )  # fmt: skip
         v_colours = None
         if colours is None:
             _kernels_sh.colours_from_sh_backward(
-                projected.ids,
-                scene.means,
-                scene.sh0,
-                scene.shN,
-                degree,
-                view.eye,
-                features,
-                sums,
-                v_sh0,
-                v_shN,
-                v_means,
-            )
+                ids, scene.means, scene.sh0, scene.shN, degree, view.eye, features[stand:], moved,
+                v_sh0, v_shN, v_means,
+            )  # fmt: skip
         else:
             v_colours = np.zeros_like(colours)
-            v_colours[projected.ids] = sums[:, :3]
+            v_colours[ids] = moved[:, :3]
         v_probe = None
         if ctx.needs_input_grad[2]:
             by_centre = np.zeros((len(scene.means), 2), np.float32)
@@ -224,6 +218,16 @@ class _Rasterize(torch.autograd.Function):
             for v, dtype in zip(results, ctx.dtypes, strict=True)
         ]
         return None, None, v_probe, *gradients
+
+
+def _by_centres(splats: F64, sums: F64) -> F64:
+    """(M, 2) gradients by projected centres from the sums of the tiles, as `project_backward` has them."""
+    a, b, c = (
+        splats[:, 2] * (2.0 / _kernels_project.LOG2E),
+        splats[:, 3] / _kernels_project.LOG2E,
+        splats[:, 4] * (2.0 / _kernels_project.LOG2E),
+    )
+    return np.stack([a * sums[:, 5] + b * sums[:, 6], b * sums[:, 5] + c * sums[:, 6]], axis=1)
 
 
 def _array(tensor: Tensor) -> F32:
@@ -239,6 +243,7 @@ def rasterize_cpu(
     antialiased: bool = False,
     colors: Tensor | None = None,
     probe: Tensor | None = None,
+    frozen: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Render one view.
 
@@ -250,6 +255,7 @@ def rasterize_cpu(
         antialiased: Make opacity pay for the dilation.
         colors: (N, 3) instead of SH.
         probe: (N, 2) zeros that require grad; receives the gradient by the projected centres, loss per pixel.
+        frozen: The first so many Gaussians gather no gradient but the probe's.
 
     Returns:
         image (H, W, 3), alpha (H, W), expected depth (H, W), median depth (H, W).
@@ -258,6 +264,6 @@ def rasterize_cpu(
     probe = torch.zeros((len(tensors.means), 2)) if probe is None else probe
     needs = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in (*inputs, probe))
     result: tuple[Tensor, Tensor, Tensor, Tensor] = _Rasterize.apply(  # type: ignore[no-untyped-call]
-        view, (background, sh_degree, antialiased, needs), probe, *inputs
+        view, (background, sh_degree, antialiased, needs, frozen), probe, *inputs
     )
     return result

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -59,6 +60,7 @@ def rasterize(
     sh_degree: int | None = None,
     antialiased: bool = False,
     colors: Colours = None,
+    frozen: int = 0,
 ) -> Rendering:
     """Draw Gaussians as the cameras see them; differentiable where the inputs are tensors that ask for gradients.
 
@@ -73,6 +75,8 @@ def rasterize(
         colors: Instead of SH: (N, 3) or (C, N, 3) RGB, or SRBF colours of the N Gaussians, evaluated for each camera
             from its viewpoint; as `SrbfColors`, as an `Evaluator` where many calls share them, or as `SrbfTensors`,
             which may gather gradients.
+        frozen: The first so many Gaussians gather no gradients but those of `means2d`; saves most of their share of the
+            backward pass on the CPU.
 
     Returns:
         Images, alphas and depths.
@@ -92,12 +96,18 @@ def rasterize(
     if backend == "auto":
         backend = "cuda" if tensors.means.is_cuda else "cpu"
     colours = camera_colours(colors, tensors, cameras, backend)
-    draw = {"cpu": _draw_cpu, "cuda": _draw_cuda, "reference": _draw_reference}[backend]
+    draw: _Draw = {"cpu": _draw_cpu, "cuda": _draw_cuda, "reference": _draw_reference}[backend]
+    _check.positive_int("frozen", frozen, at_least=0)
     takes_gradient = torch.is_grad_enabled() and (
         colours.requires_grad or any(t.requires_grad for t in vars(tensors).values())
     )
     if tensors is gaussians and not takes_gradient:
         tensors.check_values()
+    if frozen and takes_gradient and backend != "cpu":
+        parts = {name: torch.cat([t[:frozen].detach(), t[frozen:]]) for name, t in vars(tensors).items()}
+        tensors = GaussianTensors(**parts)
+    elif frozen and backend == "cpu":
+        draw = partial(_draw_cpu, frozen=frozen)
     shape = (len(cameras), len(tensors), 2)
     means2d = torch.zeros(shape, dtype=tensors.means.dtype, device=tensors.means.device, requires_grad=takes_gradient)
     outputs = []
@@ -120,7 +130,7 @@ _Draw = Callable[..., tuple[Tensor, Tensor, Tensor, Tensor]]
 
 def _draw_cpu(
     tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
-    colors: Tensor | None, probe: Tensor,
+    colors: Tensor | None, probe: Tensor, frozen: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     if tensors.means.device.type != "cpu":
         raise BackendError(
@@ -128,8 +138,9 @@ def _draw_cpu(
         )
     view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
     return rasterize_cpu(
-        tensors, view, background=background, sh_degree=degree, antialiased=antialiased, colors=colors, probe=probe
-    )
+        tensors, view, background=background, sh_degree=degree, antialiased=antialiased, colors=colors, probe=probe,
+        frozen=frozen,
+    )  # fmt: skip
 
 
 def _draw_reference(

@@ -173,11 +173,13 @@ class Trainer:
     def advance(self) -> float:
         """Take one step; its loss."""
         c, began = self.config, time.perf_counter()
+        if self.densifier is not None and self.step:  # not at the end of a step: what was split has to settle first
+            self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
         if c.sh_every and self.step % c.sh_every == 0:
             self.parameters.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
         index = self.view_of(self.step)
         camera = self.views.cameras[index]
-        drawn = rasterize(self.parameters.activated(), camera, backend=c.backend)
+        drawn = rasterize(self.parameters.activated(), camera, backend=c.backend, frozen=self.parameters.frozen)
         target = torch.from_numpy(self.views.image(index)).to(drawn.images)
         loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
         loss.backward()  # type: ignore[no-untyped-call]
@@ -185,8 +187,6 @@ class Trainer:
             self.densifier.observe(drawn.means2d.grad[0], camera.width, camera.height)
         self.parameters.adam_step(self.rates())
         self.step += 1
-        if self.densifier is not None:
-            self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
         value = float(loss.detach())
         share = max(1.0 / self.step, 0.01)
         self.loss = value if math.isnan(self.loss) else (1.0 - share) * self.loss + share * value
@@ -201,6 +201,46 @@ class Trainer:
         self.history.append(now)
         _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
         return now
+
+    def run(
+        self,
+        *,
+        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint_seconds: float = 120.0,
+        progress: Progress = silent,
+    ) -> TrainResult:
+        """Take all steps that are left, measuring and writing checkpoints on the way; `train` says more.
+
+        What `progress` is told between two steps may look at the trainer: its loss, its history, how many Gaussians.
+        """
+        last = self.config.iterations
+        if checkpoint is not None and os.path.exists(checkpoint):
+            load_checkpoint(checkpoint, self)
+        progress("train", self.step, last)
+        saved, whole = time.monotonic(), True  # whole: not in the middle of a step, where nothing fits together
+        try:
+            self._record_if_due()
+            while self.step < last:
+                whole = False
+                self.advance()
+                whole = True
+                self._record_if_due()
+                if checkpoint is not None and (self.step == last or time.monotonic() - saved > checkpoint_seconds):
+                    save_checkpoint(checkpoint, self)
+                    saved = time.monotonic()
+                progress("train", self.step, last)
+        except KeyboardInterrupt:
+            if checkpoint is not None and whole:
+                save_checkpoint(checkpoint, self)
+            raise
+        return TrainResult(self.gaussians(), self.history)
+
+    def _record_if_due(self) -> None:
+        """Measure if this step is one to do so, and it was not done before a stop."""
+        every = self.config.evaluate_every
+        due = self.step == self.config.iterations or (every > 0 and self.step > 0 and self.step % every == 0)
+        if due and (not self.history or self.history[-1].step < self.step):
+            self.record()
 
     def gaussians(self) -> Gaussians:
         """The scene as it stands, frozen rows exactly as they were given."""
@@ -232,40 +272,18 @@ def train(
         frozen: Gaussians that are drawn but stand unchanged; they come first in the result.
         held_out: Views to measure on, never trained on.
         checkpoint: A file to write every so often and on Ctrl-C, and to go on from where it is there. It must be of the
-            same images, start and configuration. It stays when training is done.
+            same images, start and configuration. It stays when training is done. Ctrl-C within a step leaves the one
+            before; raised by `progress`, as the command line does it, it loses nothing.
         checkpoint_seconds: Time between writes.
         progress: Called with every step; stage "train".
 
     Raises:
         ValueError: If there are no views or Gaussians, or the checkpoint is of another run.
         FormatError: If the checkpoint is damaged.
-        KeyboardInterrupt: Raised on, after a checkpoint was written.
+        KeyboardInterrupt: Raised on, after a checkpoint was written if it came between two steps.
     """
-    config = config or TrainConfig()
-    trainer = Trainer(views, start, config, frozen=frozen, held_out=held_out)
-    if checkpoint is not None and os.path.exists(checkpoint):
-        load_checkpoint(checkpoint, trainer)
-    progress("train", trainer.step, config.iterations)
-    saved = time.monotonic()
-    try:
-        while trainer.step < config.iterations:
-            trainer.advance()
-            due = trainer.step == config.iterations or (
-                config.evaluate_every and trainer.step % config.evaluate_every == 0
-            )
-            if due:
-                trainer.record()
-            if checkpoint is not None and (
-                time.monotonic() - saved > checkpoint_seconds or trainer.step == config.iterations
-            ):
-                save_checkpoint(checkpoint, trainer)
-                saved = time.monotonic()
-            progress("train", trainer.step, config.iterations)
-    except KeyboardInterrupt:
-        if checkpoint is not None:
-            save_checkpoint(checkpoint, trainer)
-        raise
-    return TrainResult(trainer.gaussians(), trainer.history)
+    trainer = Trainer(views, start, config or TrainConfig(), frozen=frozen, held_out=held_out)
+    return trainer.run(checkpoint=checkpoint, checkpoint_seconds=checkpoint_seconds, progress=progress)
 
 
 def extent_of(cameras: Cameras) -> float:

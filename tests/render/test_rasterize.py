@@ -13,6 +13,7 @@ from gsvis.errors import BackendError
 from gsvis.render import GaussianTensors, Rendering, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import random_scene
 from tests.raycast.scenes import KINDS, scene
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -235,3 +236,29 @@ def test_cuda_equals_cpu(kind: str) -> None:
     there.images.sum().backward()  # type: ignore[no-untyped-call]
     assert there.means2d.grad is not None
     assert there.means2d.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("degree", [0, 2])
+def test_frozen_gaussians_gather_no_gradient_but_that_of_their_centres(
+    backend: str, antialiased: bool, degree: int
+) -> None:
+    scene = random_scene(np.random.default_rng(3), 40, sh_degree=degree)
+    camera = Cameras.look_at([[0, 0, -6]], [0, 0, 0], up=(0, 1, 0), width=40, height=32)
+    found = []
+    for frozen in (0, 25, 40):
+        tensors = GaussianTensors.from_gaussians(scene, requires_grad=True)
+        drawn = rasterize(tensors, camera, backend=backend, antialiased=antialiased, frozen=frozen)
+        weights = torch.linspace(0.5, 1.5, drawn.images.numel()).reshape(drawn.images.shape)
+        (drawn.images * weights).sum().backward()
+        found.append((tensors, drawn.means2d.grad))
+    (whole, centres), *others = found
+    assert centres is not None
+    assert centres.abs().sum() > 0
+    for frozen, (tensors, by_centres) in zip((25, 40), others, strict=True):
+        assert torch.allclose(by_centres, centres, rtol=1e-5, atol=1e-5 * float(centres.abs().max()))
+        for name, tensor in vars(tensors).items():
+            if tensor.numel():
+                assert not tensor.grad[:frozen].any(), name
+                assert torch.allclose(tensor.grad[frozen:], vars(whole)[name].grad[frozen:], rtol=1e-5, atol=1e-6), name
