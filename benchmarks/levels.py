@@ -117,10 +117,10 @@ class Rivals:
         return "-".join(parts if method in rivals.DECIMATIONS else [*parts, rules])
 
 
-def compare(made: Rivals, numbers: Numbers, methods: Sequence[str]) -> list[dict[str, Any]]:
+def compare(made: Rivals, numbers: Numbers, methods: Sequence[str], shares: Sequence[float]) -> list[dict[str, Any]]:
     """A row for each share and method."""
     rows = []
-    for share in SHARES:
+    for share in shares:
         for method in methods:
             if not made.has(method, share):
                 print(f"{share:.1%}: no level of ours has this size", flush=True)
@@ -153,7 +153,7 @@ def unions(
     found = []
     for method in (m for m in methods if m not in ("image", "weight")):  # subsets by weight lie in each other
         for low, high in PAIRS:
-            if not (made.has(method, low) and made.has(method, high)):
+            if (method, low) not in alone or (method, high) not in alone:
                 continue
 
             def both(m: str = method, a: float = low, b: float = high) -> tuple[int, NDArray[np.float32]]:
@@ -219,6 +219,7 @@ def main() -> None:
     parser.add_argument("--photos", type=Path, help="folder of the photographs of bonsai")
     parser.add_argument("--levels-dir", type=Path, nargs="+", default=[], help="folders written by gsvis levels")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--shares", nargs="+", type=float, choices=SHARES, default=list(SHARES))
     parser.add_argument("--train-views", type=int, default=256, help="training cameras in showroom, seed 7")
     parser.add_argument("--merge", type=Path, help="a sparser scene trained by itself, for figure 5")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "rivals", help="keeps what is slow")
@@ -242,7 +243,7 @@ def main() -> None:
         key = f"scene-{scene_hash(case.scene)[:16]}"
         full = timed(numbers, key, lambda: (len(case.scene), drawn(case.scene, case.held_out)))
     methods = [m for m in arguments.methods if m != "ours" or ours]
-    rows = compare(made, numbers, methods)
+    rows = compare(made, numbers, methods, arguments.shares)
     together = unions(made, numbers, methods, rows, arguments.merge)
     if arguments.pictures:
         from _level_pictures import write_sheet
