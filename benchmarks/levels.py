@@ -24,6 +24,7 @@ from _harness import add_arguments, write_result
 from _level_views import Case, Numbers, bonsai, drawn, showroom, summed_weights
 from numpy.typing import NDArray
 
+from gsvis.io import load_scene
 from gsvis.io.levels import load_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -126,18 +127,21 @@ def compare(made: Rivals, numbers: Numbers, methods: Sequence[str], shares: Sequ
                 print(f"{share:.1%}: no level of ours has this size", flush=True)
                 continue
             row = {"share": share, "method": method}
-            row |= timed(numbers, made.key(method, share), lambda m=method, s=share: made.images(m, s))
+            said = f"{share:.1%} {method}"
+            row |= timed(said, numbers, made.key(method, share), lambda m=method, s=share: made.images(m, s))
             rows.append(row)
     return rows
 
 
-def timed(numbers: Numbers, key: str, images: Callable[[], tuple[int, NDArray[np.float32]]]) -> dict[str, Any]:
+def timed(
+    said: str, numbers: Numbers, key: str, images: Callable[[], tuple[int, NDArray[np.float32]]]
+) -> dict[str, Any]:
     """The numbers, printed, and the drift of brightness with them."""
     start = time.perf_counter()
     found = numbers.of(key, images)
     found["drift"] = found["brightness"] / numbers.brightness - 1.0
     print(
-        f"{key[:60]:60} {found['count']:>9,} PSNR {found['psnr']:.2f} (worst {found['worst_psnr']:.2f}) "
+        f"{said:32} {found['count']:>9,} PSNR {found['psnr']:.2f} (worst {found['worst_psnr']:.2f}) "
         f"SSIM {found['ssim']:.4f} FLIP {found['flip']:.4f} brightness {found['drift']:+.2%}, "
         f"{time.perf_counter() - start:.0f} s",
         flush=True,
@@ -162,15 +166,22 @@ def unions(
 
             key = f"{made.key(method, low)}-with-{made.key(method, high)}"
             row = {"method": method, "low": low, "high": high, "low_psnr": alone[method, low]}
-            found.append(row | {"high_psnr": alone[method, high]} | timed(numbers, key, both))
+            found.append(
+                row
+                | {"high_psnr": alone[method, high]}
+                | timed(f"{low:.1%} and {high:.1%} {method}", numbers, key, both)
+            )
     if merge is not None:
-        from gsvis.io import load_scene
-
         low_scene, full = load_scene(merge), made.case.scene
         each = {}
         for name, scene in (("low", low_scene), ("high", full), ("", rivals.merged_densities(low_scene, full))):
             key = f"scene-{scene_hash(scene)[:16]}"
-            each[name] = timed(numbers, key, lambda s=scene: (len(s), drawn(s, made.case.held_out)))
+            each[name] = timed(
+                f"{name or 'both'} trained by itself",
+                numbers,
+                key,
+                lambda s=scene: (len(s), drawn(s, made.case.held_out)),
+            )
         row = {"method": "trained by itself", "low": len(low_scene) / len(full), "high": 1.0}
         row |= {"low_psnr": each["low"]["psnr"], "high_psnr": each["high"]["psnr"]}
         found.append(row | each[""])
@@ -241,7 +252,7 @@ def main() -> None:
     full = None
     if case.against != "the full scene":
         key = f"scene-{scene_hash(case.scene)[:16]}"
-        full = timed(numbers, key, lambda: (len(case.scene), drawn(case.scene, case.held_out)))
+        full = timed("full", numbers, key, lambda: (len(case.scene), drawn(case.scene, case.held_out)))
     methods = [m for m in arguments.methods if m != "ours" or ours]
     rows = compare(made, numbers, methods, arguments.shares)
     together = unions(made, numbers, methods, rows, arguments.merge)
