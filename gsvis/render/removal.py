@@ -55,6 +55,7 @@ def removal_effects(
     images: NDArray[Any] | None = None,
     colors: Colours = None,
     background: ArrayLike = (0.0, 0.0, 0.0),
+    present: NDArray[np.bool_] | None = None,
     progress: Progress = silent,
 ) -> RemovalEffects:
     """What removing each Gaussian, alone, would do to the images of some cameras.
@@ -71,6 +72,8 @@ def removal_effects(
             where 1 is white. None for the scene's own images.
         colors: As in `rasterize`, in place of SH.
         background: (3,) RGB behind everything.
+        present: (N,) which Gaussians the images have; for the others, the effects are those of adding each alone. None
+            for all.
         progress: Called with stage "removal", in views.
 
     Returns:
@@ -89,6 +92,9 @@ def removal_effects(
             raise ValueError(f"images: expected uint8 or floats, got dtype {images.dtype}")
         if images.shape != shape:
             raise ValueError(f"images: expected shape {shape} to go with the cameras, got {images.shape}")
+    there = np.ones(len(gaussians), bool) if present is None else np.asarray(present)
+    if there.shape != (len(gaussians),) or there.dtype != bool:
+        raise ValueError(f"present: expected ({len(gaussians)},) booleans, got {there.dtype} of shape {there.shape}")
     tensors = None if colors is None else GaussianTensors.from_gaussians(gaussians)
     colours = None if tensors is None else camera_colours(colors, tensors, cameras, "cpu")
     sums = np.zeros((len(gaussians), 3))
@@ -97,6 +103,7 @@ def removal_effects(
         view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
         projected = project(gaussians, view, antialiased=False, pairs=True)
         features = _features(gaussians, view, projected, colours, c)
+        features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
         if images is not None:
             residual = _blended(view, projected, features, behind) - _target(images[c])
@@ -117,9 +124,8 @@ def removal_effects(
 
 
 def _features(g: Gaussians, view: View, projected: Projected, colours: CameraColours | None, c: int) -> F32:
-    """(M, 4) colour and depth of each splat."""
-    features = np.empty((len(projected.ids), 4), np.float32)
-    features[:, 3] = projected.depths
+    """(M, 4) colour of each splat, and 1."""
+    features = np.ones((len(projected.ids), 4), np.float32)
     given = None if colours is None else colours.of(c)
     if given is None:
         _kernels_sh.colours_from_sh(
@@ -131,12 +137,16 @@ def _features(g: Gaussians, view: View, projected: Projected, colours: CameraCol
 
 
 def _blended(view: View, projected: Projected, features: F32, background: F32) -> F32:
-    """(H, W, 3) the image, as `rasterize` draws it."""
+    """(H, W, 3) the image of what is present, as `rasterize` draws it."""
+    splats = projected.splats
+    if not features[:, 3].all():
+        splats = splats.copy()
+        splats[features[:, 3] == 0.0, 5] = -1000.0  # log2 of the opacity
     shape = (view.height, view.width)
     image = np.empty((*shape, 3), np.float32)
     others = (np.empty(shape, np.float32) for _ in range(4))
     _kernels_tiles.blend_tiles(
-        projected.splats, features, projected.offsets, projected.members, view.tiles[0], background, image, *others
+        splats, features, projected.offsets, projected.members, view.tiles[0], background, image, *others
     )
     return image
 

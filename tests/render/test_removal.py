@@ -91,6 +91,24 @@ def test_a_wrong_gaussian_is_better_gone() -> None:
     np.testing.assert_allclose(effects.error_change[largest], -effects.squared[largest], rtol=1e-3)
 
 
+def test_adding_undoes_removing() -> None:
+    """Adding a Gaussian that is absent does what its removal undoes, and the absent change nothing for the rest."""
+    g, cameras = scene("mixed", n=60), views()
+    images = rasterize(scene("blobs", seed=3, n=40), cameras).images.numpy()
+    full = removal_effects(g, cameras, images=images)
+    for index in range(0, len(g), 7):
+        present = np.arange(len(g)) != index
+        tried = removal_effects(g, cameras, images=images, present=present)
+        alone = removal_effects(g[present], cameras, images=images)
+        for name in NAMES:
+            np.testing.assert_allclose(getattr(tried, name)[present], getattr(alone, name), atol=1e-3, rtol=1e-4)
+        np.testing.assert_allclose(tried.squared[index], full.squared[index], atol=1e-3, rtol=1e-3)
+        undone = -full.error_change[index]
+        np.testing.assert_allclose(tried.error_change[index], undone, atol=0.02 * abs(full.squared[index]) + 1e-2)
+    with pytest.raises(ValueError, match=r"^present: expected \(60,\) booleans, got int64 of shape \(60,\)"):
+        removal_effects(g, cameras, present=np.ones(60, np.int64))
+
+
 def test_order_threads_and_colours_change_nothing(two_threads: None) -> None:
     g, cameras = scene("mixed", n=200), views()
     plain = removal_effects(g, cameras)
