@@ -28,7 +28,7 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["SrbfInfo", "load_srbf", "save_srbf", "srbf_info"]
+__all__ = ["SrbfInfo", "grids_of", "load_srbf", "save_srbf", "srbf_info"]
 
 FORMAT, VERSION = "gsvis-srbf", 1
 ROWS = 1 << 16
@@ -289,13 +289,18 @@ def _info(file: ArrowFile) -> SrbfInfo:
         header.integer("gaussians", 0, _MOST),
         header.integer("terms", 0, _MOST),
         scene,
-        _grids_of(header.child("quantised"), name) if "quantised" in header else None,
+        grids_of(header.child("quantised"), name) if "quantised" in header else None,
         header.child("provenance").value,
         file.nbytes,
     )
 
 
-def _grids_of(quantised: Fields, name: str) -> Grids:
+def grids_of(quantised: Fields, name: str) -> Grids:
+    """The tables that a JSON object of `asdict(grids)` describes, for a variant.
+
+    Raises:
+        FormatError: If they are no tables.
+    """
     bits = quantised.child("precision")
     label = bits.raw("name")
     base = quantised.items("base", 3)

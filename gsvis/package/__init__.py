@@ -1,0 +1,45 @@
+"""The streamable container: a scene as records in parts of bounded size, each named by its content.
+
+levels = in_package_order(levels)          # before visible sets, colours and active terms are built for its union
+write_package("scene.gsvis", levels, quantise(colors), visibility="scene.pvs", active_terms="scene.terms.arrow")
+with Package.open("scene.gsvis") as package:
+    some = package.contents.gaussians([4, 8, 15])
+"""
+
+from gsvis.package.codec import ChunkTable, Geometry, build_chunks, decode_records, encode_records
+from gsvis.package.contents import Contents, base_rgb
+from gsvis.package.cost import measure_cost
+from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
+from gsvis.package.manifest import Cost, Manifest, PackageInfo
+from gsvis.package.order import PackageOrder, in_package_order
+from gsvis.package.package import Package, Verified
+from gsvis.package.terms import Terms, decode_terms, encode_terms
+from gsvis.package.unpack import unpack_levels, unpack_package
+from gsvis.package.writer import write_package
+
+__all__ = [
+    "RECORD_BYTES",
+    "ChunkTable",
+    "Contents",
+    "Cost",
+    "Geometry",
+    "Manifest",
+    "Package",
+    "PackageInfo",
+    "PackageOrder",
+    "RecordLayout",
+    "TermLayout",
+    "Terms",
+    "Verified",
+    "base_rgb",
+    "build_chunks",
+    "decode_records",
+    "decode_terms",
+    "encode_records",
+    "encode_terms",
+    "in_package_order",
+    "measure_cost",
+    "unpack_levels",
+    "unpack_package",
+    "write_package",
+]

@@ -1,0 +1,198 @@
+"""Kernels of the package: chunks of Gaussians, records of 16 bytes, places along a Morton curve.
+
+Arrays are checked and contiguous. What decodes uses only integers, exact float64 products and correctly rounded
+operations, so any client that follows `reference.py` gets the same bits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["chunk_starts", "decode", "encode", "morton"]
+
+SQRT_HALF = 0.7071067811865476
+LEAST_LOG, MOST_LOG = -126 * 64, 128 * 64 - 1  # in 1/64 octave: what float32 holds without going denormal
+THINNEST = 11 * 64  # below the largest scale of the same Gaussian, nobody sees the difference
+LARGEST = np.float64(np.finfo(np.float32).max)
+
+
+@njit(cache=True, nogil=True)
+def morton(means, centre, half, out):
+    """Place (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the centre (3,)."""
+    for i in range(len(means)):
+        code = np.uint64(0)
+        for axis in range(3):
+            u = (np.float64(means[i, axis]) - centre[axis]) / half
+            if u > 1.0:
+                u = 2.0 - 1.0 / u
+            elif u < -1.0:
+                u = -2.0 - 1.0 / u
+            cell = np.uint64(min(max((u + 2.0) * 524288.0, 0.0), 2097151.0))
+            cell = (cell | (cell << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
+            cell = (cell | (cell << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
+            cell = (cell | (cell << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
+            cell = (cell | (cell << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
+            cell = (cell | (cell << np.uint64(2))) & np.uint64(0x1249249249249249)
+            code |= cell << np.uint64(axis)
+        out[i] = code
+
+
+@njit(cache=True, nogil=True)
+def log_scales(scales, out):
+    """Log-scales (N, 3) int32 in 1/64 octave, none far below the largest of its Gaussian; (N,) the largest."""
+    largest = np.empty(len(scales), np.int32)
+    for i in range(len(scales)):
+        most = LEAST_LOG
+        for k in range(3):
+            level = int(np.rint(np.log2(np.float64(scales[i, k])) * 64.0))
+            out[i, k] = min(max(level, LEAST_LOG), MOST_LOG)
+            most = max(most, out[i, k])
+        for k in range(3):
+            out[i, k] = max(out[i, k], most - THINNEST)
+        largest[i] = most
+    return largest
+
+
+@njit(cache=True, nogil=True)
+def chunk_starts(means, largest, steps, places, most, spread, starts):
+    """Cut Gaussians, in their order, into chunks whose records are fine enough for each of them.
+
+    Args:
+        means: (N, 3).
+        largest: (N,) largest log-scale of each.
+        steps: (N,) coarsest step of a coordinate that each may have, > 0.
+        places: Steps along the side of a box.
+        most: Gaussians in a chunk at most.
+        spread: By how much `largest` may differ in a chunk.
+        starts: (N,) int64, for the first Gaussian of each chunk.
+
+    Returns:
+        The number of chunks.
+    """
+    low, high = np.empty(3), np.empty(3)
+    count, finest, least, top = 0, 0.0, 0, 0
+    for i in range(len(means)):
+        fits = count > 0 and i - starts[count - 1] < most
+        if fits:
+            finer = min(finest, steps[i])
+            for k in range(3):
+                side = max(high[k], means[i, k]) - min(low[k], means[i, k])
+                fits = fits and side <= finer * places
+            fits = fits and max(top, largest[i]) - min(least, largest[i]) <= spread
+        if not fits:
+            starts[count] = i
+            count += 1
+            finest, least, top = steps[i], largest[i], largest[i]
+            for k in range(3):
+                low[k] = high[k] = means[i, k]
+            continue
+        finest, least, top = min(finest, steps[i]), min(least, largest[i]), max(top, largest[i])
+        for k in range(3):
+            low[k], high[k] = min(low[k], means[i, k]), max(high[k], means[i, k])
+    return count
+
+
+@njit(cache=True, nogil=True)
+def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities, colors, bits, out):
+    """Records (N, 16), zero before, of Gaussians of the given chunks.
+
+    Args:
+        chunk: (N,) row of each in the table.
+        origins: (C, 3) float32, lowest corners.
+        steps: (C, 3) float32.
+        lows: (C,) int16, lowest log-scale in 1/64 octave.
+        strides: (C,) uint8, steps of log-scales.
+        means: (N, 3) float32.
+        quats: (N, 4) float32, unit, wxyz.
+        levels: (N, 3) int32 log-scales.
+        opacities: (N,) float32.
+        colors: (N, 3 or 4) uint8 base colour, and its scale.
+        bits: Of a coordinate, and of a component of a quaternion.
+        out: (N, 16) uint8.
+    """
+    position, rotation = bits
+    places, half = (1 << position) - 1, (1 << (rotation - 1)) - 1
+    width, first = position + rotation, 4 + colors.shape[1]
+    forms = np.empty((4, 4))
+    for i in range(len(chunk)):
+        c = chunk[i]
+        out[i, 0] = np.uint8(np.rint(np.float64(opacities[i]) * 255.0))
+        for k in range(3):
+            place = (levels[i, k] - int(lows[c]) + int(strides[c]) // 2) // int(strides[c])
+            out[i, 1 + k] = np.uint8(min(place, 255))
+        for k in range(colors.shape[1]):
+            out[i, 4 + k] = colors[i, k]
+        w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+        # Turned half around its own axes an ellipsoid is the same: of the four forms, the one with the largest w.
+        forms[0, 0], forms[0, 1], forms[0, 2], forms[0, 3] = w, x, y, z
+        forms[1, 0], forms[1, 1], forms[1, 2], forms[1, 3] = -x, w, z, -y
+        forms[2, 0], forms[2, 1], forms[2, 2], forms[2, 3] = -y, -z, w, x
+        forms[3, 0], forms[3, 1], forms[3, 2], forms[3, 3] = -z, y, -x, w
+        best = 0
+        for f in range(1, 4):
+            if abs(forms[f, 0]) > abs(forms[best, 0]):
+                best = f
+        sign = -1.0 if forms[best, 0] < 0.0 else 1.0
+        for k in range(3):
+            place = np.int64(0)
+            if steps[c, k] > 0.0:
+                along = (np.float64(means[i, k]) - np.float64(origins[c, k])) / np.float64(steps[c, k])
+                place = min(np.int64(np.rint(along)), places)
+            turn = np.int64(np.rint(sign * forms[best, 1 + k] / SQRT_HALF * half)) + half
+            word = place | (min(max(turn, 0), 2 * half) << position)
+            bit = k * width
+            word <<= bit & 7
+            byte = first + (bit >> 3)
+            while word:
+                out[i, byte] |= np.uint8(word & 255)
+                word >>= 8
+                byte += 1
+
+
+@njit(cache=True, nogil=True)
+def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, means, quats, scales, opacities):
+    """What records stand for, into means (M, 3), quats (M, 4), scales (M, 3), opacities (M,), all float32.
+
+    Args:
+        chunk: (M,) row of each in the table.
+        origins: (C, 3) float32.
+        steps: (C, 3) float32.
+        lows: (C,) int16.
+        strides: (C,) uint8.
+        records: (M, 16) uint8.
+        bits: Of a coordinate, and of a component of a quaternion.
+        first: Byte at which the string of bits begins.
+        roots: (64,) float64, 2^(k / 64).
+        means: (M, 3).
+        quats: (M, 4).
+        scales: (M, 3).
+        opacities: (M,).
+    """
+    position, rotation = bits
+    half, width = (1 << (rotation - 1)) - 1, position + rotation
+    unit = SQRT_HALF / half
+    v = np.empty(3)
+    for i in range(len(chunk)):
+        c = chunk[i]
+        opacities[i] = np.float32(np.float64(records[i, 0]) / 255.0)
+        for k in range(3):
+            level = int(lows[c]) + int(records[i, 1 + k]) * int(strides[c])
+            level = min(max(level, LEAST_LOG), MOST_LOG)
+            scales[i, k] = np.float32(np.ldexp(roots[level & 63], level >> 6))
+            bit = k * width
+            byte, shift = first + (bit >> 3), bit & 7
+            word = np.int64(0)
+            for b in range(4):
+                if byte + b < 16:
+                    word |= np.int64(records[i, byte + b]) << (8 * b)
+            word >>= shift
+            place = word & ((1 << position) - 1)
+            turn = (word >> position) & ((1 << rotation) - 1)
+            value = np.float64(origins[c, k]) + np.float64(place) * np.float64(steps[c, k])
+            means[i, k] = np.float32(min(max(value, -LARGEST), LARGEST))
+            v[k] = np.float64(turn - half) * unit
+        rest = 1.0 - (v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        quats[i, 0] = np.float32(np.sqrt(max(rest, 0.0)))
+        for k in range(3):
+            quats[i, 1 + k] = np.float32(v[k])

@@ -1,0 +1,239 @@
+"""Gaussians as records of 16 bytes, each decodable on its own given the row of its chunk, and back.
+
+A chunk is a run of up to 256 Gaussians with a box and a range of scales; its row of the `ChunkTable` travels once,
+before the first of its records. Chunks end where one Gaussian, far away or of another size, would make the records of
+the others coarse. Frame and units are the scene's. This module knows no file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.package import _kernels as kernels
+from gsvis.package.layout import RECORD_BYTES, RecordLayout
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["CHUNK", "ChunkTable", "Geometry", "build_chunks", "decode_records", "encode_records"]
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+I64 = NDArray[np.int64]
+
+CHUNK = 256
+"""Gaussians in a chunk at most."""
+
+STEP = 1.0 / 16.0
+"""Coarsest step of a coordinate, in largest standard deviations of the smallest Gaussian of a chunk."""
+
+SPREAD = 10 * 64
+"""By how many 1/64 octaves the largest scales of two Gaussians of a chunk may differ."""
+
+_ROOTS = np.exp2(np.arange(64) / 64.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkTable:
+    """What the records of C chunks are relative to, read-only.
+
+    Args:
+        origins: (C, 3) float32, lowest corner of each chunk's box.
+        steps: (C, 3) float32, >= 0; place p stands for origin + p * step, taken in float64.
+        lows: (C,) int16, lowest log-scale in 1/64 octave.
+        strides: (C,) uint8, >= 1, steps of log-scales in 1/64 octave.
+        counts: (C,) uint16, Gaussians of each chunk, 1 to `CHUNK`.
+
+    Raises:
+        ValueError: If a shape, a length or a value is wrong.
+    """
+
+    origins: F32
+    steps: F32
+    lows: NDArray[np.int16]
+    strides: U8
+    counts: NDArray[np.uint16]
+
+    def __post_init__(self) -> None:
+        arrays = {
+            "origins": _check.floats("origins", self.origins, ("C", 3)),
+            "steps": _check.floats("steps", self.steps, ("C", 3)),
+            "lows": _check.integers("lows", self.lows, ("C",), np.int16),
+            "strides": _check.integers("strides", self.strides, ("C",), np.uint8),
+            "counts": _check.integers("counts", self.counts, ("C",), np.uint16),
+        }
+        _check.same_length(**arrays)
+        _check.in_range("steps", arrays["steps"], 0.0, np.inf)
+        _check.in_range("strides", arrays["strides"], 1, 255)
+        _check.in_range("counts", arrays["counts"], 1, CHUNK)
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @classmethod
+    def concatenate(cls, parts: list[ChunkTable]) -> ChunkTable:
+        """One table of several; of none, one without rows."""
+        if not parts:
+            none = np.zeros((0, 3), np.float32)
+            return cls(none, none, np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
+        names = ("origins", "steps", "lows", "strides", "counts")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def __getitem__(self, rows: slice | NDArray[np.integer]) -> ChunkTable:
+        """The rows at a slice or an index array."""
+        return ChunkTable(self.origins[rows], self.steps[rows], self.lows[rows], self.strides[rows], self.counts[rows])
+
+    @property
+    def starts(self) -> I64:
+        """(C + 1,) id of the first Gaussian of each chunk, and N."""
+        return np.concatenate([np.zeros(1, np.int64), np.cumsum(self.counts, dtype=np.int64)])
+
+    def of_ids(self, ids: ArrayLike) -> NDArray[np.int32]:
+        """(M,) the chunk of each of these Gaussians."""
+        found = np.searchsorted(self.starts, np.asarray(ids, np.int64), side="right") - 1
+        return found.astype(np.int32)
+
+    def of_all(self) -> NDArray[np.int32]:
+        """(N,) the chunk of every Gaussian."""
+        return np.repeat(np.arange(len(self), dtype=np.int32), self.counts)
+
+
+class Geometry(NamedTuple):
+    """What M records say of geometry, ready to be drawn.
+
+    Attributes:
+        means: (M, 3) float32.
+        quats: (M, 4) float32, unit, wxyz, w >= 0.
+        scales: (M, 3) float32.
+        opacities: (M,) float32.
+    """
+
+    means: F32
+    quats: F32
+    scales: F32
+    opacities: F32
+
+
+def build_chunks(g: Gaussians, layout: RecordLayout, *, cuts: ArrayLike = (), finest: float = 0.0) -> ChunkTable:
+    """Chunks for Gaussians in their order, which ought to be one in which neighbours are near each other.
+
+    Args:
+        g: N Gaussians.
+        layout: How many bits a coordinate has.
+        cuts: Ids before which a chunk ends in any case, rising.
+        finest: Largest scale below which a Gaussian need not be placed more finely, scene units.
+
+    Raises:
+        ValueError: If `cuts` do not rise or are out of range.
+    """
+    n = len(g)
+    bounds = np.concatenate([[0], _check.integers("cuts", np.asarray(cuts, np.int64), ("K",)), [n]])
+    if (np.diff(bounds) < 0).any():
+        raise ValueError(f"cuts: expected rising ids from 0 to {n}, got others")
+    levels = np.empty((n, 3), np.int32)
+    largest = kernels.log_scales(g.scales, levels)
+    allowed = np.maximum(g.scales.max(axis=1, initial=0.0).astype(np.float64), finest) * STEP
+    places = (1 << layout.position) - 1
+    pieces = [np.zeros(0, np.int64)]
+    for low, high in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        some, found = slice(low, high), np.empty(high - low, np.int64)
+        means = g.means[some].astype(np.float64)
+        count = kernels.chunk_starts(means, largest[some], allowed[some], places, CHUNK, SPREAD, found)
+        pieces.append(low + found[:count])
+    starts = np.concatenate(pieces)
+    if n == 0:
+        return ChunkTable.concatenate([])
+    low, high = (np.asarray(of.reduceat(g.means, starts, axis=0), np.float64) for of in (np.minimum, np.maximum))
+    steps = ((high - low) / places).astype(np.float32)
+    short = steps.astype(np.float64) * places < high - low  # rounded down: one step would be missing at the end
+    steps = np.where(short, np.nextafter(steps, np.float32(np.inf)), steps)
+    lows = np.minimum.reduceat(levels.min(axis=1), starts)
+    ranges = np.maximum.reduceat(levels.max(axis=1), starts) - lows
+    strides = np.maximum(1, -(-ranges // 255))
+    counts = np.diff(np.append(starts, n))
+    return ChunkTable(low.astype(np.float32), steps, lows.astype(np.int16), strides.astype(np.uint8), counts)
+
+
+def encode_records(
+    g: Gaussians, colors: U8, table: ChunkTable, layout: RecordLayout, *, chunks: ArrayLike | None = None
+) -> U8:
+    """(N, 16) records of Gaussians.
+
+    Args:
+        g: N Gaussians.
+        colors: (N, 3) uint8 base colours as places in their tables, or (N, 4) with the scale of the colour.
+        table: Chunks that hold these Gaussians.
+        layout: How the bits are used.
+        chunks: (N,) row of each; None means that the Gaussians are those of the table, in order.
+
+    Raises:
+        ValueError: If lengths do not fit, or a Gaussian is outside of its chunk.
+    """
+    rows = _rows(table, chunks, len(g))
+    base = _check.integers("colors", colors, (len(g), 4 if layout.color_scale else 3), np.uint8)
+    levels = np.empty((len(g), 3), np.int32)
+    kernels.log_scales(g.scales, levels)
+    places = (1 << layout.position) - 1
+    away = g.means.astype(np.float64) - table.origins[rows]
+    above = levels.min(axis=1, initial=1 << 20) - table.lows[rows]
+    over = levels.max(axis=1, initial=-(1 << 20)) - table.lows[rows] - 255 * table.strides[rows].astype(np.int32)
+    if (away < 0).any() or (away > table.steps[rows].astype(np.float64) * places).any():
+        raise ValueError("g: expected Gaussians within the boxes of their chunks, got one outside")
+    if (above < 0).any() or (over > 0).any():
+        raise ValueError("g: expected scales within the ranges of their chunks, got one outside")
+    out = np.zeros((len(g), RECORD_BYTES), np.uint8)
+    kernels.encode(
+        rows, table.origins, table.steps, table.lows, table.strides, g.means, g.quats, levels, g.opacities, base,
+        (layout.position, layout.rotation), out,
+    )  # fmt: skip
+    return out
+
+
+def decode_records(
+    records: ArrayLike, table: ChunkTable, layout: RecordLayout, *, chunks: ArrayLike | None = None
+) -> Geometry:
+    """The geometry that records stand for; any bytes decode to something that can be drawn.
+
+    Args:
+        records: (M, 16) uint8.
+        table: Rows of chunks.
+        layout: How the bits are used.
+        chunks: (M,) row of each record; None means that the records are those of the table, in order.
+
+    Raises:
+        ValueError: If a shape or a row does not fit.
+    """
+    packed = _check.integers("records", records, ("M", RECORD_BYTES), np.uint8)
+    m = len(packed)
+    rows = _rows(table, chunks, m)
+    found = Geometry(
+        np.empty((m, 3), np.float32), np.empty((m, 4), np.float32), np.empty((m, 3), np.float32),
+        np.empty(m, np.float32),
+    )  # fmt: skip
+    kernels.decode(
+        rows, table.origins, table.steps, table.lows, table.strides, packed, (layout.position, layout.rotation),
+        layout.packed_from, _ROOTS, *found,
+    )  # fmt: skip
+    return found
+
+
+def base_colors(records: U8, layout: RecordLayout) -> U8:
+    """(M, 3 or 4) base colours of records as places in their tables."""
+    return np.ascontiguousarray(records[:, 4 : 8 if layout.color_scale else 7])
+
+
+def _rows(table: ChunkTable, chunks: ArrayLike | None, count: int) -> NDArray[np.int32]:
+    if chunks is None:
+        if int(table.counts.sum(dtype=np.int64)) != count:
+            raise ValueError(f"table: expected chunks of {count:,} Gaussians, got {table.counts.sum():,}")
+        return table.of_all()
+    rows: NDArray[np.int32] = _check.integers("chunks", chunks, (count,), np.int32)
+    _check.in_range("chunks", rows, 0, len(table) - 1)
+    return rows

@@ -1,0 +1,61 @@
+"""What rounding to records costs: images of a scene as it will be decoded against images of it as it was."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsvis.color.evaluate import Evaluator
+from gsvis.color.records import QuantisedColors
+from gsvis.color.srbf import SrbfColors
+from gsvis.package.contents import Contents
+from gsvis.package.manifest import Cost
+from gsvis.progress import Progress, silent
+from gsvis.render import psnr, rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.levels import Levels
+
+__all__ = ["measure_cost"]
+
+_CAP = 100.0
+
+
+def measure_cost(
+    levels: Levels,
+    exact: SrbfColors,
+    colors: QuantisedColors,
+    cameras: Cameras,
+    *,
+    progress: Progress = silent,
+) -> Cost:
+    """Draw the highest level before and after it has been through records.
+
+    Args:
+        levels: In the order of a package.
+        exact: Colours of the union before they were rounded.
+        colors: The same, rounded.
+        cameras: C > 0 views.
+        progress: Called with stage "cost", in views.
+
+    Raises:
+        ValueError: If lengths do not fit or there is no camera.
+    """
+    if len(cameras) == 0:
+        raise ValueError("cameras: expected at least one, got none")
+    if len(exact) != len(levels.union):
+        raise ValueError(f"exact: expected colours of {len(levels.union):,} Gaussians, got {len(exact):,}")
+    contents = Contents.of(levels, colors)
+    member = levels.member(len(levels) - 1)
+    scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
+    shown = exact[member], contents.colors().dequantised()[member]
+    evaluators = [Evaluator(of) for of in shown]
+    found = []
+    progress("cost", 0, len(cameras))
+    for c in range(len(cameras)):
+        camera, eye = cameras[c], cameras[c].viewpoints[0]
+        images = [
+            np.clip(rasterize(g, camera, colors=e.colors(g.means, eye)).images[0].numpy(), 0.0, 1.0)
+            for g, e in zip(scenes, evaluators, strict=True)
+        ]
+        found.append(min(_CAP, float(psnr(images[1], images[0]))))
+        progress("cost", c + 1, len(cameras))
+    return Cost(float(np.mean(found)), float(np.min(found)), len(cameras), cameras.width, cameras.height)

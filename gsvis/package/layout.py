@@ -1,0 +1,100 @@
+"""Where the bits of a record are: geometry and base colour of one Gaussian in 16 bytes, and one term in a few.
+
+A record of a Gaussian is, in this order: opacity, three log-scales, three components of the base colour, one byte
+each; the scale of the colour in one byte where the variant has one; then a little-endian string of bits, for x, y and
+z in turn the place in the chunk's box and a component of the quaternion, lowest bits first. A record of a term is one
+such string. docs/design/016-package.md says why. This module holds numbers only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.records import Grids, has_scales
+from gsvis.color.variants import variant
+
+__all__ = ["RECORD_BYTES", "RecordLayout", "TermLayout"]
+
+RECORD_BYTES = 16
+"""Bytes of geometry and base colour of a Gaussian."""
+
+
+@dataclass(frozen=True)
+class RecordLayout:
+    """How the 128 bits of a Gaussian are used.
+
+    Attributes:
+        position: Bits of each coordinate in the box of the chunk.
+        rotation: Bits of each of the three smaller components of the quaternion.
+        color_scale: Whether a byte holds the scale of the colour.
+
+    Examples:
+        >>> RecordLayout.of("rgb")
+        RecordLayout(position=14, rotation=10, color_scale=False)
+    """
+
+    position: int
+    rotation: int
+    color_scale: bool
+
+    @classmethod
+    def of(cls, name: str) -> RecordLayout:
+        """The layout for a variant of colours; those with a scale have fewer bits for the rest."""
+        return cls(13, 8, True) if has_scales(variant(name)) else cls(14, 10, False)
+
+    @property
+    def packed_from(self) -> int:
+        """The byte at which the string of bits begins."""
+        return 8 if self.color_scale else 7
+
+
+@dataclass(frozen=True)
+class TermLayout:
+    """How the bits of a term are used.
+
+    Attributes:
+        function: Bits of the index of the function; 0 where a variant has one.
+        theta: Bits of the polar angle of the centre.
+        phi: Bits of its azimuth.
+        decay: Bits of the decay.
+        intensity: Bits of each intensity.
+        intensities: How many intensities a term has.
+    """
+
+    function: int
+    theta: int
+    phi: int
+    decay: int
+    intensity: int
+    intensities: int
+
+    @classmethod
+    def of(cls, grids: Grids) -> TermLayout:
+        """The layout for colours that were rounded to these tables.
+
+        Raises:
+            ValueError: If a term needs more than 64 bits, or a part of a base colour more than 8.
+        """
+        p, kind = grids.precision, grids.kind
+        function = (len(kind.functions) - 1).bit_length()
+        layout = cls(function, p.center, p.center + 1, p.decay, p.intensity, kind.intensities)
+        if p.base > 8 or (has_scales(kind) and p.scale > 8) or p.axis > 8:
+            raise ValueError(f"precision: expected at most 8 bits for base, scale and axis, got {p}; use 'wire'")
+        if sum(layout.widths) > 64:
+            raise ValueError(f"precision: expected terms of at most 64 bits, got {sum(layout.widths)}; use 'wire'")
+        return layout
+
+    @property
+    def widths(self) -> NDArray[np.int64]:
+        """Bits of function, polar angle, azimuth, decay and each intensity, lowest bits first."""
+        return np.array(
+            [self.function, self.theta, self.phi, self.decay, *[self.intensity] * self.intensities], np.int64
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of a record."""
+        return -(-int(self.widths.sum()) // 8)

@@ -1,0 +1,285 @@
+"""The manifest of a package: what it holds, in which frame and at what cost, and the name of every part.
+
+JSON, under a hash of its own. It is written last, so a folder that has one is whole. Nothing in it is a path.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.color.records import Grids
+from gsvis.color.storage import grids_of
+from gsvis.color.variants import VARIANTS
+from gsvis.errors import FormatError
+from gsvis.io._json import Fields, parse_object
+from gsvis.package.layout import RecordLayout, TermLayout
+from gsvis.package.parts import Part
+
+__all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
+
+FORMAT, VERSION = "gsvis-package", 1
+MANIFEST = "manifest.json"
+_MOST_BYTES = 1 << 30
+_MOST = (1 << 31) - 1
+_REMEDY = "the manifest is damaged: copy or prepare the package again"
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What rounding to records costs in image quality: decoded against unrounded, highest level, all terms.
+
+    Attributes:
+        psnr: Mean over views, dB, 100 where images are equal.
+        worst: The least of them, dB.
+        views: How many.
+        width: Pixels.
+        height: Pixels.
+    """
+
+    psnr: float
+    worst: float
+    views: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class PackageInfo:
+    """What a package says of its scene that records do not.
+
+    Attributes:
+        up: (3,) unit axis that points upwards.
+        metres_per_unit: Size of a scene unit; 0 where nobody knows.
+        cost: What rounding costs; None where it was not measured.
+        provenance: Anything that JSON can say.
+
+    Raises:
+        ValueError: If a value is out of its range.
+    """
+
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    metres_per_unit: float = 0.0
+    cost: Cost | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        up = _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0]
+        object.__setattr__(self, "up", tuple(float(v) for v in up))
+        if not 0.0 <= self.metres_per_unit < np.inf:
+            raise ValueError(f"metres_per_unit: expected a finite number >= 0, got {self.metres_per_unit!r}")
+        try:
+            kept = json.loads(json.dumps(dict(self.provenance), allow_nan=False))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"provenance: expected what JSON can say, got {error}") from error
+        object.__setattr__(self, "provenance", kept)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Gaussians that stand together, as parts.
+
+    Attributes:
+        gaussians: Their records.
+        terms: The records of their terms, in their order, and how many each part has.
+        count: How many Gaussians.
+        num_terms: How many terms.
+    """
+
+    gaussians: Part
+    terms: tuple[tuple[Part, int], ...]
+    count: int
+    num_terms: int
+
+
+@dataclass(frozen=True)
+class Blob:
+    """A file of another format, cut into parts.
+
+    Attributes:
+        parts: In their order.
+        nbytes: Bytes of all together.
+    """
+
+    parts: tuple[Part, ...]
+    nbytes: int
+
+
+@dataclass(frozen=True, eq=False)
+class Manifest:
+    """What `manifest.json` says.
+
+    Attributes:
+        info: Frame, cost and provenance.
+        scene: `scene_hash` of the union before it was rounded; visible sets were built for it.
+        names: Of the levels, lowest first.
+        counts: Gaussians of each.
+        grids: What base colours and terms point into.
+        tables: Parts with the rows of chunks, and how many rows each has.
+        blocks: Gaussians and terms.
+        visibility: The store of visible sets, or None.
+        active_terms: The store of active terms, or None.
+    """
+
+    info: PackageInfo
+    scene: str
+    names: tuple[str, ...]
+    counts: tuple[int, ...]
+    grids: Grids
+    tables: tuple[tuple[Part, int], ...]
+    blocks: tuple[Block, ...]
+    visibility: Blob | None = None
+    active_terms: Blob | None = None
+
+    @property
+    def gaussians(self) -> int:
+        """N."""
+        return sum(block.count for block in self.blocks)
+
+    @property
+    def terms(self) -> int:
+        """T."""
+        return sum(block.num_terms for block in self.blocks)
+
+    def parts(self) -> Iterator[Part]:
+        """All parts."""
+        yield from (part for part, _ in self.tables)
+        for block in self.blocks:
+            yield block.gaussians
+            yield from (part for part, _ in block.terms)
+        for blob in (self.visibility, self.active_terms):
+            if blob is not None:
+                yield from blob.parts
+
+    def to_json(self) -> bytes:
+        """The file; the same manifest gives the same bytes."""
+        layout = RecordLayout.of(self.grids.variant)
+        blobs = {"visibility": self.visibility, "active_terms": self.active_terms}
+        value = {
+            "format": FORMAT,
+            "version": VERSION,
+            "up": list(self.info.up),
+            "metres_per_unit": self.info.metres_per_unit,
+            "gaussians": self.gaussians,
+            "terms": self.terms,
+            "scene": self.scene,
+            "levels": [{"name": name, "count": count} for name, count in zip(self.names, self.counts, strict=True)],
+            "quantisation": {
+                "record": asdict(layout),
+                "term": asdict(TermLayout.of(self.grids)),
+                "colors": asdict(self.grids),
+                "cost": None if self.info.cost is None else asdict(self.info.cost),
+            },
+            "chunks": [{**part.as_dict(), "count": count} for part, count in self.tables],
+            "blocks": [
+                {
+                    **block.gaussians.as_dict(),
+                    "count": block.count,
+                    "terms": block.num_terms,
+                    "term_parts": [{**part.as_dict(), "count": count} for part, count in block.terms],
+                }
+                for block in self.blocks
+            ],
+            **{
+                name: None if blob is None else {"bytes": blob.nbytes, "parts": [p.as_dict() for p in blob.parts]}
+                for name, blob in blobs.items()
+            },
+            "provenance": self.info.provenance,
+        }
+        return json.dumps({**value, "sha256": _digest(value)}, indent=1, sort_keys=True, allow_nan=False).encode()
+
+    @classmethod
+    def read(cls, path: Path) -> Manifest:
+        """Read and check a manifest.
+
+        Raises:
+            FormatError: If it is none, damaged, of a newer version, or contradicts itself.
+            OSError: If it cannot be opened.
+        """
+        size = path.stat().st_size
+        if size > _MOST_BYTES:
+            raise FormatError(path, "", f"at most {_MOST_BYTES:,} bytes", f"{size:,}")
+        fields = parse_object(path, path.read_bytes())
+        if fields.raw("format") != FORMAT:
+            raise FormatError(path, "format", FORMAT, repr(fields.raw("format"))[:60], "is this a package?")
+        version = fields.integer("version", 1, 1 << 30)
+        if version > VERSION:
+            raise FormatError(path, "version", f"at most {VERSION}", f"{version}", "update gsvis")
+        value = dict(fields.value)
+        digest = value.pop("sha256", None)
+        if digest != _digest(value):
+            raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], _REMEDY)
+        try:
+            return cls._of(fields)
+        except ValueError as error:
+            raise FormatError(path, "", "valid values", str(error), _REMEDY) from error
+
+    @classmethod
+    def _of(cls, fields: Fields) -> Manifest:
+        scene, quantised = fields.raw("scene"), fields.child("quantisation")
+        colors = quantised.child("colors")
+        name = colors.raw("variant")
+        if not isinstance(scene, str) or name not in VARIANTS:
+            known = f"a hash, and one of {', '.join(VARIANTS)}"
+            raise FormatError(fields.path, "scene, variant", known, repr((scene, name))[:80])
+        grids = grids_of(colors, name)
+        for key, layout in (("record", RecordLayout.of(name)), ("term", TermLayout.of(grids))):
+            if quantised.raw(key) != asdict(layout):
+                raise FormatError(
+                    fields.path, f"quantisation.{key}", f"{asdict(layout)}", f"{quantised.raw(key)}"[:200]
+                )
+        levels = _objects(fields, "levels")
+        names = tuple(str(level.raw("name"))[:100] for level in levels)
+        if not 1 <= len(names) <= 16 or len(set(names)) < len(names):
+            raise FormatError(fields.path, "levels", "1 to 16 levels of different names", f"{names}"[:200])
+        cost = quantised.child("cost") if "cost" in quantised else None
+        measured = None
+        if cost is not None:
+            sizes = (cost.integer(key, 1, _MOST) for key in ("views", "width", "height"))
+            measured = Cost(cost.number("psnr"), cost.number("worst"), *sizes)
+        up = fields.numbers("up", 3).tolist()
+        info = PackageInfo(
+            (up[0], up[1], up[2]), fields.number("metres_per_unit"), measured, fields.child("provenance").value
+        )
+        found = cls(
+            info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,
+            tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),
+            tuple(_block(row) for row in _objects(fields, "blocks")),
+            _blob(fields, "visibility"), _blob(fields, "active_terms"),
+        )  # fmt: skip
+        for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):
+            if fields.integer(claimed, 0, _MOST) != counted:
+                raise FormatError(fields.path, key, f"{counted:,} as the parts have", f"{fields.raw(key)}", _REMEDY)
+        return found
+
+
+def _objects(fields: Fields, key: str) -> list[Fields]:
+    return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
+
+
+def _block(row: Fields) -> Block:
+    parts = tuple((Part.from_fields(part), part.integer("count", 1, _MOST)) for part in _objects(row, "term_parts"))
+    return Block(Part.from_fields(row), parts, row.integer("count", 1, _MOST), row.integer("terms", 0, _MOST))
+
+
+def _blob(fields: Fields, key: str) -> Blob | None:
+    if key not in fields:
+        return None
+    child = fields.child(key)
+    parts = tuple(Part.from_fields(part, "bin") for part in _objects(child, "parts"))
+    total = child.integer("bytes", 0, 1 << 50)
+    if total != sum(part.nbytes for part in parts):
+        raise FormatError(fields.path, f"{key}.bytes", f"{sum(p.nbytes for p in parts):,}", f"{total:,}", _REMEDY)
+    return Blob(parts, total)
+
+
+def _digest(value: dict[str, Any]) -> str:
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,267 @@
+"""A package on disk, open for reading: records, levels, colours, visible sets and active terms of a scene.
+
+Opening reads the manifest alone. Every part is checked against its name when it is read, and `verify` reads them all.
+Ids are places in the order of the package; scene frame and units.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError, SceneError
+from gsvis.package.codec import ChunkTable
+from gsvis.package.contents import Contents
+from gsvis.package.layout import RECORD_BYTES, TermLayout
+from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest
+from gsvis.package.parts import PartFolder
+from gsvis.progress import Progress, silent
+from gsvis.visibility.active_terms import ActiveTerms
+from gsvis.visibility.store import VisibilityStore
+
+__all__ = ["PARTS", "Package", "Verified", "columns_of"]
+
+PARTS = "parts"
+"""Name of the folder of parts."""
+
+U8 = NDArray[np.uint8]
+_REMEDY = "prepare the package again"
+_TABLE: dict[str, type[np.generic]] = {
+    **{f"origin_{axis}": np.float32 for axis in "xyz"},
+    **{f"step_{axis}": np.float32 for axis in "xyz"},
+    "low": np.int16,
+    "stride": np.uint8,
+    "count": np.uint16,
+    "first_level": np.uint8,
+    "last_level": np.uint8,
+}
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What `Package.verify` has read.
+
+    Attributes:
+        parts: Different parts.
+        nbytes: Bytes of them and of the manifest.
+        gaussians: N.
+        terms: T.
+        cells: Cells of the visible sets, 0 without them.
+        strays: Files beside the parts that the manifest does not name.
+    """
+
+    parts: int
+    nbytes: int
+    gaussians: int
+    terms: int
+    cells: int
+    strays: int
+
+
+class Package:
+    """An open package; `Package.open` or `write_package` make one.
+
+    Attributes:
+        path: The folder.
+        manifest: What it says of itself.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        """Read the manifest; see `open`."""
+        self.path = Path(path)
+        if self.path.is_dir() and not (self.path / MANIFEST).is_file():
+            raise FormatError(self.path, "", f"a package with a {MANIFEST}", "a folder without", _REMEDY)
+        self.manifest = Manifest.read(self.path / MANIFEST)
+        self._parts = PartFolder(self.path / PARTS)
+        self._opened = ExitStack()
+
+    @classmethod
+    def open(cls, path: str | PathLike[str]) -> Package:
+        """Open a package.
+
+        Args:
+            path: Its folder.
+
+        Raises:
+            FormatError: If it is no package, damaged, or of a newer version.
+            OSError: If it cannot be opened.
+        """
+        return cls(path)
+
+    def close(self) -> None:
+        """Let go of the stores that were opened through it."""
+        self._opened.close()
+
+    def __enter__(self) -> Package:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """N, the Gaussians of all levels together."""
+        return self.manifest.gaussians
+
+    def __repr__(self) -> str:
+        m = self.manifest
+        return f"Package({m.gaussians:,} Gaussians, {m.terms:,} terms, {len(m.names)} levels, {self.path.name})"
+
+    @cached_property
+    def contents(self) -> Contents:
+        """All records, read and checked once: 16 bytes a Gaussian and a few a term in memory.
+
+        Raises:
+            FormatError: If a part is missing, damaged, or does not fit the others.
+        """
+        m = self.manifest
+        tables = [self._parts.read_columns(part, "chunks", _TABLE, rows) for part, rows in m.tables]
+        table = ChunkTable.concatenate([self._table(columns) for columns in tables])
+        pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
+        levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
+        blocks = [self.block(block) for block in m.blocks]
+        empty = [np.zeros((0, width), np.uint8) for width in self._widths]
+        records, axes, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(3))
+        counts = np.concatenate([np.zeros(0, np.uint8), *(b[3] for b in blocks)])
+        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
+        if int(table.counts.sum(dtype=np.int64)) != m.gaussians:
+            raise self._fault("chunks", f"{m.gaussians:,} Gaussians", f"{table.counts.sum():,}")
+        if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
+            raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
+        found = Contents(m.names, table, levels, records, counts, terms, axes, m.grids, starts)
+        members = [int(((found.first <= k) & (k <= found.last)).sum()) for k in range(len(m.names))]
+        if members != list(m.counts):
+            raise self._fault("levels", f"{m.counts} Gaussians", f"{members}")
+        return found
+
+    def block(self, block: Block) -> tuple[U8, U8, U8, U8]:
+        """Records (M, 16), axes (M, 2 A), terms (T, B) and numbers of terms (M,) of one block of the manifest.
+
+        Raises:
+            FormatError: If one of its parts is missing or damaged.
+        """
+        wide, axes, narrow = self._widths
+        types: dict[str, type[np.generic]] = {
+            **{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8, **{f"a{k}": np.uint8 for k in range(axes)},
+        }  # fmt: skip
+        columns = self._parts.read_columns(block.gaussians, "gaussians", types, block.count)
+        counts: U8 = columns["terms"]
+        if int(counts.sum(dtype=np.int64)) != block.num_terms:
+            got = f"{counts.sum(dtype=np.int64):,}"
+            raise self._fault(f"part {block.gaussians.name[:12]}...", f"{block.num_terms:,} terms", got)
+        pieces = [np.zeros((0, narrow), np.uint8)]
+        for part, count in block.terms:
+            read = self._parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count)
+            pieces.append(_stacked(read, "t", narrow))
+        terms = np.concatenate(pieces)
+        if len(terms) != block.num_terms:
+            raise self._fault("term_parts", f"{block.num_terms:,} terms", f"{len(terms):,}")
+        return _stacked(columns, "r", wide), _stacked(columns, "a", axes), terms, counts
+
+    @cached_property
+    def visibility(self) -> VisibilityStore:
+        """The store of visible sets, of the union in the order of the package.
+
+        Raises:
+            SceneError: If the package has none.
+            FormatError: If it is damaged, or of another scene.
+        """
+        store = VisibilityStore(self._joined(self.manifest.visibility, "sets.pvs"))
+        self._opened.callback(store.close)
+        if store.info.scene != self.manifest.scene or store.gaussians != len(self):
+            raise self._fault("visibility", f"sets of {self.manifest.scene[:12]}...", f"{store.info.scene[:12]}...")
+        return store
+
+    @cached_property
+    def active_terms(self) -> ActiveTerms:
+        """The store of active terms.
+
+        Raises:
+            SceneError: If the package has none.
+            FormatError: If it is damaged, or of other terms.
+        """
+        store = ActiveTerms(self._joined(self.manifest.active_terms, "active.terms.arrow"))
+        self._opened.callback(store.close)
+        if store.info.scene != self.manifest.scene or store.info.terms != self.manifest.terms:
+            raise self._fault("active_terms", f"those of {self.manifest.terms:,} terms", f"{store.info.terms:,}")
+        return store
+
+    def verify(self, *, progress: Progress = silent) -> Verified:
+        """Read, check and decode everything.
+
+        Args:
+            progress: Called with stage "verify", in parts.
+
+        Raises:
+            FormatError: If anything is damaged or missing; names the first place.
+        """
+        m = self.manifest
+        parts = sorted({part.name: part for part in m.parts()}.values(), key=lambda part: part.name)
+        progress("verify", 0, len(parts))
+        for k, part in enumerate(parts):
+            self._parts.path_of(part)
+            progress("verify", k + 1, len(parts))
+        contents = self.contents
+        try:
+            contents.levels()
+            contents.colors()
+        except ValueError as error:
+            raise self._fault("records", "what can be drawn", str(error)) from error
+        cells = 0
+        if m.visibility is not None:
+            self.visibility.verify()
+            cells = len(self.visibility)
+        if m.active_terms is not None:
+            self.active_terms.verify()
+        names = {part.name for part in parts}
+        strays = sum(path.name not in names for path in self._parts.folder.iterdir()) if parts else 0
+        size = (self.path / MANIFEST).stat().st_size
+        return Verified(len(parts), size + sum(p.nbytes for p in parts), m.gaussians, m.terms, cells, strays)
+
+    @property
+    def _widths(self) -> tuple[int, int, int]:
+        """Bytes of a record, of axes and of a term."""
+        grids = self.manifest.grids
+        return RECORD_BYTES, 2 * grids.kind.num_axes, TermLayout.of(grids).nbytes
+
+    def _table(self, columns: dict[str, Any]) -> ChunkTable:
+        origins, steps = (np.stack([columns[f"{of}_{axis}"] for axis in "xyz"], axis=1) for of in ("origin", "step"))
+        try:
+            return ChunkTable(origins, steps, columns["low"], columns["stride"], columns["count"])
+        except ValueError as error:
+            raise self._fault("chunks", "valid rows", str(error)) from error
+
+    def _joined(self, blob: Blob | None, name: str) -> Path:
+        """A store as one file, in a temporary folder that goes when the package is closed."""
+        if blob is None:
+            raise SceneError(f"{self.path}: the package has no {name.split('.')[0]}; prepare it with visibility")
+        folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
+        with (folder / name).open("wb") as file:
+            for part in blob.parts:
+                file.write(self._parts.read_bytes(part))
+        return folder / name
+
+    def _fault(self, where: str, expected: str, got: str) -> FormatError:
+        return FormatError(self.path, where, expected, got, _REMEDY)
+
+
+def columns_of(table: ChunkTable, levels: U8) -> dict[str, NDArray[Any]]:
+    """A table of chunks and the (C, 2) first and last level of each as columns of a part."""
+    values = [*table.origins.T, *table.steps.T, table.lows, table.strides, table.counts, *levels.T]
+    return dict(zip(_TABLE, values, strict=True))
+
+
+def _stacked(columns: dict[str, Any], letter: str, width: int) -> U8:
+    if width == 0:
+        return np.zeros((len(next(iter(columns.values()))), 0), np.uint8)
+    return np.stack([columns[f"{letter}{k}"] for k in range(width)], axis=1)

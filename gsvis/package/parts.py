@@ -1,0 +1,203 @@
+"""Files named by the SHA-256 of their content, in one folder: written once, checked whenever they are read.
+
+A name is 64 hexadecimal digits and nothing else, so no name leads out of the folder. This module knows no columns.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import secrets
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.io._arrow import ArrowFile, write_arrow
+from gsvis.io._json import Fields
+from gsvis.io._limits import Budget
+
+__all__ = ["MOST_BYTES", "Part", "PartFolder"]
+
+FORMAT, VERSION = "gsvis-part", 1
+
+MOST_BYTES = 1 << 20
+"""Bytes that a part holds at most, before compression."""
+
+_DIGEST = re.compile("[0-9a-f]{64}")
+_OURS = re.compile(r"[0-9a-f]{64}\.(arrow|bin)|\.part-[0-9a-f]{12}\.(arrow|bin)|\.\.part-[0-9a-f]{12}-.*\.(arrow|bin)")
+_AGAIN = "the part is damaged: copy or prepare the package again"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file.
+
+    Attributes:
+        digest: SHA-256 of its content, 64 hexadecimal digits.
+        nbytes: Its size.
+        suffix: "arrow" or "bin".
+    """
+
+    digest: str
+    nbytes: int
+    suffix: str = "arrow"
+
+    @classmethod
+    def from_fields(cls, fields: Fields, suffix: str = "arrow") -> Part:
+        """The part that an object of a manifest names.
+
+        Raises:
+            FormatError: If it names none.
+        """
+        digest = fields.raw("sha256")
+        if not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
+            got = repr(digest)[:80]
+            raise FormatError(fields.path, fields.where("sha256"), "64 hexadecimal digits", got)
+        return cls(digest, fields.integer("bytes", 0, 1 << 40), suffix)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a manifest."""
+        return {"sha256": self.digest, "bytes": self.nbytes}
+
+    @property
+    def name(self) -> str:
+        """Its file name."""
+        return f"{self.digest}.{self.suffix}"
+
+
+class PartFolder:
+    """The folder of parts of a package.
+
+    Args:
+        folder: Where they are.
+
+    Attributes:
+        written: How many parts this object had to write; those that were there already do not count.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = Path(folder)
+        self.written = 0
+
+    def write_columns(self, kind: str, columns: dict[str, NDArray[Any]]) -> Part:
+        """Write columns of one length as an Arrow file.
+
+        Args:
+            kind: What they are, kept in the header.
+            columns: (R,) arrays of numbers by name.
+        """
+        fields = [pa.field(name, pa.from_numpy_dtype(values.dtype), nullable=False) for name, values in columns.items()]
+        arrays = [pa.array(np.ascontiguousarray(values)) for values in columns.values()]
+        batch = pa.record_batch(arrays, schema=pa.schema(fields))
+        header = {"format": FORMAT, "version": VERSION, "kind": kind, "rows": batch.num_rows}
+        return self._write("arrow", lambda path: write_arrow(path, fields, header, [batch]))
+
+    def write_bytes(self, data: bytes) -> Part:
+        """Write bytes as they are."""
+
+        def write(path: Path) -> None:
+            path.write_bytes(data)
+
+        return self._write("bin", write)
+
+    def path_of(self, part: Part) -> Path:
+        """Where a part is, after its size and its content have been checked.
+
+        Raises:
+            FormatError: If it is missing, a link, or another content.
+        """
+        path = self.folder / part.name
+        if path.is_symlink():
+            raise FormatError(
+                path, "", "a file of the package", "a link", "links are not followed; copy the file itself"
+            )
+        try:
+            size, digest = path.stat().st_size, ""
+            if size == part.nbytes:
+                digest = _digest(path)
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise FormatError(path, "", "a part of the package", "no such file", "prepare the package again") from error
+        if size != part.nbytes:
+            raise FormatError(path, "", f"{part.nbytes:,} bytes", f"{size:,}", _AGAIN)
+        if digest != part.digest:
+            raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", _AGAIN)
+        return path
+
+    def read_bytes(self, part: Part) -> bytes:
+        """The bytes of a part.
+
+        Raises:
+            FormatError: As `path_of`.
+        """
+        return self.path_of(part).read_bytes()
+
+    def read_columns(self, part: Part, kind: str, types: dict[str, type[np.generic]], rows: int) -> dict[str, Any]:
+        """The columns of a part.
+
+        Args:
+            part: Which.
+            kind: What it has to be.
+            types: The type of each column that it has to have.
+            rows: Their length.
+
+        Raises:
+            FormatError: As `path_of`, or if the part is another kind of file, or has other columns.
+        """
+        path = self.path_of(part)
+        file = ArrowFile(path, FORMAT, VERSION)
+        if file.header.raw("kind") != kind:
+            raise FormatError(path, "kind", kind, repr(file.header.raw("kind"))[:60])
+        expected = pa.schema([pa.field(k, pa.from_numpy_dtype(np.dtype(t)), nullable=False) for k, t in types.items()])
+        if not file.schema.equals(expected):
+            raise FormatError(path, "columns", ", ".join(expected.names)[:200], ", ".join(file.schema.names)[:200])
+        batches = list(file.batches(Budget(path, file.nbytes)))
+        found = sum(batch.num_rows for batch in batches)
+        if found != rows:
+            raise FormatError(path, "rows", f"{rows:,} as the manifest says", f"{found:,}", _AGAIN)
+        return {
+            name: np.concatenate([batch.column(name).to_numpy() for batch in batches] or [np.zeros(0, kind)])
+            for name, kind in types.items()
+        }
+
+    def remove_all_but(self, kept: Iterable[Part]) -> int:
+        """Remove parts that no manifest names any more, and what a killed run left; files of others stay.
+
+        Returns:
+            How many were removed.
+        """
+        names = {part.name for part in kept}
+        stale = [p for p in sorted(self.folder.iterdir()) if p.name not in names and _OURS.fullmatch(p.name)]
+        for path in stale:
+            path.unlink()
+        return len(stale)
+
+    def _write(self, suffix: str, write: Callable[[Path], None]) -> Part:
+        """Write beside, take the hash, move into place unless the same is there already."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        partial = self.folder / f".part-{secrets.token_hex(6)}.{suffix}"
+        try:
+            write(partial)
+            part = Part(_digest(partial), partial.stat().st_size, suffix)
+            try:
+                self.path_of(part)
+            except FormatError:
+                os.replace(partial, self.folder / part.name)
+                self.written += 1
+        finally:
+            partial.unlink(missing_ok=True)
+        return part
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

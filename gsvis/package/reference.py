@@ -1,0 +1,67 @@
+"""Slow twins of the kernels: one Gaussian at a time in plain Python, as a client would write it from the document."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.package.codec import ChunkTable
+from gsvis.package.layout import RecordLayout
+
+__all__ = ["decode_one", "encode_one"]
+
+_SQRT_HALF = math.sqrt(0.5)
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+def decode_one(
+    record: bytes, table: ChunkTable, row: int, layout: RecordLayout
+) -> tuple[list[float], list[float], list[float], float]:
+    """Mean, quaternion, scales and opacity of one record, before they are rounded to float32."""
+    opacity = record[0] / 255.0
+    low, stride = int(table.lows[row]), int(table.strides[row])
+    logs = [min(max(low + place * stride, -126 * 64), 128 * 64 - 1) for place in record[1:4]]
+    scales = [math.ldexp(2.0 ** ((level % 64) / 64.0), level // 64) for level in logs]
+    bits = int.from_bytes(record[layout.packed_from :], "little")
+    width, half = layout.position + layout.rotation, (1 << (layout.rotation - 1)) - 1
+    mean, vector = [], []
+    for axis in range(3):
+        word = bits >> (axis * width)
+        place = word & ((1 << layout.position) - 1)
+        turn = (word >> layout.position) & ((1 << layout.rotation) - 1)
+        value = float(table.origins[row, axis]) + place * float(table.steps[row, axis])
+        mean.append(min(max(value, -_LARGEST), _LARGEST))
+        vector.append((turn - half) * (_SQRT_HALF / half))
+    x, y, z = vector
+    return mean, [math.sqrt(max(0.0, 1.0 - (x * x + y * y + z * z))), x, y, z], scales, opacity
+
+
+def encode_one(
+    mean: NDArray[np.float32],
+    quat: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    opacity: float,
+    color: bytes,
+    chunk: tuple[ChunkTable, int],
+    layout: RecordLayout,
+) -> bytes:
+    """The record of one Gaussian of a chunk, given as a table and the row in it."""
+    table, row = chunk
+    logs = [min(max(round(math.log2(float(s)) * 64.0), -126 * 64), 128 * 64 - 1) for s in scales]
+    logs = [max(level, max(logs) - 11 * 64) for level in logs]
+    low, stride = int(table.lows[row]), int(table.strides[row])
+    head = bytes([round(float(opacity) * 255.0), *(min(255, (v - low + stride // 2) // stride) for v in logs), *color])
+    w, x, y, z = (float(v) for v in quat)
+    forms = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
+    best = max(forms, key=lambda form: abs(form[0]))  # the first of equals
+    sign = -1.0 if best[0] < 0 else 1.0
+    half, bits = (1 << (layout.rotation - 1)) - 1, 0
+    for axis in range(3):
+        step, place = float(table.steps[row, axis]), 0
+        if step > 0:
+            place = min(round((float(mean[axis]) - float(table.origins[row, axis])) / step), (1 << layout.position) - 1)
+        turn = min(max(round(sign * best[1 + axis] / _SQRT_HALF * half) + half, 0), 2 * half)
+        bits |= (place | turn << layout.position) << (axis * (layout.position + layout.rotation))
+    return head + bits.to_bytes(16 - layout.packed_from, "little")

@@ -1,0 +1,76 @@
+"""Terms of SRBF colours as records of a few bytes, each decodable on its own given the scene's tables, and back."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.color.records import Grids, QuantisedColors
+from gsvis.package.layout import TermLayout
+
+__all__ = ["Terms", "decode_terms", "encode_terms"]
+
+U8 = NDArray[np.uint8]
+U16 = NDArray[np.uint16]
+
+
+class Terms(NamedTuple):
+    """T terms as places in the tables of `Grids`.
+
+    Attributes:
+        functions: (T,) uint8.
+        centers: (T, 2) uint16.
+        decays: (T,) uint16.
+        intensities: (T, I) uint16.
+    """
+
+    functions: U8
+    centers: U16
+    decays: U16
+    intensities: U16
+
+
+def encode_terms(colors: QuantisedColors) -> U8:
+    """(T, B) records of all terms, in their order.
+
+    Args:
+        colors: Colours that were rounded.
+
+    Raises:
+        ValueError: If a term needs more than 64 bits.
+    """
+    layout = TermLayout.of(colors.grids)
+    parts = [colors.functions, colors.centers[:, 0], colors.centers[:, 1], colors.decays, *colors.intensities.T]
+    words, shift = np.zeros(colors.num_terms, "<u8"), 0
+    for part, width in zip(parts, layout.widths.tolist(), strict=True):
+        words |= part.astype(np.uint64) << np.uint64(shift) if width else np.uint64(0)
+        shift += width
+    return np.ascontiguousarray(words.view(np.uint8).reshape(-1, 8)[:, : layout.nbytes])
+
+
+def decode_terms(records: ArrayLike, grids: Grids) -> Terms:
+    """What records of terms say; any bytes decode to something that can be shown.
+
+    Args:
+        records: (T, B) uint8.
+        grids: The tables that the terms point into.
+
+    Raises:
+        ValueError: If the shape does not fit.
+    """
+    layout = TermLayout.of(grids)
+    packed = _check.integers("records", records, ("T", layout.nbytes), np.uint8)
+    padded = np.zeros((len(packed), 8), np.uint8)
+    padded[:, : layout.nbytes] = packed
+    words, shift, parts = padded.view("<u8")[:, 0], 0, []
+    for width in layout.widths.tolist():
+        parts.append(((words >> np.uint64(shift)) & np.uint64((1 << width) - 1)).astype(np.uint16) if width else None)
+        shift += width
+    last, most = len(grids.kind.functions) - 1, (1 << layout.intensity) - 2
+    functions = np.zeros(len(packed), np.uint8) if parts[0] is None else np.minimum(parts[0], last).astype(np.uint8)
+    theta, phi, decays, *intensities = parts[1:]
+    values = np.minimum(np.stack(intensities, axis=1), most)
+    return Terms(functions, np.stack([theta, phi], axis=1), decays, values)

@@ -1,0 +1,144 @@
+"""Writing a package: parts first, each under the name of its content, the manifest last.
+
+A killed run goes on where it was: what is there with the right content is not written again. The same scene gives the
+same files. What a scene's visible sets and active terms say is cut into parts as it is.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.records import QuantisedColors
+from gsvis.errors import FormatError
+from gsvis.io.atomic import atomic_path
+from gsvis.package.contents import Contents
+from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest, PackageInfo
+from gsvis.package.package import PARTS, Package, columns_of
+from gsvis.package.parts import MOST_BYTES, Part, PartFolder
+from gsvis.progress import Progress, silent
+from gsvis.scene.content import scene_hash
+from gsvis.scene.levels import Levels
+from gsvis.visibility.active_terms import ActiveTerms
+from gsvis.visibility.store import VisibilityStore
+
+__all__ = ["write_package"]
+
+_ROWS = 1 << 14  # of the table of chunks in a part
+
+
+def write_package(
+    folder: str | PathLike[str],
+    levels: Levels,
+    colors: QuantisedColors,
+    *,
+    info: PackageInfo | None = None,
+    visibility: str | PathLike[str] | None = None,
+    active_terms: str | PathLike[str] | None = None,
+    progress: Progress = silent,
+) -> Package:
+    """Write a scene as a package that can be served.
+
+    Args:
+        folder: Where, `scene.gsvis` by custom; an older package there is replaced when the new one is whole.
+        levels: In the order of a package, see `in_package_order`.
+        colors: Of their union, rounded.
+        info: Up axis, metres per unit, measured cost, provenance.
+        visibility: The store of visible sets, built for `levels.union`.
+        active_terms: The store of active terms, built for the same and for as many terms.
+        progress: Called with stage "package", in parts of the scene.
+
+    Returns:
+        The package, open.
+
+    Raises:
+        ValueError: If lengths or the order do not fit, or active terms come without visible sets.
+        FormatError: If a store was built for another scene, or the folder holds something else.
+        OSError: If the folder cannot be written.
+    """
+    target = Path(folder)
+    _check_target(target)
+    contents = Contents.of(levels, colors)
+    scene = scene_hash(levels.union)
+    _check_stores(levels, contents, visibility, active_terms)
+    parts = PartFolder(target / PARTS)
+    blocks = tuple(_blocks(parts, contents, progress))
+    tables = []
+    for start in range(0, len(contents.table), _ROWS):
+        rows = slice(start, min(start + _ROWS, len(contents.table)))
+        table, first_last = contents.table[rows], contents.chunk_levels[rows]
+        tables.append((parts.write_columns("chunks", columns_of(table, first_last)), len(table)))
+    blobs = [None if path is None else _blob(parts, Path(path)) for path in (visibility, active_terms)]
+    manifest = Manifest(
+        info or PackageInfo(), scene, levels.names, levels.counts, colors.grids, tuple(tables), blocks, *blobs
+    )
+    with atomic_path(target / MANIFEST) as partial:
+        partial.write_bytes(manifest.to_json())
+    parts.remove_all_but(manifest.parts())
+    return Package.open(target)
+
+
+def _check_target(target: Path) -> None:
+    if target.exists() and not target.is_dir():
+        raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
+    if target.is_dir():
+        others = sorted(p.name for p in target.iterdir() if p.name not in (PARTS, MANIFEST) and p.name[:1] != ".")
+        if others and not (target / MANIFEST).exists():
+            raise FormatError(target, "", "a package or an empty folder", f"{others[0]!r}", "choose another name")
+
+
+def _check_stores(
+    levels: Levels,
+    contents: Contents,
+    visibility: str | PathLike[str] | None,
+    active_terms: str | PathLike[str] | None,
+) -> None:
+    if visibility is None:
+        if active_terms is not None:
+            raise ValueError("visibility: expected the store that the active terms were built for, got None")
+        return
+    with VisibilityStore.open(visibility, scene=levels.union) as sets:
+        if active_terms is None:
+            return
+        with ActiveTerms.open(active_terms, scene=levels.union, sets=sets) as active:
+            if active.info.terms != len(contents.term_records):
+                wanted, got = f"those of {len(contents.term_records):,} terms", f"{active.info.terms:,}"
+                raise FormatError(active.path, "terms", wanted, got, "build them for the colours of the package")
+
+
+def _blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterator[Block]:
+    total, width = len(contents.starts) - 1, max(1, contents.term_records.shape[1])
+    progress("package", 0, total)
+    for k in range(total):
+        some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
+        columns = _planes("r", contents.records[some]) | {"terms": contents.term_counts[some]}
+        gaussians = parts.write_columns("gaussians", columns | _planes("a", contents.axes[some]))
+        low, high = contents.term_offsets[[some.start, some.stop]].tolist()
+        rows, terms = MOST_BYTES // width, []
+        for start in range(low, high, rows):
+            records = contents.term_records[start : min(start + rows, high)]
+            terms.append((parts.write_columns("terms", _planes("t", records)), len(records)))
+        yield Block(gaussians, tuple(terms), some.stop - some.start, high - low)
+        progress("package", k + 1, total)
+
+
+def _planes(letter: str, rows: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]]:
+    """Bytes of records one by one: alike bytes stand together, and compress better so."""
+    return {f"{letter}{k}": rows[:, k] for k in range(rows.shape[1])}
+
+
+def _blob(parts: PartFolder, path: Path) -> Blob:
+    found: list[Part] = []
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        while block := file.read(MOST_BYTES):
+            found.append(parts.write_bytes(block))
+    blob = Blob(tuple(found), sum(part.nbytes for part in found))
+    if blob.nbytes != size:
+        raise FormatError(path, "", f"{size:,} bytes", f"{blob.nbytes:,}", "it changes while it is read")
+    return blob

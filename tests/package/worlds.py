@@ -1,0 +1,50 @@
+"""Small scenes with levels, colours and, where asked for, visible sets: what packages are made of in tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gsvis.color.records import QuantisedColors, quantise
+from gsvis.color.srbf import SrbfColors
+from gsvis.package import in_package_order
+from gsvis.scene.content import scene_hash
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import random_scene
+from gsvis.visibility.active_terms import build_active_terms
+from gsvis.visibility.cells import CellGrid
+from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
+from tests.color.samples import random_colors
+
+NAMES = ("low", "medium", "high")
+
+
+def levels_of(n: int = 400, seed: int = 0) -> Levels:
+    """Random levels in the order of a package."""
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, 3, n).astype(np.uint8)
+    first[:3] = 0, 1, 2
+    last = np.maximum(first, rng.integers(0, 3, n)).astype(np.uint8)
+    return in_package_order(Levels(random_scene(rng, n), first, last, NAMES))
+
+
+def colors_of(n: int, variant: str = "rgb", seed: int = 0) -> tuple[SrbfColors, QuantisedColors]:
+    exact = random_colors(np.random.default_rng(seed), n, variant)
+    return exact, quantise(exact, "wire")
+
+
+def stores_of(folder: Path, levels: Levels, colors: SrbfColors, cells: int = 9) -> dict[str, Path]:
+    """Visible sets and active terms of a scene, as `write_package` takes them."""
+    rng, g = np.random.default_rng(5), levels.union
+    coords = np.stack(np.unravel_index(np.sort(rng.choice(60, cells, replace=False)), (4, 5, 3)), axis=1)
+    low, high = g.bounds(1.0)
+    grid = CellGrid(low, float((high - low).max()) / 4.0, (4, 5, 3), coords.astype(np.int32), np.array([0.0, 0, 1]))
+    info = StoreInfo(len(g), scene_hash(g), 1 / 255, np.array([1 / 255, 0.1]))
+    seen = rng.random((cells, len(g))) < 0.4
+    sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4, 0.0) for row in seen]
+    folder.mkdir(parents=True, exist_ok=True)
+    write_store(folder / "w.pvs", grid, info, sets, np.zeros((len(g), 10), np.uint8))
+    with VisibilityStore.open(folder / "w.pvs") as store:
+        build_active_terms(colors, g, store, 0.03, folder / "w.terms.arrow").close()
+    return {"visibility": folder / "w.pvs", "active_terms": folder / "w.terms.arrow"}
