@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,14 +98,16 @@ class LevelsConfig:
     def sizes(self, count: int) -> list[tuple[int, int, int]]:
         """Of each level below a scene of `count` Gaussians: most in all, frozen, and those that training begins with.
 
+        All three are equal where the reuse asked leaves a level nothing of its own to train.
+
         Raises:
-            ValueError: If a level would be empty.
+            ValueError: If a level would have fewer than 2.
         """
         found = []
         for share, reuse in zip(self.shares, self.reuse, strict=True):
-            total = round(share * count)
-            frozen = min(int(np.ceil(reuse * total)), total - 1)
-            if frozen < 1:
+            total = int(share * count + 1e-9)
+            frozen = max(int(np.ceil(reuse * total - 1e-9)), 1)
+            if total < 2:
                 raise ValueError(f"shares: expected at least 2 Gaussians in each level, got {share:g} of {count}")
             found.append((total, frozen, min(frozen + max(round(self.kept * (total - frozen)), 1), total)))
         return found
@@ -142,7 +145,7 @@ class TrainedLevels:
 
     Attributes:
         levels: The scene's Gaussians first, in their order, then what each lower level has of its own.
-        histories: Records of training, by the name of the level.
+        histories: Records of training, by the name of the level; none where it has nothing of its own.
     """
 
     levels: Levels
@@ -193,6 +196,10 @@ def train_levels(
         def told(stage: str, done: int, of: int, name: str = name) -> None:
             progress(f"train {name}", done, of)
 
+        if begun == frozen:  # nothing of its own
+            owns.append(scene[stays][:0])
+            histories[name] = []
+            continue
         result = train(
             views,
             scene[masks[begun] & ~stays],
@@ -234,7 +241,7 @@ def _subsets(
             bits = np.unpackbits(packed, axis=1, count=len(scene)).astype(bool)
             if found == key and bits.sum(axis=1).tolist() != counts:
                 raise ValueError("masks of other sizes")
-        except (OSError, KeyError, ValueError, EOFError) as error:
+        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
             told = f"{type(error).__name__}: {error}"
             raise FormatError(path, "", "the chosen subsets", told, "delete it to choose anew") from error
         if found != key:

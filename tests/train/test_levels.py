@@ -1,0 +1,312 @@
+"""Levels of a scene: how large, what is shared, that training repairs, and that a killed run goes on to the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsvis.errors import FormatError
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.train.images import PosedImages, render_views
+from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
+from gsvis.train.trainer import mean_psnr
+
+COUNT = 300
+CONFIG = LevelsConfig(shares=(0.12, 0.25), iterations=60, threshold=1e-5, most_share=0.02, evaluate_every=20)
+BRIEF = replace(CONFIG, iterations=6, evaluate_every=0)
+
+
+def made(seed: int = 3, degree: int = 1) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        rng.uniform(-1, 1, (COUNT, 3)),
+        rng.normal(size=(COUNT, 4)),
+        rng.uniform(0.08, 0.3, (COUNT, 3)),
+        rng.uniform(0.2, 0.95, COUNT),
+        rng.uniform(-1, 1, (COUNT, 1, 3)),
+        rng.uniform(-0.2, 0.2, (COUNT, (degree + 1) ** 2 - 1, 3)),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene() -> Gaussians:
+    return made()
+
+
+@pytest.fixture(scope="module")
+def views(scene: Gaussians) -> PosedImages:
+    return render_views(scene, Cameras.orbit((0, 0, 0), 4.0, 8, width=24, height=20))
+
+
+@pytest.fixture(scope="module")
+def held_out(scene: Gaussians) -> PosedImages:
+    return render_views(scene, Cameras.orbit((0, 0, 0), 3.7, 3, elevation=35.0, width=24, height=20))
+
+
+@pytest.fixture(scope="module")
+def trained(scene: Gaussians, views: PosedImages, held_out: PosedImages) -> TrainedLevels:
+    return train_levels(scene, views, CONFIG, held_out=held_out)
+
+
+@pytest.fixture(scope="module")
+def brief(scene: Gaussians, views: PosedImages) -> Levels:
+    return train_levels(scene, views, BRIEF).levels
+
+
+def same(a: Gaussians, b: Gaussians) -> bool:
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in vars(a))
+
+
+def equal(a: Levels, b: Levels) -> bool:
+    return (
+        same(a.union, b.union)
+        and np.array_equal(a.first, b.first)
+        and np.array_equal(a.last, b.last)
+        and a.names == b.names
+    )
+
+
+def frozen_of(levels: Levels, level: int) -> np.ndarray:
+    """Mask over the union of what a level shares with the next."""
+    return levels.member(level) & levels.member(level + 1)
+
+
+def test_levels_are_no_larger_than_asked_and_share_at_least_as_much(trained: TrainedLevels) -> None:
+    levels = trained.levels
+    assert levels.names == CONFIG.names
+    assert levels.counts[-1] == COUNT
+    for k, (share, reuse) in enumerate(zip(CONFIG.shares, CONFIG.reuse, strict=True)):
+        assert levels.counts[k] <= share * COUNT
+        assert levels.reuse[k] >= reuse
+        assert frozen_of(levels, k).sum() == CONFIG.sizes(COUNT)[k][1]
+
+
+def test_the_union_begins_with_the_scene_and_frozen_ones_are_its_own_to_the_bit(
+    scene: Gaussians, trained: TrainedLevels
+) -> None:
+    levels = trained.levels
+    assert same(levels.union[:COUNT], scene)
+    assert same(levels.level(2), scene)
+    for k in range(2):
+        shared = frozen_of(levels, k)
+        assert not shared[COUNT:].any()
+        low = levels.level(k)
+        stands = shared[levels.member(k)]
+        assert same(low[stands], scene[shared[:COUNT]])
+
+
+def test_what_is_kept_is_nested_and_what_a_level_has_of_its_own_is_nowhere_else(trained: TrainedLevels) -> None:
+    levels = trained.levels
+    low, medium = frozen_of(levels, 0), frozen_of(levels, 1)
+    assert (low <= medium).all()
+    own = np.arange(len(levels.union)) >= COUNT
+    assert np.array_equal(levels.first[own], levels.last[own])
+    assert (levels.last[~own] == 2).all()
+
+
+def test_going_up_sends_what_levels_have_of_their_own_beyond_the_scene(trained: TrainedLevels) -> None:
+    levels = trained.levels
+    own = sum(count - int(frozen_of(levels, k).sum()) for k, count in enumerate(levels.counts[:-1]))
+    assert levels.overhead == pytest.approx(own / COUNT)
+    most = sum((1.0 - r) * s for r, s in zip(CONFIG.reuse, CONFIG.shares, strict=True))
+    assert levels.overhead <= most + 1e-9
+
+
+def test_a_level_looks_more_like_the_scene_than_what_it_keeps_alone(
+    trained: TrainedLevels, views: PosedImages, held_out: PosedImages
+) -> None:
+    levels = trained.levels
+    for k, name in enumerate(CONFIG.names[:2]):
+        kept = levels.union[frozen_of(levels, k)]
+        assert mean_psnr(levels.level(k), views) > mean_psnr(kept, views) + 0.3
+        history = trained.histories[name]
+        assert [record.step for record in history] == [20, 40, 60]
+        assert history[-1].count == levels.counts[k]
+        assert history[-1].psnr == pytest.approx(mean_psnr(levels.level(k), held_out), abs=1e-6)
+    assert mean_psnr(levels.level(1), views) > mean_psnr(levels.level(0), views)
+
+
+def test_the_same_seed_gives_the_same_bits_and_photographs_serve_as_well(
+    scene: Gaussians, views: PosedImages, brief: Levels
+) -> None:
+    assert equal(train_levels(scene, views, BRIEF).levels, brief)
+    photographs = PosedImages(views.cameras, (views.images.clip(0, 1) * 255).round().astype(np.uint8))
+    levels = train_levels(scene, photographs, BRIEF).levels
+    assert same(levels.union[:COUNT], scene)
+    assert levels.reuse[0] >= 0.9
+
+
+def test_levels_that_keep_everything_have_nothing_to_train(scene: Gaussians, views: PosedImages) -> None:
+    stages: set[str] = set()
+    whole = replace(BRIEF, reuse=(1.0, 1.0))
+    found = train_levels(scene, views, whole, progress=lambda stage, done, of: stages.add(stage))
+    assert stages == {"prune"}
+    assert same(found.levels.union, scene)
+    assert found.levels.counts == (36, 75, COUNT)
+    assert (found.levels.reuse, found.levels.overhead) == ((1.0, 1.0), 0.0)
+    assert found.histories == {"low": [], "medium": []}
+
+
+@pytest.mark.parametrize("shares", [(0.1,), (0.1, 0.3, 0.31, 0.9)])
+def test_there_may_be_any_number_of_levels(scene: Gaussians, views: PosedImages, shares: tuple[float, ...]) -> None:
+    names = tuple("abcde"[: len(shares) + 1])
+    config = replace(BRIEF, shares=shares, reuse=(0.8,) * len(shares), names=names)
+    levels = train_levels(scene, views, config).levels
+    assert levels.names == names
+    assert all(count <= share * COUNT for count, share in zip(levels.counts, shares, strict=False))
+    assert all(reuse >= 0.8 for reuse in levels.reuse)
+
+
+def test_views_that_show_nothing_do_no_harm(scene: Gaussians) -> None:
+    away = Cameras.look_at([(0, 0, 9), (0, 0, 8)], (0, 0, 20), up=(0, 1, 0), fov=60, width=24, height=20)
+    levels = train_levels(scene, render_views(scene, away), BRIEF).levels
+    assert same(levels.union[:COUNT], scene)
+
+
+def test_colours_without_bands_stay_so(views: PosedImages) -> None:
+    plain = made(degree=0)
+    assert train_levels(plain, views, BRIEF).levels.union.sh_degree == 0
+
+
+def stopping(stage: str, at: int) -> Callable[[str, int, int], None]:
+    def stop(told: str, done: int, total: int) -> None:
+        if told == stage and done == at:
+            raise KeyboardInterrupt
+
+    return stop
+
+
+@pytest.mark.parametrize(
+    ("stage", "at"),
+    [("prune", 0), ("prune", 20), ("train low", 0), ("train low", 4), ("train medium", 1), ("train medium", 6)],
+)
+def test_a_stopped_run_goes_on_to_the_same_bits(
+    scene: Gaussians, views: PosedImages, brief: Levels, tmp_path: Path, stage: str, at: int
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping(stage, at))
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]  # nothing half-written
+    calls: list[tuple[str, int]] = []
+    again = train_levels(scene, views, BRIEF, work=tmp_path, progress=lambda *told: calls.append(told[:2]))
+    assert equal(again.levels, brief)
+    if stage != "prune":
+        assert "prune" not in {told for told, _ in calls}
+        assert next(done for told, done in calls if told == stage) == at
+
+
+def test_a_finished_run_is_not_worked_out_again(
+    scene: Gaussians, views: PosedImages, brief: Levels, tmp_path: Path
+) -> None:
+    first = train_levels(scene, views, BRIEF, work=tmp_path / "new" / "work")
+    calls: list[tuple[str, int, int]] = []
+    again = train_levels(
+        scene, views, BRIEF, work=tmp_path / "new" / "work", progress=lambda *told: calls.append(told)
+    )
+    assert calls == [("train low", 6, 6), ("train medium", 6, 6)]
+    assert equal(first.levels, brief)
+    assert equal(again.levels, brief)
+    assert again.histories == first.histories or all(np.isnan(r.psnr) for r in again.histories["low"])
+
+
+def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tmp_path: Path) -> None:
+    train_levels(scene, views, BRIEF, work=tmp_path)
+    others: list[tuple[Gaussians, PosedImages, LevelsConfig]] = [
+        (made(seed=4), views, BRIEF),
+        (scene[:200], views, BRIEF),
+        (scene, views[:5], BRIEF),
+        (scene, views, replace(BRIEF, shares=(0.2, 0.5))),
+        (scene, views, replace(BRIEF, prune_share=0.3)),
+    ]
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for other in others:
+        with pytest.raises(ValueError, match=r"work: expected .* of the same scene, views and sizes, got another run's"):
+            train_levels(*other, work=tmp_path)
+    for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
+        with pytest.raises(ValueError, match=r"checkpoint: expected .* got another run's"):
+            train_levels(scene, views, replace(BRIEF, **change), work=tmp_path)  # type: ignore[arg-type]
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def damaged(path: Path, how: str) -> None:
+    whole = path.read_bytes()
+    if how in ("shape", "type", "sizes", "none"):
+        with np.load(path) as archive:
+            arrays = dict(archive)
+        masks = arrays["masks"]
+        changed = {"shape": masks[0], "type": masks.astype(np.float32), "sizes": masks | np.uint8(1)}
+        arrays = {"key": arrays["key"], **({"masks": changed[how]} if how != "none" else {})}
+        with path.open("wb") as file:
+            np.savez(file, **arrays)
+    elif how == "flipped":
+        middle = whole.index(b"NUMPY", whole.index(b"masks.npy")) + 140
+        path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :])
+    else:
+        path.write_bytes({"cut": whole[: len(whole) // 2], "other": b"ply\nformat", "empty": b""}[how])
+
+
+@pytest.mark.parametrize("how", ["cut", "other", "empty", "flipped", "shape", "type", "sizes", "none"])
+def test_damaged_subsets_are_told(scene: Gaussians, views: PosedImages, tmp_path: Path, how: str) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping("train low", 0))
+    damaged(tmp_path / "subsets.npz", how)
+    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to choose anew"):
+        train_levels(scene, views, BRIEF, work=tmp_path)
+
+
+def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views: PosedImages, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    with pytest.raises(ValueError, match="views: expected at least one image"):
+        train_levels(scene, views[:0], BRIEF, work=work)
+    with pytest.raises(ValueError, match=r"shares: expected at least 2 Gaussians in each level, got 0.12 of 7"):
+        train_levels(scene[:7], views, BRIEF, work=work)
+    assert not work.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"shares": (0.0, 0.5)}, r"shares: expected shares in \(0, 1\], got 0.0"),
+        ({"shares": (0.5, 1.5)}, r"shares: expected shares in \(0, 1\], got 1.5"),
+        ({"shares": (-0.1, 0.5)}, "shares: expected shares in"),
+        ({"shares": (float("nan"), 0.5)}, "shares: expected shares in"),
+        ({"shares": (0.5, 0.25)}, "shares: .* a level cannot be larger than the one above it"),
+        ({"shares": (0.5, 0.5)}, "shares: expected each below the next"),
+        ({"shares": (0.5, 1.0)}, "shares: expected each below the next and the last below 1"),
+        ({"shares": ()}, "shares: expected"),
+        ({"reuse": (0.9,)}, "reuse: expected one for each of 2 shares, got 1"),
+        ({"reuse": (0.0, 0.9)}, "reuse: expected shares in"),
+        ({"reuse": (0.9, 1.1)}, "reuse: expected shares in"),
+        ({"reuse": (1.0, 0.3)}, "reuse: expected each level to keep more of the scene"),
+        ({"names": ("low", "high")}, "names: expected 3 different ones"),
+        ({"names": ("low", "low", "high")}, "names: expected 3 different ones"),
+        ({"iterations": 0}, "iterations: expected"),
+        ({"kept": 1.5}, "kept: expected a share in"),
+        ({"prune_share": 0.0}, "prune_share: expected a share in"),
+        ({"prune_share": 1.0}, "prune_share: expected a share in"),
+        ({"threshold": 0.0}, "threshold: expected a finite number > 0"),
+        ({"most_share": 0.0}, "most_share: expected a share in"),
+        ({"seed": -1}, "seed: expected"),
+        ({"evaluate_every": -1}, "evaluate_every: expected"),
+    ],
+)
+def test_configurations_that_make_no_sense_are_refused(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        LevelsConfig(**change)
+
+
+@pytest.mark.parametrize("count", [8, 9, 40, 41, 1000, 46_708])
+@pytest.mark.parametrize("reuse", [(0.9, 0.96), (0.5, 0.55), (1.0, 1.0)])
+def test_sizes_keep_what_is_asked_whatever_the_count(count: int, reuse: tuple[float, float]) -> None:
+    config = LevelsConfig(reuse=reuse)
+    for share, least, (total, frozen, begun) in zip(config.shares, reuse, config.sizes(count), strict=True):
+        assert share * count - 1 < total <= share * count
+        assert least * total <= frozen + 1e-6 <= least * total + 1.0 + 1e-6
+        assert frozen <= begun <= total
+        assert (begun > frozen) == (total > frozen)
