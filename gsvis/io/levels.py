@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from gsvis.io.ply import load_ply, save_ply
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["MAP", "LevelsInfo", "levels_info", "load_levels", "save_levels"]
+__all__ = ["MAP", "LevelsInfo", "check_names", "levels_info", "load_levels", "save_levels"]
 
 MAP = "levels.arrow"
 """Name of the map of reuse in the folder."""
@@ -66,6 +66,21 @@ class LevelsInfo:
     extra: dict[str, Any]
 
 
+def check_names(names: Sequence[str]) -> None:
+    """Say at once which names of levels cannot become names of files.
+
+    Raises:
+        ValueError: If one is no file name, two differ only in case, or there are more than 16.
+    """
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"names: expected letters, digits, - and _, got {name!r}; it becomes the name of a file")
+    if len({name.lower() for name in names}) < len(names):
+        raise ValueError(f"names: expected names that differ in more than case, got {tuple(names)!r}")
+    if len(names) > 16:
+        raise ValueError(f"names: expected at most 16, got {len(names)}")
+
+
 def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> None:
     """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map of reuse.
 
@@ -81,11 +96,7 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
         ValueError: If a level has a name that is no file name, two differ only in case, or `extra` is no JSON.
         OSError: If the folder cannot be written.
     """
-    for name in levels.names:
-        if not _NAME.fullmatch(name):
-            raise ValueError(f"names: expected letters, digits, - and _, got {name!r}; it becomes the name of a file")
-    if len({name.lower() for name in levels.names}) < len(levels):
-        raise ValueError(f"names: expected names that differ in more than case, got {levels.names!r}")
+    check_names(levels.names)
     try:
         kept = json.loads(json.dumps(dict(extra or {}), allow_nan=False))
     except (TypeError, ValueError) as error:

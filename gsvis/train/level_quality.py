@@ -1,0 +1,81 @@
+"""How good the levels of a scene are from given cameras: likeness to the scene and to photographs, and brightness.
+
+Images are compared as a display shows them, clipped to [0, 1]. Brightness is the mean of these values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gsvis.progress import Progress, silent
+from gsvis.render.metrics import psnr
+from gsvis.render.rasterizer import rasterize
+from gsvis.scene.levels import Levels
+from gsvis.train.images import PosedImages
+
+__all__ = ["LevelQuality", "measure_levels"]
+
+_MOST_PSNR = 100.0  # of images that are the same, dB
+
+
+@dataclass(frozen=True, eq=False)
+class LevelQuality:
+    """L levels in C views.
+
+    Attributes:
+        scene_psnr: (L, C) dB, against the highest level, at most 100; the last row is 100.
+        photo_psnr: (L, C) dB, against photographs; None where there are none.
+        brightness: (L,) mean of all values in [0, 1] over pixels, channels and views.
+    """
+
+    scene_psnr: NDArray[np.float64]
+    photo_psnr: NDArray[np.float64] | None
+    brightness: NDArray[np.float64]
+
+
+def measure_levels(
+    levels: Levels,
+    views: PosedImages,
+    *,
+    photographs: bool = False,
+    backend: str = "auto",
+    progress: Progress = silent,
+) -> LevelQuality:
+    """Draw all levels as some views were taken, and compare.
+
+    Args:
+        levels: L levels; the highest is the scene.
+        views: C images and cameras, C >= 1.
+        photographs: Whether the images are photographs, to be compared with too; else only their cameras count.
+        backend: Of the rasterizer.
+        progress: Called with stage "measure", in images drawn.
+
+    Raises:
+        ValueError: If there are no views.
+    """
+    if len(views) == 0:
+        raise ValueError("views: expected at least one to compare in, got none")
+    top, count = len(levels) - 1, len(views)
+    scene = np.empty((len(levels), count))
+    photo = np.empty((len(levels), count)) if photographs else None
+    brightness = np.zeros(len(levels))
+    stands = [levels.level(k) for k in range(len(levels))]
+    progress("measure", 0, count * len(levels))
+    for c in range(count):
+        images = []
+        for k, gaussians in enumerate(stands):
+            with torch.no_grad():
+                drawn = rasterize(gaussians, views.cameras[c], backend=backend).images[0].clamp(0.0, 1.0).cpu()
+            images.append(drawn)
+            brightness[k] += float(drawn.double().mean()) / count
+            progress("measure", c * len(levels) + k + 1, count * len(levels))
+        taken = torch.from_numpy(views.image(c)).clamp(0.0, 1.0)
+        for k, drawn in enumerate(images):
+            scene[k, c] = min(float(psnr(drawn, images[top])), _MOST_PSNR)
+            if photo is not None:
+                photo[k, c] = min(float(psnr(drawn, taken)), _MOST_PSNR)
+    return LevelQuality(scene, photo, brightness)
