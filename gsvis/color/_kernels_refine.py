@@ -228,16 +228,22 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def _change(w, k, channels, intensities):
+    """What lobe k adds to the squared error that its predecessors leave; below 0 where it helps."""
+    change = 0.0
+    for c in range(channels):
+        left = w.outer[k, c]
+        for j in range(k):
+            left -= w.inner[k, j] * intensities[j, c]
+        change += intensities[k, c] * (intensities[k, c] * w.inner[k, k] - 2.0 * left)
+    return change
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def falls_along(w, total, terms, channels, intensities):
     """Whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
     for k in range(terms):
-        change = 0.0
-        for c in range(channels):
-            left = w.outer[k, c]
-            for j in range(k):
-                left -= w.inner[k, j] * intensities[j, c]
-            change += intensities[k, c] * (intensities[k, c] * w.inner[k, k] - 2.0 * left)
-        if change > 1e-7 * total:
+        if _change(w, k, channels, intensities) > 1e-7 * total:
             return False
     return True
 
@@ -270,12 +276,7 @@ def settle(w, total, terms, channels, limits, intensities, anew):
             best_intensities(w.inner2, w.outer2, terms, channels, limits[0], w.small, intensities)
         error, falls = total, True
         for k in range(terms):
-            change = 0.0
-            for c in range(channels):
-                left = w.outer[k, c]
-                for j in range(k):
-                    left -= w.inner[k, j] * intensities[j, c]
-                change += intensities[k, c] * (intensities[k, c] * w.inner[k, k] - 2.0 * left)
+            change = _change(w, k, channels, intensities)
             if change > 1e-7 * total:
                 falls = False
                 if attempt == _ATTEMPTS_TO_SETTLE - 1:  # what rounding has left of them is worth nothing
