@@ -26,7 +26,11 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis pvs scene.ply -o scene.pvs           what can be seen from each cell
   gsvis pvs-report scene.pvs scene.ply -o report
   gsvis color scene.ply -o scene.arrow       colour that can be sent in pieces
+  gsvis train photos -o scene.ply            photographs to a scene
+  gsvis levels scene.ply -o levels           smaller levels that share Gaussians
   gsvis convert scene.ply small.spz --min-opacity 0.02
+  gsvis verify scene.gsvis                   is a package whole?
+  gsvis unpack scene.gsvis -o levels         a package back to PLYs
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
 
@@ -133,6 +137,22 @@ def _run(command: Command) -> None:
         from gsvis.cli.color import run_color
 
         run_color(command)
+    elif isinstance(command, arguments.Train):
+        from gsvis.cli.train import run_train
+
+        run_train(command)
+    elif isinstance(command, arguments.Levels):
+        from gsvis.cli.levels import run_levels
+
+        run_levels(command)
+    elif isinstance(command, arguments.Verify):
+        from gsvis.cli.package import run_verify
+
+        run_verify(command)
+    elif isinstance(command, arguments.Unpack):
+        from gsvis.cli.package import run_unpack
+
+        run_unpack(command)
     else:
         from gsvis.cli.convert import run_convert
 

@@ -157,7 +157,7 @@ def base_rgb(records: U8, grids: Grids) -> F32:
         records: (M, 16).
         grids: The tables of the scene.
     """
-    base = base_colors(records, RecordLayout.of(grids.variant))
+    base = base_colors(records, RecordLayout.of(grids.variant)).astype(np.uint16)
     if not has_scales(grids.kind):
         return np.stack([np.maximum(grids.base_table(k), 0.0)[base[:, k]] for k in range(3)], axis=1)
     n, none = len(records), np.zeros(0, np.uint16)

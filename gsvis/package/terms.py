@@ -65,12 +65,12 @@ def decode_terms(records: ArrayLike, grids: Grids) -> Terms:
     packed = _check.integers("records", records, ("T", layout.nbytes), np.uint8)
     padded = np.zeros((len(packed), 8), np.uint8)
     padded[:, : layout.nbytes] = packed
-    words, shift, parts = padded.view("<u8")[:, 0], 0, []
+    words, shift = padded.view("<u8")[:, 0], 0
+    parts: list[U16] = []
     for width in layout.widths.tolist():
-        parts.append(((words >> np.uint64(shift)) & np.uint64((1 << width) - 1)).astype(np.uint16) if width else None)
+        parts.append(((words >> np.uint64(shift)) & np.uint64((1 << width) - 1)).astype(np.uint16))
         shift += width
     last, most = len(grids.kind.functions) - 1, (1 << layout.intensity) - 2
-    functions = np.zeros(len(packed), np.uint8) if parts[0] is None else np.minimum(parts[0], last).astype(np.uint8)
-    theta, phi, decays, *intensities = parts[1:]
+    functions, theta, phi, decays, *intensities = parts
     values = np.minimum(np.stack(intensities, axis=1), most)
-    return Terms(functions, np.stack([theta, phi], axis=1), decays, values)
+    return Terms(np.minimum(functions, last).astype(np.uint8), np.stack([theta, phi], axis=1), decays, values)

@@ -28,6 +28,7 @@ from gsvis.package import order as orders
 from gsvis.package import parts as folders
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from tests.package.worlds import NAMES, colors_of, levels_of, stores_of
 
@@ -96,8 +97,6 @@ def test_the_same_scene_gives_the_same_files_whatever_its_order(tmp_path: Path) 
 
 def test_gaussians_in_one_place_are_ordered_by_what_they_are() -> None:
     g = levels_of(40).union
-    from gsvis.scene.gaussians import Gaussians
-
     piled = Gaussians(np.zeros((40, 3)), g.quats, g.scales, g.opacities, g.sh0, g.shN)
     shuffled = piled[np.random.default_rng(0).permutation(40)]
     a, b = (in_package_order(Levels.single(scene)).union for scene in (piled, shuffled))
@@ -113,7 +112,7 @@ def test_a_second_run_writes_nothing_and_an_edit_little(tmp_path: Path) -> None:
     assert times == {p.name: p.stat().st_mtime_ns for p in (tmp_path / "s" / "parts").iterdir()}
     g, opacities = levels.union, levels.union.opacities.copy()
     opacities[1000] = 1.0 - opacities[1000]
-    edited = Levels(type(g)(g.means, g.quats, g.scales, opacities, g.sh0, g.shN), levels.first, levels.last, NAMES)
+    edited = Levels(Gaussians(g.means, g.quats, g.scales, opacities, g.sh0, g.shN), levels.first, levels.last, NAMES)
     write_package(tmp_path / "s", edited, colors)
     now = {p.name for p in (tmp_path / "s" / "parts").iterdir()}
     assert len(now - set(times)) == 1
@@ -122,7 +121,7 @@ def test_a_second_run_writes_nothing_and_an_edit_little(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("many_parts")
 def test_a_killed_run_leaves_the_old_package_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    old = files(tmp_path / "s") if written(tmp_path / "s", 100) else {}
+    written(tmp_path / "s", 100).close()
     old = files(tmp_path / "s")
     levels, (_, colors) = levels_of(), colors_of(400)
 
@@ -214,8 +213,8 @@ def test_no_name_leads_out_of_the_folder(tmp_path: Path) -> None:
             reread(tmp_path / "s", lambda value, name=name: value["blocks"][0].update(sha256=name))
 
 
-def reread(folder: Path, change: object, *, resign: bool = True) -> Package:
-    """The package with a changed manifest, under a hash that fits; the old manifest comes back."""
+def reread(folder: Path, change: object, *, resign: bool = True) -> None:
+    """Verify the package with a changed manifest, under a hash that fits; the old manifest comes back."""
     path = folder / manifests.MANIFEST
     whole = path.read_bytes()
     value = json.loads(whole)
@@ -224,9 +223,8 @@ def reread(folder: Path, change: object, *, resign: bool = True) -> Package:
     digest = manifests._digest(value) if resign else "0" * 64
     path.write_text(json.dumps({**value, "sha256": digest}))
     try:
-        package = Package.open(folder)
-        package.verify()
-        return package
+        with Package.open(folder) as package:
+            package.verify()
     finally:
         path.write_bytes(whole)
 

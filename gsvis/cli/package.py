@@ -1,0 +1,94 @@
+"""`gsvis verify` and `gsvis unpack`: is a package whole, and back to PLYs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from gsvis.cli.arguments import Unpack, Verify
+from gsvis.cli.source import check_folder
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.package import Manifest, Package, unpack_package
+
+__all__ = ["run_unpack", "run_verify"]
+
+
+def run_verify(command: Verify) -> None:
+    """Read everything, say what it is.
+
+    Raises:
+        FormatError: If anything is missing, damaged or of a newer version.
+        FileNotFoundError: If there is no such folder.
+    """
+    with Status() as status, Package.open(command.package) as package:
+        found = package.verify(progress=status)
+        manifest = package.manifest
+    if command.json:
+        print_json(
+            {
+                "format": "gsvis-verification",
+                "version": 1,
+                "package": command.package,
+                **_facts(manifest),
+                **asdict(found),
+            }
+        )
+        return
+    cost = manifest.info.cost
+    metres = manifest.info.metres_per_unit
+    rows = [
+        ("Gaussians", f"{found.gaussians:,}"),
+        ("levels", ", ".join(f"{n} {c:,}" for n, c in zip(manifest.names, manifest.counts, strict=True))),
+        ("terms", f"{found.terms:,}, variant {manifest.grids.variant}"),
+        ("cells", f"{found.cells:,}" if found.cells else "no visible sets"),
+        ("parts", f"{found.parts:,}, {size_of(found.nbytes)}"),
+        ("up", ", ".join(f"{v:g}" for v in manifest.info.up)),
+        ("metres per unit", f"{metres:g}" if metres else "not known"),
+        ("cost of rounding", f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}" if cost else "not measured"),
+    ]
+    strays = [f" {found.strays:,} files that no part of it needs lie beside the parts."] if found.strays else []
+    show(facts(command.package, rows), " Every part is whole.", *strays)
+
+
+def run_unpack(command: Unpack) -> None:
+    """Write one PLY for each level, say where.
+
+    Raises:
+        FormatError: If the package is damaged.
+        ValueError: If an argument is wrong.
+        OSError: If the folder cannot be written.
+    """
+    target = Path(command.out)
+    if target.exists() and not target.is_dir():
+        raise ValueError(f"--out: expected a folder, got the file {command.out!r}")
+    check_folder(target.parent)
+    with Status() as status, Package.open(command.package) as package:
+        levels = unpack_package(package, target, sh_degree=command.sh_degree, progress=status)
+    files = {name: target / f"{name}.ply" for name in levels.names}
+    if command.json:
+        rows = [
+            {"name": name, "file": str(files[name]), "gaussians": count, "bytes": files[name].stat().st_size}
+            for name, count in zip(levels.names, levels.counts, strict=True)
+        ]
+        degree = levels.union.sh_degree
+        print_json({"format": "gsvis-unpacking", "version": 1, "levels": rows, "sh_degree": degree})
+        return
+    show(
+        *(
+            f"{files[name]}: {count:,} Gaussians, SH degree {levels.union.sh_degree},"
+            f" {size_of(files[name].stat().st_size)}"
+            for name, count in zip(levels.names, levels.counts, strict=True)
+        )
+    )
+
+
+def _facts(manifest: Manifest) -> dict[str, Any]:
+    info = manifest.info
+    return {
+        "levels": [{"name": n, "gaussians": c} for n, c in zip(manifest.names, manifest.counts, strict=True)],
+        "variant": manifest.grids.variant,
+        "up": list(info.up),
+        "metres_per_unit": info.metres_per_unit,
+        "cost": None if info.cost is None else asdict(info.cost),
+    }
