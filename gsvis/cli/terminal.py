@@ -39,6 +39,11 @@ _SAID = {
     "terms": "finding active terms of cells",
     "rungs": "drawing the staircase",
     "colors": "comparing with SH",
+    "photos": "reading photographs",
+    "views": "rendering views",
+    "prune": "choosing what stays",
+    "train": "training",
+    "measure": "measuring",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing
@@ -56,6 +61,7 @@ class Status(AbstractContextManager["Status"]):
         self._starts: dict[str, tuple[float, int]] = {}  # when, and how much had been done before
         self._began = self._spoke = time.perf_counter()
         self._tasks: dict[str, TaskID] = {}
+        self._notes: dict[str, tuple[str, str]] = {}
         self._bars: Progress | None = _bars() if sys.stderr.isatty() else None
 
     def __enter__(self) -> Status:
@@ -83,7 +89,9 @@ class Status(AbstractContextManager["Status"]):
             if stage not in self._tasks:
                 self._tasks[stage] = self._bars.add_task(said, total=total if total > 1 else None)
             ends = None if left is None else now + left
-            self._bars.update(self._tasks[stage], completed=done, total=total if total > 1 or done else None, ends=ends)
+            said = self._notes.get(stage, (said, ""))[0]
+            total_ = total if total > 1 or done else None
+            self._bars.update(self._tasks[stage], description=said, completed=done, total=total_, ends=ends)
         elif first:
             if now - self._began >= _QUIET:
                 self._say(said)
@@ -91,7 +99,19 @@ class Status(AbstractContextManager["Status"]):
             if elapsed >= _EVERY:
                 self._say(f"{said}: done in {clock(elapsed)}")
         elif left is not None and now - self._spoke >= _EVERY:
-            self._say(f"{said}: {done:,} of {total:,}, about {clock(left)} left")
+            note = self._notes.get(stage, ("", ""))[1]
+            self._say(f"{said}: {done:,} of {total:,}, about {clock(left)} left{'; ' if note else ''}{note}")
+
+    def note(self, stage: str, brief: str, whole: str) -> None:
+        """What to say of a stage from now on: a few words in place of its name on a bar, more in a plain line."""
+        self._notes[stage] = brief, whole
+
+    def line(self, text: str) -> None:
+        """Say something once that is to stay."""
+        if self._bars:
+            self._bars.console.print(text, markup=False, highlight=False)
+        else:
+            self._say(text)
 
     def _say(self, line: str) -> None:
         self._spoke = time.perf_counter()

@@ -1,0 +1,207 @@
+"""How `tyro` reads one value of a command line, and what it says of a wrong one.
+
+Nothing heavy is imported here: `gsvis --help` has to be quick.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, Literal
+
+from tyro.conf import arg
+from tyro.constructors import PrimitiveConstructorSpec
+
+__all__ = [
+    "BOX",
+    "BYTES",
+    "CELLS",
+    "COLOUR",
+    "COUNTED",
+    "DEGREES",
+    "DISTANCE",
+    "ELEVATION",
+    "EPSILON",
+    "FACE_PIXELS",
+    "FACE_RAYS",
+    "FACTOR",
+    "INDICES",
+    "MEAN_TERMS",
+    "NAMES",
+    "OPACITY",
+    "PIXEL",
+    "PIXELS",
+    "PLAIN",
+    "POINT",
+    "RATE",
+    "SHARE",
+    "SHARES",
+    "SH_DEGREE",
+    "SIZE",
+    "STEPS",
+    "TAU",
+    "TERMS",
+    "WEIGHT",
+    "WHOLE",
+    "hint",
+]
+
+
+def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
+    """How tyro reads one number in [low, high]; `what` completes 'expected ...'."""
+
+    def read(words: list[str]) -> float:
+        try:
+            value = kind(words[0])
+        except ValueError:
+            raise ValueError(f"expected {what}, got {words[0]!r}") from None
+        if not low <= value <= high:
+            raise ValueError(f"expected {what}, got {words[0]}")
+        return value
+
+    return _spec(1, metavar, read)
+
+
+def _spec(nargs: int | Literal["*"], metavar: str, read: Callable[[list[str]], Any]) -> Any:
+    return PrimitiveConstructorSpec(
+        nargs=nargs,
+        metavar=metavar,
+        instance_from_str=read,
+        is_instance=lambda value: value is None or isinstance(value, int | float | tuple),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def _read_box(words: list[str]) -> tuple[float, ...]:
+    try:
+        box = tuple(float(word) for word in words)
+    except ValueError:
+        raise ValueError(f"expected six numbers, got {' '.join(words)}") from None
+    if not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
+        raise ValueError(f"expected X0 < X1, Y0 < Y1 and Z0 < Z1, got {' '.join(words)}")
+    return box
+
+
+def _numbers(metavar: str, low: float = -1e30, high: float = 1e30, what: str = "three finite numbers") -> Any:
+    """How tyro reads as many numbers in [low, high] as `metavar` has words."""
+
+    def read(words: list[str]) -> tuple[float, ...]:
+        try:
+            values = tuple(float(word) for word in words)
+        except ValueError:
+            values = ()
+        if not values or not all(low <= value <= high for value in values):
+            raise ValueError(f"expected {what}, got {' '.join(words)}")
+        return values
+
+    return _spec(len(metavar.split()), metavar, read)
+
+
+def _read_indices(words: list[str]) -> tuple[int, ...]:
+    if not words or not all(word.isdecimal() for word in words):
+        raise ValueError(f"expected whole numbers of at least 0, got {' '.join(words) or 'none'}")
+    return tuple(int(word) for word in words)
+
+
+def _read_shares(words: list[str]) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in words)
+    except ValueError:
+        values = ()
+    if not values or not all(0.0 < value <= 1.0 for value in values):
+        raise ValueError(f"expected shares in (0, 1], got {' '.join(words) or 'none'}")
+    return values
+
+
+def _read_names(words: list[str]) -> tuple[str, ...]:
+    if not words:
+        raise ValueError("expected a name for each level, got none")
+    return tuple(words)
+
+
+def _read_pixel(words: list[str]) -> tuple[int, int]:
+    column, _, row = words[0].partition(",")
+    if not (column.isdecimal() and row.isdecimal()):
+        raise ValueError(f"expected a column and a row, such as 320,240, got {words[0]!r}")
+    return int(column), int(row)
+
+
+def _read_size(words: list[str]) -> tuple[int, int]:
+    width, _, height = words[0].lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"expected a width and a height, such as 400x266, got {words[0]!r}")
+    return int(width), int(height)
+
+
+def _read_face_rays(words: list[str]) -> int:
+    if words[0] not in ("1", "4", "16", "64"):
+        raise ValueError(f"expected 1, 4, 16 or 64 rays, got {words[0]!r}")
+    return int(words[0])
+
+
+def _read_bytes(words: list[str]) -> int:
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([kmgt]?)(i?)b", words[0].strip().lower())
+    size = float(found[1]) * (1024.0 if found[3] else 1000.0) ** " kmgt".index(found[2] or " ") if found else 0.0
+    if not 1.0 <= size < 2.0**60:
+        raise ValueError(f"expected a size such as 4GB, 2.5GiB or 500MB, got {words[0]!r}")
+    return int(size)
+
+
+def _read_mean_terms(words: list[str]) -> float:
+    try:
+        value = float("inf" if words[0] == "all" else words[0])
+    except ValueError:
+        value = -1.0
+    if not value >= 0.0:
+        raise ValueError(f"expected a number of at least 0 or all, got {words[0]!r}")
+    return value
+
+
+def _read_epsilon(words: list[str]) -> float:
+    try:
+        value = 0.0 if words[0] == "auto" else float(words[0])
+    except ValueError:
+        value = -1.0
+    if not (0.0 < value <= 1.0 or words[0] == "auto"):
+        raise ValueError(f"expected a change of colour in (0, 1] or auto, got {words[0]!r}")
+    return value
+
+
+_COUNT = 10**9
+WHOLE = _number("N", int, 0, _COUNT, "a whole number of at least 0")
+COUNTED = _number("N", int, 1, _COUNT, "a whole number of at least 1")
+PIXELS = _number("PX", int, 1, 16384, "1 to 16384 pixels")
+DEGREES = _number("DEG", float, 1.0, 179.0, "degrees in [1, 179]")
+WEIGHT = _number("W", float, 1e-6, 1.0, "a weight in [1e-6, 1]")
+OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")
+SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
+FACE_RAYS = _spec(1, "K", _read_face_rays)
+BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
+POINT = _numbers("X Y Z")
+COLOUR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
+INDICES = _spec("*", "I [I ...]", _read_indices)
+PIXEL = _spec(1, "X,Y", _read_pixel)
+DISTANCE = _number("R", float, 1e-12, 1e12, "a distance above 0")
+ELEVATION = _number("DEG", float, -89.0, 89.0, "degrees in [-89, 89]")
+BYTES = _spec(1, "SIZE", _read_bytes)
+FACE_PIXELS = _number("PX", int, 4, 4096, "4 to 4096 pixels")
+TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
+SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
+SHARES = _spec("*", "S [S ...]", _read_shares)
+NAMES = _spec("*", "NAME [NAME ...]", _read_names)
+CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
+TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
+MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
+EPSILON = _spec(1, "E|auto", _read_epsilon)
+SIZE = _spec(1, "WxH", _read_size)
+FACTOR = _number("F", float, 1.0, 64.0, "a factor of 1 to 64")
+STEPS = _number("N", int, 1, 10_000_000, "a whole number of 1 to 10000000")
+RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
+
+
+def hint(text: str) -> Any:
+    """What the help says of a default."""
+    return arg(help_behavior_hint=f"(default: {text})")
+
+
+PLAIN = arg(help_behavior_hint="")

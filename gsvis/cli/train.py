@@ -1,0 +1,316 @@
+"""`gsvis train`: photographs with a reconstruction to a scene of Gaussians, and the record of how it came about."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Train
+from gsvis.cli.source import check_file
+from gsvis.cli.stopping import between_steps
+from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+
+if TYPE_CHECKING:
+    from gsvis.progress import Progress
+    from gsvis.train.images import PosedImages
+    from gsvis.train.photos import Photos
+    from gsvis.train.trainer import TrainConfig, Trainer
+
+__all__ = ["checkpoint_of", "record_of", "run_train"]
+
+_WRITTEN = (".ply", ".spz", ".sog")
+_SEEN_EVERY = 8  # of the views trained on, where none is held out: every so many are measured
+_RANDOM_POINTS = 50_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What is to be done.
+
+    Attributes:
+        photos: All that was read.
+        train: Views to train on.
+        held_out: Views to measure on; None where all are trained on.
+        trainer: At its beginning.
+        start: What it begins with, in words.
+        checkpoint: The file to go on from.
+        device: Where to draw.
+    """
+
+    photos: Photos
+    train: PosedImages
+    held_out: PosedImages | None
+    trainer: Trainer
+    start: str
+    checkpoint: Path
+    device: str
+
+
+def run_train(command: Train) -> None:
+    """Check, read photographs, train, measure, write, say what came out.
+
+    Raises:
+        GsvisError: If there is no model, it is damaged or distorted, or images do not fit it.
+        ValueError: If an argument is wrong, or the checkpoint is of another run.
+        FileNotFoundError: If a folder is missing.
+        OSError: If a file cannot be written.
+        KeyboardInterrupt: With a word on how to go on, if the user has had enough.
+    """
+    config = _checked(command)
+    with Status() as status:
+        plan = _planned(command, config, status)
+        document = _trained(command, plan, status)
+        document["seconds"] = {name: seconds for name, seconds in status.seconds.items() if name != "kernels"}
+        _write_record(command, document)
+    plan.checkpoint.unlink(missing_ok=True)
+    _tell(command, plan, document)
+
+
+def checkpoint_of(command: Train) -> Path:
+    """The file that keeps a run which is not done: scene.ply.checkpoint, where none is named."""
+    return Path(command.checkpoint or f"{command.out}.checkpoint")
+
+
+def record_of(command: Train) -> Path:
+    """The file with the record of the run: scene.train.json."""
+    return Path(command.out).with_suffix(".train.json")
+
+
+def _checked(command: Train) -> TrainConfig:
+    """Everything about the arguments that can be known before work begins."""
+    if not Path(command.source).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.source)
+    out = Path(command.out)
+    if out.suffix.lower() not in _WRITTEN or out.name.lower().endswith(".compressed.ply"):
+        raise ValueError(f"--out: expected a name that ends in {', '.join(_WRITTEN)}, got {command.out!r}")
+    for path in (out, record_of(command), checkpoint_of(command)):
+        check_file(path)
+    if out.suffix.lower() == ".ply" and out.is_file() and out.stat().st_size > 0 and not _holds_gaussians(out):
+        told = f"got {command.out}, which is something else; name another"
+        raise ValueError(f"--out: expected a new file or a scene to replace, {told}")
+    if command.size is not None and command.downscale is not None:
+        raise ValueError("--downscale: expected none with --size, got both; leave one out")
+    if command.hold_out == 1:
+        raise ValueError("--hold-out: expected 0 or at least 2, got 1; it would leave nothing to train on")
+    return _config(command)
+
+
+def _holds_gaussians(path: Path) -> bool:
+    """Whether a file is a PLY of Gaussians, not for instance the points that training starts with."""
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+    return head.startswith(b"ply") and b" f_dc_0" in head
+
+
+def _config(command: Train) -> TrainConfig:
+    """The rules of 3DGS, their schedule shortened where there are few steps.
+
+    Raises:
+        BackendError: If what is to draw cannot run here.
+    """
+    from gsvis.train.densify import DensifyConfig
+    from gsvis.train.trainer import TrainConfig
+
+    steps, usual = command.iterations, DensifyConfig()
+    densify = replace(
+        usual,
+        start=min(usual.start, steps // 14),
+        stop=min(usual.stop, steps // 2),
+        most_count=command.max_gaussians or usual.most_count,
+    )
+    return TrainConfig(
+        iterations=steps,
+        sh_degree=command.sh_degree,
+        sh_every=min(TrainConfig.sh_every, max(1, steps // 7)),
+        densify=densify,
+        evaluate_every=command.evaluate_every,
+        seed=command.seed,
+    )
+
+
+def _planned(command: Train, config: TrainConfig, status: Status) -> _Plan:
+    """Photographs read, and a run at its beginning."""
+    from gsvis.train.initial import gaussians_from_points, random_points
+    from gsvis.train.photos import load_photos
+    from gsvis.train.trainer import Trainer
+
+    device = _device(command.backend)
+    photos = load_photos(
+        command.source, images=command.images, downscale=command.downscale, size=command.size, progress=status
+    )
+    views, held_out = photos.views, None
+    if command.hold_out:
+        views, held_out = photos.views.split(command.hold_out)
+    points, told = photos.points, ""
+    if points is not None:
+        told = f"{len(points):,} points of the reconstruction"
+    if points is None or command.random_points is not None:
+        count = command.random_points or _RANDOM_POINTS
+        points = random_points(views.cameras, count, np.random.default_rng([command.seed, 1]))
+        told = f"{count:,} random points"
+    trainer = Trainer(views, gaussians_from_points(points), config, held_out=held_out, device=device)
+    checkpoint = checkpoint_of(command)
+    if command.restart:
+        checkpoint.unlink(missing_ok=True)
+    return _Plan(photos, views, held_out, trainer, told, checkpoint, device)
+
+
+def _device(backend: str) -> str:
+    """Where to draw: "cpu" or "cuda".
+
+    Raises:
+        BackendError: If it cannot be done there.
+    """
+    from gsvis.errors import BackendError
+    from gsvis.render.cuda import is_available
+
+    missing = "" if backend == "cpu" else is_available()
+    if backend == "cuda" and missing:
+        raise BackendError(missing)
+    return "cpu" if backend == "cpu" or missing else "cuda"
+
+
+def _warm_up(config: TrainConfig, device: str, status: Status) -> None:
+    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
+    from gsvis.scene.cameras import Cameras
+    from gsvis.scene.points import PointCloud
+    from gsvis.train.images import PosedImages
+    from gsvis.train.initial import gaussians_from_points
+    from gsvis.train.trainer import Trainer
+
+    status("kernels", 0, 1)
+    around = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 2, width=16, height=16)
+    views = PosedImages(around, np.zeros((2, 16, 16, 3), np.uint8))
+    brief = replace(config, iterations=1, densify=None, evaluate_every=0)
+    Trainer(views, gaussians_from_points(PointCloud(np.eye(3))), brief, held_out=views[:1], device=device).run()
+    status("kernels", 1, 1)
+
+
+def _trained(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
+    """Train, measure and write; the document of it."""
+    from gsvis.io import save_scene
+    from gsvis.train.likeness import measure_views
+
+    trainer = plan.trainer
+    begun: list[int] = []
+    _warm_up(trainer.config, plan.device, status)
+    try:
+        with between_steps() as stop_if_asked:
+            result = trainer.run(checkpoint=plan.checkpoint, progress=_telling(trainer, status, begun, stop_if_asked))
+    except KeyboardInterrupt:
+        if not plan.checkpoint.exists():
+            raise
+        raise KeyboardInterrupt(
+            f"what was trained is kept in {plan.checkpoint.name}; the same command goes on from there"
+        ) from None
+    measured = plan.train[::_SEEN_EVERY] if plan.held_out is None else plan.held_out
+    try:
+        quality = measure_views(result.gaussians, measured, device=plan.device, progress=status)
+        status("writing", 0, 1)
+        save_scene(result.gaussians, command.out)
+        status("writing", 1, 1)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"training is done and kept in {plan.checkpoint.name}; the same command writes the scene"
+        ) from None
+    cameras = plan.photos.views.cameras
+    return {
+        "format": "gsvis-training-record",
+        "version": 1,
+        "made_by": f"gsvis {version()}",
+        "images": command.source,
+        "out": command.out,
+        "bytes": Path(command.out).stat().st_size,
+        "gaussians": len(result.gaussians),
+        "sh_degree": result.gaussians.sh_degree,
+        "width": cameras.width,
+        "height": cameras.height,
+        "photographs": {"all": len(plan.photos.views), "trained_on": len(plan.train)},
+        "start": plan.start,
+        "went_on_from": begun[0] if begun and begun[0] else None,
+        "device": plan.device,
+        "config": asdict(trainer.config),
+        "curve": [_finite(asdict(record)) for record in result.history],
+        "quality": {"of": "trained on" if plan.held_out is None else "held out", **quality.as_dict()},
+        "remarks": list(plan.photos.remarks),
+    }
+
+
+def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: Callable[[], None]) -> Progress:
+    """What the loop calls between two steps."""
+    told = 0
+
+    def tell(stage: str, done: int, total: int) -> None:
+        nonlocal told
+        if not begun:
+            begun.append(done)
+            told = len(trainer.history)
+            if done:
+                status.line(f"going on from step {done:,} of {total:,}")
+        count = len(trainer.parameters)
+        brief, whole = f"loss {trainer.loss:.3f}, {_thousands(count)}", f"loss {trainer.loss:.4f}, {count:,} Gaussians"
+        measured = [record.psnr for record in trainer.history if not math.isnan(record.psnr)]
+        if measured:
+            brief, whole = f"{brief}, {measured[-1]:.1f} dB", f"{whole}, {measured[-1]:.2f} dB held out"
+        if done and not math.isnan(trainer.loss):
+            status.note(stage, brief, whole)
+        for record in trainer.history[told:]:
+            psnr = "" if math.isnan(record.psnr) else f"{record.psnr:.2f} dB held out, "
+            status.line(f"step {record.step:,}: {psnr}loss {record.loss:.4f}, {record.count:,} Gaussians")
+        told = len(trainer.history)
+        status(stage, done, total)
+        stop_if_asked()
+
+    return tell
+
+
+def _thousands(count: int) -> str:
+    return f"{count:,}" if count < 10_000 else f"{count / 1e3:.0f}k"
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    """NaN, which JSON does not know, as null."""
+    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
+
+
+def _write_record(command: Train, document: dict[str, Any]) -> None:
+    from gsvis.io.atomic import atomic_path
+
+    with atomic_path(record_of(command)) as partial:
+        text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+        partial.write_text(text + "\n", encoding="utf-8")
+
+
+def _tell(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
+    """Print what came out."""
+    if command.json:
+        print_json(document)
+        return
+    photographs, quality = document["photographs"], document["quality"]
+    kept = photographs["all"] - photographs["trained_on"]
+    which = f"{quality['views']} {'held out' if kept else 'of those trained on'}"
+    steps = f"{document['config']['iterations']:,}"
+    if document["went_on_from"]:
+        steps += f", the first {document['went_on_from']:,} of them in an earlier run"
+    rows = [
+        ("photographs", f"{photographs['all']:,} of {document['width']} x {document['height']}, {kept:,} held out"),
+        ("began with", plan.start),
+        ("Gaussians", f"{document['gaussians']:,}, SH degree {document['sh_degree']}"),
+        ("steps", steps),
+        ("PSNR", f"{quality['psnr']['mean']:.2f} dB, worst {quality['psnr']['worst']:.2f}, in {which}"),
+        ("SSIM", f"{quality['ssim']['mean']:.4f}, worst {quality['ssim']['worst']:.4f}"),
+        ("file", f"{command.out}, {size_of(document['bytes'])}"),
+        ("record", str(record_of(command))),
+        ("time", clock(sum(document["seconds"].values()))),
+    ]
+    remarks = [f" {remark}" for remark in plan.photos.remarks]
+    if "random" in plan.start and plan.photos.points is None:
+        remarks.append(" The reconstruction has no points; with them training would have started near the surfaces.")
+    show(facts(Path(command.out).name, rows), *remarks)

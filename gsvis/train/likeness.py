@@ -1,0 +1,76 @@
+"""How like its images a scene is: PSNR and SSIM of each view, as displays show them, clipped to [0, 1]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gsvis.progress import Progress, silent
+from gsvis.render.metrics import psnr, ssim
+from gsvis.render.rasterizer import rasterize
+from gsvis.render.tensors import GaussianTensors
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.images import PosedImages
+
+__all__ = ["ViewLikeness", "measure_views"]
+
+_MOST_PSNR = 100.0  # of images that are the same, dB
+
+
+@dataclass(frozen=True, eq=False)
+class ViewLikeness:
+    """How like C images a scene is.
+
+    Attributes:
+        names: C names of views.
+        psnr: (C,) dB, at most 100.
+        ssim: (C,), at most 1, over windows that lie inside the image.
+    """
+
+    names: tuple[str, ...]
+    psnr: NDArray[np.float64]
+    ssim: NDArray[np.float64]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: mean and worst, and every view."""
+        return {
+            "views": len(self.names),
+            "psnr": {"mean": float(self.psnr.mean()), "worst": float(self.psnr.min())},
+            "ssim": {"mean": float(self.ssim.mean()), "worst": float(self.ssim.min())},
+            "each": [
+                {"name": name, "psnr": float(p), "ssim": float(s)}
+                for name, p, s in zip(self.names, self.psnr, self.ssim, strict=True)
+            ],
+        }
+
+
+def measure_views(
+    gaussians: Gaussians, views: PosedImages, *, device: str = "cpu", progress: Progress = silent
+) -> ViewLikeness:
+    """Draw a scene as its images were taken, and compare.
+
+    Args:
+        gaussians: The scene.
+        views: C images and cameras, C >= 1.
+        device: Where to draw, such as "cuda".
+        progress: Called for every view; stage "measure".
+
+    Raises:
+        ValueError: If there are no views.
+    """
+    if len(views) == 0:
+        raise ValueError("views: expected at least one to compare with, got none")
+    tensors = GaussianTensors.from_gaussians(gaussians, device=device)
+    found = np.empty((2, len(views)))
+    progress("measure", 0, len(views))
+    for index in range(len(views)):
+        with torch.no_grad():
+            drawn = rasterize(tensors, views.cameras[index]).images[0].clamp(0.0, 1.0)
+            target = torch.from_numpy(views.image(index)).to(drawn).clamp(0.0, 1.0)
+            found[:, index] = min(float(psnr(drawn, target)), _MOST_PSNR), float(ssim(drawn, target))
+        progress("measure", index + 1, len(views))
+    return ViewLikeness(views.cameras.names, *found)
