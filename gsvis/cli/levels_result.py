@@ -1,0 +1,166 @@
+"""What `gsvis levels` tells of its result: the record that is kept with the levels, a document, or tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Levels as Command
+from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+from gsvis.io.levels import MAP
+from gsvis.scene.content import scene_hash
+from gsvis.scene.levels import Levels
+
+if TYPE_CHECKING:
+    from gsvis.cli.source import Source
+    from gsvis.train.history import Record
+    from gsvis.train.images import PosedImages
+    from gsvis.train.level_quality import LevelQuality
+    from gsvis.train.levels import LevelsConfig, TrainedLevels
+
+__all__ = ["record_of", "tell_result"]
+
+_MOST_OVERHEAD = 0.05
+
+
+class _Run(Protocol):
+    """What was to be done."""
+
+    source: Source
+    config: LevelsConfig
+    views: PosedImages
+    held_out: PosedImages | None
+    cameras_from: str
+
+
+def record_of(command: Command, run: Any, trained: TrainedLevels, quality: LevelQuality | None) -> dict[str, Any]:
+    """How the levels came about and how good they are, for JSON; the same for the same run.
+
+    Args:
+        command: The arguments.
+        run: What was to be done.
+        trained: The levels.
+        quality: In held-out views; None where there are none.
+    """
+    plan: _Run = run
+    levels, g = trained.levels, plan.source.gaussians
+    cameras = plan.views.cameras
+    rows = []
+    for k, name in enumerate(levels.names):
+        row: dict[str, Any] = {
+            "name": name,
+            "gaussians": levels.counts[k],
+            "share": levels.counts[k] / len(g),
+            "reuse": levels.reuse[k] if k < len(levels.reuse) else None,
+        }
+        if quality is not None:
+            row["psnr"] = _spread(quality.scene_psnr[k]) if k < len(levels.reuse) else None
+            row["psnr_photographs"] = None if quality.photo_psnr is None else _spread(quality.photo_psnr[k])
+            row["brightness"] = float(quality.brightness[k])
+        if name in trained.histories:
+            row["curve"] = [_step(record) for record in trained.histories[name]]
+        rows.append(row)
+    return {
+        "made_by": f"gsvis {version()}",
+        "scene": plan.source.name,
+        "lod": plan.source.lod,
+        "scene_sha256": scene_hash(g),
+        "gaussians": len(g),
+        "union": len(levels.union),
+        "overhead": levels.overhead,
+        "views": {
+            "from": plan.cameras_from,
+            "photographs": command.photos is not None,
+            "trained_on": len(plan.views),
+            "held_out": 0 if plan.held_out is None else len(plan.held_out),
+            "width": cameras.width,
+            "height": cameras.height,
+        },
+        "config": asdict(plan.config),
+        "levels": rows,
+    }
+
+
+def tell_result(
+    command: Command, levels: Levels, record: Mapping[str, Any], remarks: list[str], seconds: Mapping[str, float]
+) -> None:
+    """Print the document or the tables."""
+    folder = Path(command.out)
+    rows = [{**row, "file": f"{row['name']}.ply"} for row in record["levels"]]
+    for row in rows:
+        row["bytes"] = (folder / row["file"]).stat().st_size
+    spent = sum(value for stage, value in seconds.items() if stage != "kernels")
+    if command.json:
+        about = {name: value for name, value in record.items() if name != "levels"}
+        times = {stage: value for stage, value in seconds.items() if stage != "kernels"}
+        more = {"out": command.out, "levels": rows, "remarks": [each.strip() for each in remarks], "seconds": times}
+        print_json({"format": "gsvis-levels", "version": 1, **about, **more})
+        return
+    views, photographs = record["views"], record["views"]["photographs"]
+    header = ["level", "Gaussians", "share", "reuse"]
+    if views["held_out"]:
+        header += ["PSNR", "photos", "brightness"] if photographs else ["PSNR", "brightness"]
+    header.append("PLY")
+    table = facts(f"{record['scene']}: levels", [_cells(row, rows[-1], views) for row in rows], header)
+    told = [
+        (
+            "views",
+            f"{views['trained_on']:,} to train on, {views['held_out']:,} held out, {views['width']} x {views['height']}",
+        ),
+        ("their cameras", views["from"]),
+        ("steps", f"{record['config']['iterations']:,} for each lower level"),
+        (
+            "going up level by level",
+            f"sends {record['overhead']:.1%} more than the scene alone ({record['union']:,} Gaussians)",
+        ),
+        ("written", f"{command.out}: {', '.join(row['file'] for row in rows)}, {MAP}"),
+        ("time", clock(spent)),
+    ]
+    show(table, facts("", told), *_told(record), *remarks)
+
+
+def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, Any]) -> list[str]:
+    cells = [row["name"], f"{row['gaussians']:,}", f"{row['share']:.1%}"]
+    cells.append("" if row["reuse"] is None else f"{row['reuse']:.1%}")
+    if views["held_out"]:
+        cells.append("" if row["psnr"] is None else f"{row['psnr']['mean']:.2f} dB")
+        if views["photographs"]:
+            cells.append(f"{row['psnr_photographs']['mean']:.2f} dB")
+        drift = "" if row is top else f" ({row['brightness'] / max(top['brightness'], 1e-9) - 1.0:+.1%})"
+        cells.append(f"{row['brightness']:.3f}{drift}")
+    return [*cells, size_of(row["bytes"])]
+
+
+def _told(record: Mapping[str, Any]) -> list[str]:
+    """What the columns mean, and what went wrong."""
+    views, top = record["views"], record["levels"][-1]["name"]
+    lines = [f" Reuse is the share of a level that stands unchanged in the next; {top} is the scene itself, bit by bit."]
+    if views["held_out"]:
+        photos = ", photos against the photographs themselves" if views["photographs"] else ""
+        lines.append(
+            f" PSNR is the mean over the held-out views against renders of the scene{photos}; brightness is the mean of"
+            " all pixels, where 1 is white."
+        )
+    else:
+        lines.append(" No view was held out, so nothing was measured.")
+    if record["overhead"] > _MOST_OVERHEAD:
+        lines.append(" Going up sends more than 5% more than the scene alone: a higher --reuse, or lower --shares.")
+    return lines
+
+
+def _spread(values: Any) -> dict[str, float]:
+    return {"mean": float(values.mean()), "worst": float(values.min())}
+
+
+def _step(record: Record) -> dict[str, Any]:
+    """One point of a curve; times differ from run to run and are left out."""
+    return {
+        "step": record.step,
+        "loss": None if math.isnan(record.loss) else record.loss,
+        "gaussians": record.count,
+        "psnr": None if math.isnan(record.psnr) else record.psnr,
+    }
