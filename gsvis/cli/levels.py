@@ -267,7 +267,9 @@ def _warm_up(config: LevelsConfig, status: Status) -> None:
 
     status("kernels", 0, 1)
     rng = np.random.default_rng(0)
-    few = Gaussians(rng.normal(size=(12, 3)), [[1, 0, 0, 0]] * 12, np.full((12, 3), 0.3), [0.5] * 12, [[[1, 1, 1]]] * 12)
+    few = Gaussians(
+        rng.normal(size=(12, 3)), [[1, 0, 0, 0]] * 12, np.full((12, 3), 0.3), [0.5] * 12, [[[1, 1, 1]]] * 12
+    )
     views = render_views(few, Cameras.orbit((0.0, 0.0, 0.0), 4.0, 2, width=16, height=16))
     train_levels(few, views, replace(LevelsConfig(iterations=1), backend=config.backend))
     status("kernels", 1, 1)

@@ -106,11 +106,9 @@ def tell_result(
         header += ["PSNR", "photos", "brightness"] if photographs else ["PSNR", "brightness"]
     header.append("PLY")
     table = facts(f"{record['scene']}: levels", [_cells(row, rows[-1], views) for row in rows], header)
+    size = f"{views['width']} x {views['height']}"
     told = [
-        (
-            "views",
-            f"{views['trained_on']:,} to train on, {views['held_out']:,} held out, {views['width']} x {views['height']}",
-        ),
+        ("views", f"{views['trained_on']:,} to train on, {views['held_out']:,} held out, {size}"),
         ("their cameras", views["from"]),
         ("steps", f"{record['config']['iterations']:,} for each lower level"),
         (
@@ -138,7 +136,9 @@ def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, A
 def _told(record: Mapping[str, Any]) -> list[str]:
     """What the columns mean, and what went wrong."""
     views, top = record["views"], record["levels"][-1]["name"]
-    lines = [f" Reuse is the share of a level that stands unchanged in the next; {top} is the scene itself, bit by bit."]
+    lines = [
+        f" Reuse is the share of a level that stands unchanged in the next; {top} is the scene itself, bit by bit."
+    ]
     if views["held_out"]:
         photos = ", photos against the photographs themselves" if views["photographs"] else ""
         lines.append(

@@ -1,4 +1,4 @@
-"""Levels of a scene: how large, what is shared, that training repairs, and that a killed run goes on to the same bits."""
+"""Levels of a scene: how large, what they share, that training repairs, that a killed run goes on to the same bits."""
 
 from __future__ import annotations
 
@@ -206,9 +206,7 @@ def test_a_finished_run_is_not_worked_out_again(
 ) -> None:
     first = train_levels(scene, views, BRIEF, work=tmp_path / "new" / "work")
     calls: list[tuple[str, int, int]] = []
-    again = train_levels(
-        scene, views, BRIEF, work=tmp_path / "new" / "work", progress=lambda *told: calls.append(told)
-    )
+    again = train_levels(scene, views, BRIEF, work=tmp_path / "new" / "work", progress=lambda *told: calls.append(told))
     assert calls == [("train low", 6, 6), ("train medium", 6, 6)]
     assert equal(first.levels, brief)
     assert equal(again.levels, brief)
@@ -226,7 +224,9 @@ def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tm
     ]
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for other in others:
-        with pytest.raises(ValueError, match=r"work: expected .* of the same scene, views and sizes, got another run's"):
+        with pytest.raises(
+            ValueError, match=r"work: expected .* of the same scene, views and sizes, got another run's"
+        ):
             train_levels(*other, work=tmp_path)
     for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
         with pytest.raises(ValueError, match=r"checkpoint: expected .* got another run's"):
