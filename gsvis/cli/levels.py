@@ -87,6 +87,11 @@ def work_of(out: str, plan: str) -> Path:
     return target.with_name(f".{target.name}.partial-{hashlib.sha256(plan.encode()).hexdigest()[:12]}")
 
 
+def _begun(work: Path) -> bool:
+    """Whether a folder of unfinished work holds anything to go on from."""
+    return (work / "subsets.npz").exists()
+
+
 def _target(out: str) -> Path:
     return Path(os.path.abspath(out))
 
@@ -153,6 +158,7 @@ def _planned(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
     _check_replaced(command, config.names, g)
     status("reading", 1, 1)
     remarks: list[str] = []
+    held_out: PosedImages | None
     if command.photos is not None:
         views, held_out, told = _photographs(command, g, status, remarks)
     else:
@@ -163,7 +169,7 @@ def _planned(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
             f" Going up level by level may send {least:.1%} more than the scene alone; a higher --reuse sends less."
         )
     work = _work(command, config, g, views)
-    if any(work.glob("*.npz")):
+    if _begun(work):
         status.line(f"going on from {work.name}, which an earlier run left")
         remarks.append(" It went on from what an earlier run had kept; the time is of this one alone.")
     return _Plan(source, config, views, held_out, told, work, remarks)
@@ -298,7 +304,7 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
         save_levels(trained.levels, command.out, record)
         status("writing", 1, 1)
     except KeyboardInterrupt:
-        if not any(work.glob("*.npz")):
+        if not _begun(work):
             shutil.rmtree(work, ignore_errors=True)
             raise
         raise KeyboardInterrupt(

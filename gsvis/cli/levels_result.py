@@ -115,10 +115,10 @@ def tell_result(
             "going up level by level",
             f"sends {record['overhead']:.1%} more than the scene alone ({record['union']:,} Gaussians)",
         ),
-        ("written", f"{command.out}: {', '.join(row['file'] for row in rows)}, {MAP}"),
         ("time", clock(spent)),
     ]
-    show(table, facts("", told), *_told(record), *remarks)
+    written = f" Written to {command.out}: {', '.join(row['file'] for row in rows)}, {MAP}."
+    show(table, facts("", told), *_told(record), *remarks, written)
 
 
 def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, Any]) -> list[str]:

@@ -186,7 +186,7 @@ def train_levels(
     top = len(sizes)
     first = np.full(len(scene), top, np.uint8)
     owns: list[Gaussians] = []
-    histories = {}
+    histories: dict[str, list[Record]] = {}
     for k in reversed(range(top)):  # a lower level keeps less
         first[masks[sizes[k][1]]] = k
     for k, (total, frozen, begun) in enumerate(sizes):

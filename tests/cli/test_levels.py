@@ -37,7 +37,7 @@ GSVIS = [sys.executable, "-m", "gsvis.cli"]
 @pytest.fixture(scope="module")
 def ply(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("in") / "rooms.ply"
-    save_scene(two_rooms(600, sh_degree=1).gaussians, path)
+    save_scene(two_rooms(1000, sh_degree=1).gaussians, path)
     return path
 
 
@@ -46,8 +46,8 @@ def photos(ply: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Photographs of the rooms from inside, with a transforms.json."""
     folder = tmp_path_factory.mktemp("photos")
     (folder / "images").mkdir()
-    eyes = [(1.0 + 0.2 * k, 1.5, 1.4) for k in range(9)]
-    cameras = Cameras.look_at(eyes, (3.5, 3.5, 1.0), up=(0, 0, 1), fov=80, width=24, height=20)
+    eyes = [(0.6 + 0.1 * k, 0.5 + 0.35 * k, 1.5) for k in range(9)]
+    cameras = Cameras.look_at(eyes, (4.0, 2.0, 1.0), up=(0, 0, 1), fov=80, width=24, height=20)
     images = rasterize(load_scene(ply), cameras).images.numpy().clip(0.0, 1.0)
     frames = []
     flip = np.diag([1.0, -1.0, -1.0, 1.0])  # transforms.json looks along -z
@@ -138,7 +138,7 @@ def test_photographs_names_and_another_number_of_levels(
     assert (small["name"], whole["name"]) == ("small", "whole")
     assert 0.8 <= small["reuse"] < 0.9
     assert whole["psnr_photographs"]["mean"] > 45.0  # the same, but for 8 bits
-    assert small["psnr_photographs"]["mean"] < 45.0
+    assert small["psnr_photographs"]["mean"] < whole["psnr_photographs"]["mean"] - 3.0
     assert names(out) == ["levels.arrow", "small.ply", "whole.ply"]
     assert main(["levels", *map(str, words), "--iterations", "2"]) == 0
     text = capsys.readouterr().out
@@ -153,9 +153,9 @@ def test_photographs_of_something_else_are_told(ply: Path, photos: Path, tmp_pat
     told = refused(capsys, tmp_path / "away.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "2")
     assert "shows any of" in told
     assert "in its frame?" in told
-    negative = Gaussians(g.means, g.quats, g.scales, g.opacities, -g.sh0, g.shN)
-    save_scene(negative, tmp_path / "negative.ply")
-    words = [tmp_path / "negative.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "1"]
+    glaring = Gaussians(g.means, g.quats, g.scales, g.opacities, np.full_like(g.sh0, 5.0), g.shN)
+    save_scene(glaring, tmp_path / "glaring.ply")
+    words = [tmp_path / "glaring.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "1"]
     assert "unlike the photographs" in document(capsys, *words)["remarks"][0]
 
 
@@ -264,7 +264,7 @@ def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
 
 
 def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "400"]
+    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "80"]
     stopped = subprocess.Popen(
         [*GSVIS, "levels", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -273,14 +273,13 @@ def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path
         assert stopped.poll() is None, stopped.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    time.sleep(0.2)
     os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does
     said, told = stopped.communicate()
     assert (stopped.returncode, said) == (130, ""), told
     (kept,) = tmp_path.glob(".out.partial-*")
     assert f"is kept in {kept.name}; the same command goes on from there" in told.splitlines()[-1]
     assert "Traceback" not in told
-    assert names(kept) == ["low.checkpoint", "subsets.npz"]
+    assert "subsets.npz" in names(kept)
     assert names(tmp_path) == [kept.name]
     assert main(["levels", *words]) == 0
     out, err = capsys.readouterr()
