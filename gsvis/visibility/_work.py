@@ -33,9 +33,11 @@ from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
 from gsvis.visibility._journal import pack_view
+from gsvis.visibility._levels import joined, level_scenes
 from gsvis.visibility.look import Look
-from gsvis.visibility.pvs import PvsConfig, see_cell
+from gsvis.visibility.pvs import CellView, PvsConfig, see_cell
 
 __all__ = [
     "SceneArrays",
@@ -51,22 +53,26 @@ __all__ = [
 Result = tuple[int, bytes]
 """A cell and what it sees, packed."""
 
+Looks = list[tuple[Look, NDArray[np.int64]]]
+"""The levels of a scene, ready, and the ids of their Gaussians in the union."""
+
 # shN has no influence on what is seen.
 _SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
+_MEMBERSHIP = ("first", "last")  # levels of each Gaussian
 _RESTARTS = 3  # times in a row that work is begun again without one cell being finished
 
-_ready: OrderedDict[str, Look] = OrderedDict()  # of this process, the last scene and configuration
+_ready: OrderedDict[str, Looks] = OrderedDict()  # of this process, the last scene and configuration
 _one_at_a_time = threading.Lock()  # the kernels of numba's default threading layer may not run from two threads
 _threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 
 
 @dataclass(frozen=True, eq=False)
 class SceneArrays:
-    """A scene on its way to a worker.
+    """A scene, or levels, on the way to a worker.
 
     Attributes:
         key: Names the scene and the configuration.
-        source: Its arrays, or the folder that holds each in a file.
+        source: The arrays of the union and the levels of each Gaussian, or the folder that holds each in a file.
         config: How visible sets are found.
     """
 
@@ -75,9 +81,10 @@ class SceneArrays:
     config: PvsConfig
 
     @classmethod
-    def of(cls, key: str, g: Gaussians, config: PvsConfig) -> SceneArrays:
+    def of(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
         """The arrays themselves."""
-        return cls(key, {name: getattr(g, name) for name in _SHAPES}, config)
+        arrays = {name: getattr(levels.union, name) for name in _SHAPES}
+        return cls(key, arrays | {name: getattr(levels, name) for name in _MEMBERSHIP}, config)
 
     @contextmanager
     def stored(self, folder: Path) -> Iterator[SceneArrays]:
@@ -86,22 +93,31 @@ class SceneArrays:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name, array in self.source.items():
-                (folder / f"{name}.f32").write_bytes(np.ascontiguousarray(array, np.float32).data)
+                (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(array).data)
             yield SceneArrays(self.key, folder, self.config)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def look(self) -> Look:
-        """The scene, ready; kept until another one is asked for."""
-        look = _ready.get(self.key)
-        if look is None:
+    def looks(self) -> Looks:
+        """The levels, ready; kept until other ones are asked for."""
+        looks = _ready.get(self.key)
+        if looks is None:
             _ready.clear()
-            source = self.source
+            source, config = self.source, self.config
             if isinstance(source, Path):
-                source = {name: _mapped(source / f"{name}.f32", shape) for name, shape in _SHAPES.items()}
-            look = Look(Gaussians(**source), self.config.method, self.config.size, self.config.tau)
-            _ready[self.key] = look
-        return look
+                source = _mapped(source)
+            first, last = (source[name] for name in _MEMBERSHIP)
+            union = Gaussians(**{name: source[name] for name in _SHAPES})
+            levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
+            looks = [(Look(g, config.method, config.size, config.tau), ids) for g, ids in level_scenes(levels)]
+            _ready[self.key] = looks
+        return looks
+
+    def view(self, viewpoints: NDArray[np.float64]) -> CellView:
+        """What a cell with these viewpoints (V, 3) sees, each level by itself."""
+        looks = self.looks()
+        views = [see_cell(look, viewpoints, self.config) for look, _ in looks]
+        return joined(views, [ids for _, ids in looks], 1 + max(int(ids[-1]) for _, ids in looks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +128,10 @@ class Task:
     viewpoints: Any
 
 
-def _mapped(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    return np.asarray(np.memmap(path, np.float32, mode="r")).reshape(shape)
+def _mapped(folder: Path) -> dict[str, NDArray[Any]]:
+    kinds: dict[str, Any] = dict.fromkeys(_SHAPES, np.float32) | dict.fromkeys(_MEMBERSHIP, np.uint8)
+    arrays = {name: np.asarray(np.memmap(folder / f"{name}.bin", kind, mode="r")) for name, kind in kinds.items()}
+    return {name: array.reshape(_SHAPES.get(name, (-1,))) for name, array in arrays.items()}
 
 
 def see(scene: SceneArrays, task: Task) -> bytes:
@@ -121,7 +139,7 @@ def see(scene: SceneArrays, task: Task) -> bytes:
     with _one_at_a_time:
         if _threads:
             set_num_threads(min(_threads[0], get_num_threads()))
-        return pack_view(see_cell(scene.look(), task.viewpoints, scene.config))
+        return pack_view(scene.view(task.viewpoints))
 
 
 def use_threads(count: int | None) -> None:

@@ -28,8 +28,10 @@ from gsvis.raycast.directions import NUM_FACES
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility._journal import Journal, pack_view
+from gsvis.visibility._levels import as_levels, levels_record, union_of
 from gsvis.visibility._work import (
     Result,
     SceneArrays,
@@ -40,7 +42,7 @@ from gsvis.visibility._work import (
     forget_scene,
 )
 from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.pvs import PvsConfig, see_cell
+from gsvis.visibility.pvs import PvsConfig
 from gsvis.visibility.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 from gsvis.visibility.viewpoints import CellViewpoints
 
@@ -54,7 +56,7 @@ _PER_GAUSSIAN = {"hybrid": 190, "raster": 420, "raycast": 680}
 _PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # of the six faces
 _PARENT_BASE = 220 << 20
 _PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and what reading leaves
-_SCENE_FILE = 56  # bytes of the scene that workers map
+_SCENE_FILE = 58  # bytes of the scene that workers map
 
 _BITS = 5.0  # of a set and its classes, for each visible Gaussian of a cell
 _DISK_PER_GAUSSIAN = 6  # order and direction sets
@@ -110,7 +112,7 @@ class Estimate:
 
 
 def build_pvs(
-    g: Gaussians,
+    g: Gaussians | Levels,
     grid: CellGrid,
     space: NavigableSpace,
     path: str | os.PathLike[str],
@@ -125,7 +127,7 @@ def build_pvs(
     Python programs that start processes do.
 
     Args:
-        g: The scene, N Gaussians.
+        g: The scene, N Gaussians; or levels, of whose union a cell sees what it sees in any level by itself.
         grid: The cells.
         space: The navigable space that the grid was cut from.
         path: The file to write. Finished cells are kept beside it until it is whole: an interrupted build of the same
@@ -138,15 +140,15 @@ def build_pvs(
         The open store.
 
     Raises:
-        SceneError: If the scene is empty, or every viewpoint is buried in something solid.
+        SceneError: If the scene or a level is empty, or every viewpoint is buried in something solid.
         ValueError: If the memory cannot suffice, or the grid was cut from another space.
         OSError: If the disk is full or cannot be written; finished cells are kept.
     """
     config, workers = config or PvsConfig(), workers or Workers()
-    count = _fitting(g, config, workers)
+    levels = _checked(g)
+    count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
-    _check_content(g)
-    target, plan = Path(path), _plan(g, grid, space, config)
+    target, plan = Path(path), _plan(levels, grid, space, config)
     journal = Journal(_folder_of(target, plan), plan)
     try:
         with journal.opened():
@@ -154,12 +156,12 @@ def build_pvs(
             progress("cells", len(finished), len(grid))
             left = sorted(set(range(len(grid))) - set(finished))
             tasks = [Task(cell, viewpoints.spread(cell, config.max_viewpoints)) for cell in left]
-            scene = SceneArrays.of(_key(plan), g, config)
+            scene = SceneArrays.of(_key(plan), levels, config)
             with closing(_results(scene, tasks, workers, count, journal)) as results:
                 for done, (cell, data) in enumerate(results, len(finished) + 1):
                     journal.keep(cell, data)
                     progress("cells", done, len(grid))
-            _write(journal, grid, target, g, plan, config, progress)
+            _write(journal, grid, target, plan, config, progress)
             journal.remove()
     except SceneError:
         journal.remove()
@@ -170,7 +172,7 @@ def build_pvs(
 
 
 def estimate_pvs(
-    g: Gaussians,
+    g: Gaussians | Levels,
     grid: CellGrid,
     space: NavigableSpace,
     path: str | os.PathLike[str],
@@ -183,7 +185,7 @@ def estimate_pvs(
     """What `build_pvs` would cost; looks from `sample` cells to find out and writes nothing.
 
     Args:
-        g: The scene.
+        g: The scene, or levels.
         grid: The cells.
         space: The navigable space of the grid.
         path: The file that would be written.
@@ -193,23 +195,23 @@ def estimate_pvs(
         progress: Called with stage "trying".
 
     Raises:
-        SceneError: If the scene is empty.
+        SceneError: If the scene or a level is empty.
         ValueError: If the memory cannot suffice, or the grid was cut from another space.
     """
     config, workers = config or PvsConfig(), workers or Workers()
-    count = _fitting(g, config, workers)
+    levels = _checked(g)
+    count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
-    _check_content(g)
     _check.positive_int("sample", sample)
-    plan = _plan(g, grid, space, config)
+    plan = _plan(levels, grid, space, config)
     finished = len(Journal(_folder_of(Path(path), plan), plan).finished(len(grid)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
-    look = SceneArrays.of(_key(plan), g, config).look()
-    see_cell(look, viewpoints.spread(some[0], 1), config)  # kernels are loaded before the clock runs
+    scene = SceneArrays.of(_key(plan), levels, config)
+    scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
     began, taken, bits = time.perf_counter(), 0, 0.0
     progress("trying", 0, len(some))
     for done, cell in enumerate(some, 1):
-        view = see_cell(look, viewpoints.spread(cell, config.max_viewpoints), config)
+        view = scene.view(viewpoints.spread(cell, config.max_viewpoints))
         taken += len(pack_view(view))
         bits += _BITS * len(view.ids)
         progress("trying", done, len(some))
@@ -221,17 +223,17 @@ def estimate_pvs(
         finished=finished,
         workers=count,
         seconds=seconds / _speed_up(count, workers),
-        memory=_parent(g) + count * _worker(g, config) if shared else _alone(g, config),
-        disk=int(bits / 8.0 / len(some) * len(grid)) + _DISK_PER_GAUSSIAN * len(g),
-        working_disk=int(taken / len(some) * len(grid)) + (_SCENE_FILE * len(g) if shared else 0),
+        memory=_parent(levels) + count * _worker(levels, config) if shared else _alone(levels, config),
+        disk=int(bits / 8.0 / len(some) * len(grid)) + _DISK_PER_GAUSSIAN * len(levels.union),
+        working_disk=int(taken / len(some) * len(grid)) + (_SCENE_FILE * len(levels.union) if shared else 0),
     )
 
 
 def journal_of(
-    g: Gaussians, grid: CellGrid, space: NavigableSpace, path: str | os.PathLike[str], config: PvsConfig
+    g: Gaussians | Levels, grid: CellGrid, space: NavigableSpace, path: str | os.PathLike[str], config: PvsConfig
 ) -> Path:
     """The folder in which a build of this plan keeps finished cells."""
-    return _folder_of(Path(path), _plan(g, grid, space, config))
+    return _folder_of(Path(path), _plan(as_levels(g), grid, space, config))
 
 
 def _folder_of(target: Path, plan: dict[str, Any]) -> Path:
@@ -239,11 +241,17 @@ def _folder_of(target: Path, plan: dict[str, Any]) -> Path:
     return target.with_name(f"{target.name}.partial-{digest[:12]}")
 
 
-def _check_content(g: Gaussians) -> None:
-    if not (g.opacities >= MIN_ALPHA).any():
-        raise SceneError(
-            "the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
-        )
+def _checked(g: Gaussians | Levels) -> Levels:
+    """The levels, if there is something to see in each."""
+    bright = union_of(g).opacities >= MIN_ALPHA
+    told = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
+    if not bright.any():
+        raise SceneError(f"the scene {told}")
+    levels = as_levels(g)
+    for k, name in enumerate(levels.names):
+        if not bright[levels.member(k)].any():
+            raise SceneError(f"level {name!r} {told}")
+    return levels
 
 
 def _explained(error: OSError, journal: Journal, cells: int, target: Path) -> OSError:
@@ -255,13 +263,15 @@ def _explained(error: OSError, journal: Journal, cells: int, target: Path) -> OS
     return OSError(error.errno or errno.EIO, f"{error.strerror or error}; {held}: {remedy}", str(target))
 
 
-def _plan(g: Gaussians, grid: CellGrid, space: NavigableSpace, config: PvsConfig) -> dict[str, Any]:
+def _plan(levels: Levels, grid: CellGrid, space: NavigableSpace, config: PvsConfig) -> dict[str, Any]:
     """All that decides the bytes of the store."""
+    record = levels_record(levels)
     return {
         "format": "gsvis pvs plan",
         "version": _PLAN,
-        "scene": scene_hash(g),
-        "gaussians": len(g),
+        "scene": scene_hash(levels.union),
+        "gaussians": len(levels.union),
+        **({} if record is None else {"levels": record}),
         "grid": grid.as_dict(),
         "cells": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest(),
         "space": space_hash(space),
@@ -270,7 +280,7 @@ def _plan(g: Gaussians, grid: CellGrid, space: NavigableSpace, config: PvsConfig
 
 
 def _key(plan: dict[str, Any]) -> str:
-    return f"{plan['scene']} {plan['config']}"
+    return f"{plan['scene']} {plan.get('levels')} {plan['config']}"
 
 
 def _results(
@@ -290,15 +300,14 @@ def _write(
     journal: Journal,
     grid: CellGrid,
     path: Path,
-    g: Gaussians,
     plan: dict[str, Any],
     config: PvsConfig,
     progress: Progress,
 ) -> None:
-    info = StoreInfo(
-        len(g), plan["scene"], config.tau, config.class_edges, {**config.as_dict(), "space": plan["space"]}
-    )
-    directions: NDArray[np.uint8] = np.zeros((len(g), NUM_FACES // 8), np.uint8)
+    count = plan["gaussians"]
+    how = {**config.as_dict(), "space": plan["space"], **{name: plan[name] for name in ("levels",) if name in plan}}
+    info = StoreInfo(count, plan["scene"], config.tau, config.class_edges, how)
+    directions: NDArray[np.uint8] = np.zeros((count, NUM_FACES // 8), np.uint8)
     looked = 0
     with StoreWriter(path, grid, info) as writer:
         for cell in range(len(grid)):
@@ -315,20 +324,24 @@ def _write(
         writer.finish(directions, progress=progress)
 
 
-def _parent(g: Gaussians) -> int:
+def _parent(levels: Levels) -> int:
     """Bytes of the process that gives out the work and writes the store."""
-    return _PARENT_BASE + _PARENT_PER_GAUSSIAN * len(g) + g.nbytes
+    n, held = len(levels.union), levels.union.nbytes
+    copies = held * levels.counts[-1] // n if len(levels) > 1 else 0  # the highest level, which tells where eyes may be
+    return _PARENT_BASE + _PARENT_PER_GAUSSIAN * n + held + copies
 
 
-def _worker(g: Gaussians, config: PvsConfig) -> int:
+def _worker(levels: Levels, config: PvsConfig) -> int:
     """Bytes of a process that looks."""
-    pixels = _PER_PIXEL[config.method] * config.size**2
-    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * len(g) + pixels
+    pixels, drawn = _PER_PIXEL[config.method] * config.size**2, sum(levels.counts)
+    copies = _SCENE_FILE * drawn if len(levels) > 1 else 0  # a single one is what was mapped
+    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * drawn + copies + pixels
 
 
-def _alone(g: Gaussians, config: PvsConfig) -> int:
+def _alone(levels: Levels, config: PvsConfig) -> int:
     """Bytes of a process that does both, one after the other."""
-    return max(_parent(g), _worker(g, config) + g.nbytes + _PARENT_PER_GAUSSIAN // 4 * len(g))
+    held = levels.union.nbytes + _PARENT_PER_GAUSSIAN // 4 * len(levels.union)
+    return max(_parent(levels), _worker(levels, config) + held)
 
 
 def _speed_up(count: int, workers: Workers) -> float:
@@ -339,15 +352,15 @@ def _speed_up(count: int, workers: Workers) -> float:
     return max(1.0, min(count, cores) * _PROCESSES_OVER_THREADS / cores) if count > 1 else 1.0
 
 
-def _fitting(g: Gaussians, config: PvsConfig, workers: Workers) -> int:
+def _fitting(levels: Levels, config: PvsConfig, workers: Workers) -> int:
     """How many processes fit the memory; 1 means that this process works itself."""
     if workers.max_memory is None or workers.executor is not None:
         return workers.count
-    alone = _alone(g, config)
+    alone = _alone(levels, config)
     if workers.max_memory < alone:
         raise ValueError(
-            f"max_memory: expected at least {alone / 1e9:.2g} GB for {len(g):,} Gaussians,"
+            f"max_memory: expected at least {alone / 1e9:.2g} GB for {len(levels.union):,} Gaussians,"
             f" got {workers.max_memory / 1e9:.2g} GB; raise it, or take a coarser level of the scene"
         )
-    room = (workers.max_memory - _parent(g)) // _worker(g, config)
+    room = (workers.max_memory - _parent(levels)) // _worker(levels, config)
     return int(min(workers.count, room)) if room >= 2 else 1

@@ -1,7 +1,8 @@
 """SRBF colours of a scene from the scene alone: from where each Gaussian can be seen, what it counts, and the fit.
 
 Directions are traced outward into navigable space and joined with those of sampled views; how much each Gaussian counts
-comes from the views. Scene frame and units. The views that a fit is judged by are drawn apart from those of the fit.
+comes from the views. Levels are traced and viewed one by one, and fitted once. Scene frame and units. The views
+that a fit is judged by are drawn apart from those of the fit.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import NUM_FACES
+from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility._kept import Kept
+from gsvis.visibility._levels import as_levels, level_scenes, levels_record, union_of
 from gsvis.visibility.look import buried
 
 __all__ = ["ColorConfig", "ColorPreparation", "ViewSampling", "kept_beside", "prepare_colors"]
@@ -66,21 +69,21 @@ class ViewSampling:
         if not 1.0 <= self.fov <= 179.0:
             raise ValueError(f"fov: expected degrees in [1, 179], got {self.fov!r}")
 
-    def cameras(self, g: Gaussians, navigable: NavigableSpace) -> Cameras:
+    def cameras(self, g: Gaussians | Levels, navigable: NavigableSpace) -> Cameras:
         """The cameras.
 
         Args:
-            g: The scene.
+            g: The scene, or levels: eyes lie outside of what is solid in any of them.
             navigable: Where eyes may be.
 
         Raises:
             SceneError: If too few viewpoints lie outside of something solid.
         """
-        rng = np.random.default_rng([self.seed, self.stream])
+        rng, union = np.random.default_rng([self.seed, self.stream]), union_of(g)
         eyes = np.zeros((0, 3))
         for _ in range(_TRIES):
             drawn = navigable.sample_viewpoints(self.count, rng)
-            eyes = np.concatenate([eyes, drawn[~buried(g, drawn)]])
+            eyes = np.concatenate([eyes, drawn[~buried(union, drawn)]])
             if len(eyes) >= self.count:
                 return navigable.cameras_at(eyes[: self.count], rng, width=self.width, height=self.height, fov=self.fov)
         raise SceneError(
@@ -133,7 +136,7 @@ class ColorPreparation:
 
 
 def prepare_colors(
-    g: Gaussians,
+    g: Gaussians | Levels,
     navigable: NavigableSpace | None,
     config: ColorConfig | None = None,
     *,
@@ -145,8 +148,11 @@ def prepare_colors(
 
     A scene without view dependence (SH degree 0) gets base colours and no terms; nothing is traced then.
 
+    What hides a Gaussian differs from level to level, so levels are traced and viewed each by itself: the set of a
+    Gaussian holds the directions from which any level shows it. Its colour is fitted once, whichever levels share it.
+
     Args:
-        g: N Gaussians.
+        g: N Gaussians; or levels of which N are the union.
         navigable: Where eyes may be; None only for a scene of SH degree 0.
         config: How; None means `ColorConfig()`.
         sets: (N, 10) uint8 direction sets that are known, such as `VisibilityStore.direction_sets`; None traces them.
@@ -163,26 +169,27 @@ def prepare_colors(
         SRBF-Gaussian, sections 3.1 and 5.
     """
     config = config or ColorConfig()
-    given = None if sets is None else _checked_sets(sets, len(g))
-    if g.sh_degree == 0 or len(g) == 0:
-        fit = fit_srbf(g, None, replace(config.fit, max_terms=0), progress=progress)
-        everywhere = np.full((len(g), NUM_FACES // 8), 255, np.uint8)
-        return ColorPreparation(fit, everywhere, np.ones(len(g)), None, "none needed: no colour depends on direction")
+    union = union_of(g)
+    given = None if sets is None else _checked_sets(sets, len(union))
+    if union.sh_degree == 0 or len(union) == 0:
+        fit = fit_srbf(union, None, replace(config.fit, max_terms=0), progress=progress)
+        everywhere, ones = np.full((len(union), NUM_FACES // 8), 255, np.uint8), np.ones(len(union))
+        return ColorPreparation(fit, everywhere, ones, None, "none needed: no colour depends on direction")
     if navigable is None:
         raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
     kept = Kept(keep, _plan(g, navigable, config, given))
-    found = kept.load({"sets": (len(g), NUM_FACES // 8), "traced": (1,), "importance": (len(g),)})
+    found = kept.load({"sets": (len(union), NUM_FACES // 8), "traced": (1,), "importance": (len(union),)})
     if given is None and config.rays_per_face > 0:
-        _trace(g, navigable, config.rays_per_face, kept, found, progress)
+        _trace(as_levels(g), navigable, config.rays_per_face, kept, found, progress)
         rays = "1 ray" if config.rays_per_face == 1 else f"{config.rays_per_face} rays"
         told = f"traced outward ({rays} for each of 80) and gathered from the views of the fit"
     else:
-        found.setdefault("sets", np.zeros((len(g), NUM_FACES // 8), np.uint8))
+        found.setdefault("sets", np.zeros((len(union), NUM_FACES // 8), np.uint8))
         told = "gathered from the views of the fit"
         told = told if given is None else f"of the visible sets and {told}"
     views = config.views.cameras(g, navigable) if config.views.count else None
     if views is None:
-        found["importance"] = np.ones(len(g))
+        found["importance"] = np.ones(len(union))
         told = told.replace(" and gathered from the views of the fit", "")
     elif "importance" not in found:
         from gsvis.visibility.importance import importance_from_views  # imports torch
@@ -192,12 +199,13 @@ def prepare_colors(
         found["importance"] = seen.importance
         kept.save(**found)
     directions = found["sets"] if given is None else found["sets"] | given
-    fit = fit_srbf(g, directions, config.fit, importance=found["importance"], progress=progress)
+    told += "" if levels_record(g) is None else ", in each level"
+    fit = fit_srbf(union, directions, config.fit, importance=found["importance"], progress=progress)
     return ColorPreparation(fit, directions, found["importance"], views, told)
 
 
 def kept_beside(
-    g: Gaussians,
+    g: Gaussians | Levels,
     navigable: NavigableSpace | None,
     config: ColorConfig,
     keep: str | os.PathLike[str],
@@ -216,16 +224,19 @@ def kept_beside(
     Returns:
         The path, of a file that need not exist; None where nothing is ever kept.
     """
-    if navigable is None or g.sh_degree == 0:
+    union = union_of(g)
+    if navigable is None or union.sh_degree == 0:
         return None
-    return Kept(keep, _plan(g, navigable, config, None if sets is None else _checked_sets(sets, len(g)))).path
+    return Kept(keep, _plan(g, navigable, config, None if sets is None else _checked_sets(sets, len(union)))).path
 
 
-def _plan(g: Gaussians, navigable: NavigableSpace, config: ColorConfig, sets: U8 | None) -> dict[str, Any]:
+def _plan(g: Gaussians | Levels, navigable: NavigableSpace, config: ColorConfig, sets: U8 | None) -> dict[str, Any]:
     """All that decides what is found before the fit."""
+    record = levels_record(g)
     return {
         "version": _PLAN,
-        "scene": scene_hash(g),
+        "scene": scene_hash(union_of(g)),
+        **({} if record is None else {"levels": record}),
         "space": space_hash(navigable),
         "views": asdict(config.views),
         "rays_per_face": None if sets is not None else config.rays_per_face,
@@ -234,30 +245,35 @@ def _plan(g: Gaussians, navigable: NavigableSpace, config: ColorConfig, sets: U8
 
 
 def _trace(
-    g: Gaussians, navigable: NavigableSpace, rays: int, kept: Kept, found: dict[str, NDArray[Any]], progress: Progress
+    levels: Levels, navigable: NavigableSpace, rays: int, kept: Kept, found: dict[str, NDArray[Any]], progress: Progress
 ) -> None:
     """Direction sets traced outward into `found`, from where an earlier run stood; kept block by block."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.directions import trace_directions
 
-    n = len(g)
+    total = sum(levels.counts)
     if "sets" not in found or "traced" not in found:
         found.clear()
-        found.update(sets=np.zeros((n, NUM_FACES // 8), np.uint8), traced=np.zeros(1, np.int64))
+        found.update(sets=np.zeros((len(levels.union), NUM_FACES // 8), np.uint8), traced=np.zeros(1, np.int64))
     done = int(found["traced"][0])
-    progress("directions", done, n)
-    if done >= n:
-        return
-    tracer = Tracer(EllipsoidProxies.from_scene(g))
-    for start in range(done, n, _BLOCK):
-        ids = np.arange(start, min(start + _BLOCK, n))
+    progress("directions", done, total)
+    end = 0
+    for scene, places in level_scenes(levels):
+        begin, end = end, end + len(scene)
+        if done >= end:
+            continue
+        tracer = Tracer(EllipsoidProxies.from_scene(scene))
+        for start in range(max(done - begin, 0), len(scene), _BLOCK):
+            ids = np.arange(start, min(start + _BLOCK, len(scene)))
 
-        def within(_stage: str, at: int, _total: int, before: int = start) -> None:
-            progress("directions", before + at, n)
+            def within(_stage: str, at: int, _total: int, before: int = begin + start) -> None:
+                progress("directions", before + at, total)
 
-        found["sets"][ids] = trace_directions(tracer, navigable, ids=ids, rays_per_face=rays, progress=within)
-        found["traced"] = np.array([ids[-1] + 1], np.int64)
-        kept.save(**found)
+            found["sets"][places[ids]] |= trace_directions(
+                tracer, navigable, ids=ids, rays_per_face=rays, progress=within
+            )
+            found["traced"] = np.array([begin + ids[-1] + 1], np.int64)
+            kept.save(**found)
 
 
 def _checked_sets(sets: ArrayLike, count: int) -> U8:

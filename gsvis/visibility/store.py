@@ -25,10 +25,12 @@ from gsvis.progress import Progress, silent
 from gsvis.raycast.tracer import Tracer
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
 from gsvis.visibility import _codec, _order
 from gsvis.visibility import _kernels_store as kernels
 from gsvis.visibility._cache import Cache
 from gsvis.visibility._container import Container
+from gsvis.visibility._levels import levels_record, union_of
 from gsvis.visibility._writer import CELL_ROW, FORMAT, CellSet, StoreInfo, StoreWriter, write_store
 from gsvis.visibility.cells import CellGrid
 from gsvis.visibility.why import Why, why
@@ -54,7 +56,7 @@ class VisibilityStore:
         """Open a file without a look at its scene; see `open`."""
         self.path = Path(path)
         self._cache = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
-        self._known_scene: weakref.ref[Gaussians] | None = None
+        self._known_scene: weakref.ref[Gaussians | Levels] | None = None
         self._container = Container(path)
         try:
             self.info, self.grid = self._read_header()
@@ -65,13 +67,13 @@ class VisibilityStore:
 
     @classmethod
     def open(
-        cls, path: str | PathLike[str], *, scene: Gaussians | None = None, max_cache: int = 256 << 20
+        cls, path: str | PathLike[str], *, scene: Gaussians | Levels | None = None, max_cache: int = 256 << 20
     ) -> VisibilityStore:
         """Open a store.
 
         Args:
             path: The file.
-            scene: The scene it should belong to, compared by content; None compares nothing and is quicker.
+            scene: The scene or levels it should belong to, compared by content; None compares nothing and is quicker.
             max_cache: Bytes of decoded cells kept for further queries.
 
         Raises:
@@ -302,22 +304,29 @@ class VisibilityStore:
             raise ValueError(f"gaussian: expected an id in [0, {self.gaussians}), got {gaussian!r}")
         return int(gaussian)
 
-    def check_scene(self, scene: Gaussians) -> None:
-        """Nothing, if the store was made from a scene of this content.
+    def check_scene(self, scene: Gaussians | Levels) -> None:
+        """Nothing, if the store was made from a scene of this content, or from levels that share it in the same way.
+
+        The union of levels alone will do for a store of levels: ids are the same.
 
         Raises:
             FormatError: If it was made from another one.
         """
         if self._known_scene is not None and self._known_scene() is scene:
             return
-        remedy = "open it with the scene it was built from, or build it again"
-        if len(scene) != self.gaussians:
-            raise FormatError(
-                self.path, "scene", f"a store of {len(scene):,} Gaussians", f"one of {self.gaussians:,}", remedy
-            )
-        content = scene_hash(scene)
-        if content != self.info.scene:
+        union, own = union_of(scene), self.info.config.get("levels")
+        of_union = "" if own is None else ", the union of levels"
+        wanted, got = f"a store of {len(union):,} Gaussians", f"one of {self.gaussians:,}{of_union}"
+        same = len(union) == self.gaussians
+        if same:
+            content = scene_hash(union)
             wanted, got = f"a store of scene {content[:12]}...", f"one of scene {self.info.scene[:12]}..."
+            same = content == self.info.scene
+        if same and isinstance(scene, Levels):
+            wanted, got = f"a store of the levels {', '.join(scene.names)}", "one of other levels, or of none"
+            same = own == levels_record(scene)
+        if not same:
+            remedy = "open it with the scene it was built from, or build it again"
             raise FormatError(self.path, "scene", wanted, got, remedy)
         self._known_scene = weakref.ref(scene)
 
