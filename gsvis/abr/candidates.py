@@ -1,0 +1,181 @@
+"""What may be sent to a client in a cell: units of Gaussians that the cell and its neighbours see.
+
+Made once for a cell and shared by all clients in it; what changes with a client, where it looks and what it holds, is
+not known here. Rings are 0 for the cell itself and 1, 2, 3 for neighbours by face, edge and corner; a Gaussian is in
+the first ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.abr import _kernels as kernels
+from gsvis.abr.index import CellMembers, SceneIndex
+from gsvis.visibility._codec import word_count
+from gsvis.visibility._kernels_store import mark
+from gsvis.visibility.cells import CellGrid
+
+__all__ = ["RINGS", "CandidateStore", "Candidates", "ring_cells"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Words = NDArray[np.uint64]
+
+RINGS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """U units of a cell and its neighbours.
+
+    Attributes:
+        cell: Its number.
+        words: (U,) int32, the word of each: Gaussians 64 w to 64 w + 63.
+        masks: (U,) uint64, which of them.
+        strengths: (U, 2) float32, mean weight times area and weight times pixel, for each byte.
+        labels: (U, 3) uint8: ring, first and last level.
+        union: (W,) uint64, all candidates.
+        active: (X,) uint64, active terms of the cell as a packed set; empty where the scene has no terms.
+        level_bytes: (L,) bytes of what the cell itself sees of each level, with its active terms.
+    """
+
+    cell: int
+    words: NDArray[np.int32]
+    masks: Words
+    strengths: F32
+    labels: NDArray[np.uint8]
+    union: Words
+    active: Words
+    level_bytes: F64
+
+    def __len__(self) -> int:
+        return len(self.words)
+
+    @property
+    def units(self) -> tuple[Any, ...]:
+        """What the kernels take."""
+        return self.words, self.masks, self.strengths, self.labels
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes in memory."""
+        return sum(array.nbytes for array in (*self.units, self.union, self.active))
+
+
+class CandidateStore:
+    """Candidates of the cells of a scene, made when asked for and kept while there is room. Safe to share by threads.
+
+    Args:
+        index: The scene.
+        pixel: Angle of a pixel of the clients, radians: the rasterizer adds 0.3 square pixels to the size of each
+            Gaussian.
+        max_bytes: Most bytes of candidates kept; those used last stay in any case.
+
+    Attributes:
+        index: As given.
+        spheres: (W, 4) float32 middle and radius of a sphere around the Gaussians of each word.
+        spreads: (W,) float32 mean square of their distance from its middle.
+        word_bytes: (W,) float32 mean bytes of their records.
+        term_size: Mean bytes of a term.
+    """
+
+    def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, max_bytes: int = 256 << 20) -> None:
+        if not 0.0 <= pixel < 1.0:
+            raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
+        self.index = index
+        self.max_bytes = _check.positive_int("max_bytes", max_bytes, at_least=0)
+        count = word_count(len(index))
+        self.spheres, self.spreads = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
+        kernels.word_spheres(index.means, index.radii, index.areas, self.spheres, self.spreads)
+        starts = np.arange(0, len(index), 64)
+        sums = np.add.reduceat(index.gaussian_bytes, starts) if len(index) else np.zeros(0, np.float32)
+        self.word_bytes = np.ones(count, np.float32)
+        self.word_bytes[: len(starts)] = sums / np.minimum(64, len(index) - starts)
+        self.term_size = float(index.term_bytes.mean()) if index.num_terms else 0.0
+        self._strengths = strengths(index, pixel)
+        every = CellMembers.of(np.arange(len(index)), len(index))
+        units = self._units(every, np.full(1, np.mean(index.class_weights), np.float32))
+        self._every = tuple(array.copy() for array in units)
+        self._kept: OrderedDict[int, Candidates] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def of(self, cell: int) -> Candidates:
+        """The candidates of a cell.
+
+        Raises:
+            ValueError: If there is no such cell.
+        """
+        with self._lock:
+            found = self._kept.get(cell)
+            if found is not None:
+                self._kept.move_to_end(cell)
+                return found
+        made = self.build(cell)
+        with self._lock:
+            if cell not in self._kept:
+                self._kept[cell] = made
+                self._bytes += made.nbytes
+                while self._bytes > self.max_bytes and len(self._kept) > 1:
+                    self._bytes -= self._kept.popitem(last=False)[1].nbytes
+        return made
+
+    def build(self, cell: int) -> Candidates:
+        """The candidates of a cell, made anew."""
+        index, levels = self.index, self.index.num_levels
+        rings = ring_cells(index.grid, cell)
+        own = index.cells.members(cell)
+        seen = own.words.copy()
+        parts = [self._units(own, index.class_weights)]
+        sums = np.zeros(levels + 1)
+        kernels.level_bytes(parts[0], self.word_bytes, sums)
+        for ring in range(1, RINGS):
+            fresh = np.zeros_like(seen)
+            for other in rings[ring]:
+                kernels.add_words(index.cells.members(other).words, seen, fresh)
+            seen |= fresh
+            found = _empty(len(self._every[0]))
+            count = kernels.ring_units(fresh, ring, self._every, found, 0)
+            parts.append(tuple(array[:count] for array in found))
+        units = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        active, terms = np.zeros(0, np.uint64), 0
+        if index.num_terms:
+            ids = index.cells.terms(cell)
+            active, terms = np.zeros(word_count(index.num_terms), np.uint64), len(ids)
+            mark(np.ascontiguousarray(ids), active)
+        return Candidates(cell, *units, seen, active, np.cumsum(sums)[:levels] + terms * self.term_size)
+
+    def _units(self, members: CellMembers, weights: F32) -> tuple[Any, ...]:
+        """Units of what one cell sees, ring 0."""
+        index = self.index
+        found = _empty(len(members.classes))
+        scene = self._strengths, index.first, index.last
+        count = kernels.cell_units((members.words, members.classes), 0, scene, weights, found, 0)
+        return tuple(array[:count] for array in found)
+
+
+def strengths(index: SceneIndex, pixel: float) -> F32:
+    """(N, 2) importance times area, and times the area that a pixel adds at distance 1; for each byte."""
+    value = (index.importance / index.gaussian_bytes).astype(np.float64)
+    both = np.stack([value * index.areas, value * (2.0 * np.pi * 0.3 * pixel**2)], axis=1)
+    return np.minimum(both, 1e30).astype(np.float32)
+
+
+def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
+    """The cell, and its neighbours by face, by edge and by corner: four lists."""
+    rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
+    for other in grid.neighbours(cell).tolist():
+        rings[int(np.abs(grid.coords[other] - grid.coords[cell]).sum())].append(other)
+    return rings
+
+
+def _empty(count: int) -> tuple[Any, ...]:
+    strength, labels = np.empty((count, 2), np.float32), np.empty((count, 3), np.uint8)
+    return np.empty(count, np.int32), np.empty(count, np.uint64), strength, labels

@@ -1,0 +1,147 @@
+"""FoV, Peripheral and Adjacent Gaussians (section 6.3): from a pose, what it can see, and the cells around it.
+
+A Gaussian is in the field of view when the sphere in which it ends touches the frustum, widened by a margin; it is
+Peripheral when the cell of the eye sees it from elsewhere, Adjacent when only a neighbouring cell sees it. Scene frame
+and units; cameras in OpenCV axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.abr import _kernels as kernels
+from gsvis.abr.candidates import RINGS, ring_cells
+from gsvis.abr.index import SceneIndex
+from gsvis.scene.gaussians import rotations_from_quats
+from gsvis.visibility._codec import ids_of
+
+__all__ = ["ADJACENT", "FOV", "NONE", "PERIPHERAL", "Classes", "FieldOfView", "classify"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+FOV, PERIPHERAL, ADJACENT, NONE = 0, 1, 2, 255
+
+_WIDEST = np.radians(89.0)
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """What a client shows: the tangents of the angles between its axis and the borders of its image.
+
+    Attributes:
+        left: To the left border, > 0 where the axis is inside the image.
+        right: To the right border.
+        top: To the upper border.
+        bottom: To the lower border.
+        margin: Radians by which each border is moved outwards, for what the head does until records arrive.
+        near: Distance in front of the eye at which the frustum begins, scene units.
+    """
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+    margin: float = 0.0
+    near: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("left", "right", "top", "bottom", "margin", "near"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)!r}")
+        if self.left + self.right <= 0 or self.top + self.bottom <= 0:
+            raise ValueError("left, right, top, bottom: expected an image with an inside, got none")
+        if self.margin < 0 or self.near < 0:
+            raise ValueError(f"margin, near: expected numbers of at least 0, got {self.margin!r}, {self.near!r}")
+
+    @classmethod
+    def of_degrees(cls, horizontal: float, vertical: float, *, margin: float = 0.0, near: float = 0.01) -> FieldOfView:
+        """A field of view around the axis; all angles in degrees."""
+        for name, angle in (("horizontal", horizontal), ("vertical", vertical)):
+            if not 0.0 < angle < 180.0:
+                raise ValueError(f"{name}: expected degrees in (0, 180), got {angle!r}")
+        x, y = np.tan(np.radians(horizontal) / 2), np.tan(np.radians(vertical) / 2)
+        return cls(float(x), float(x), float(y), float(y), float(np.radians(margin)), near)
+
+    @classmethod
+    def of_camera(
+        cls, K: ArrayLike, width: int, height: int, *, margin: float = 0.0, near: float = 0.01  # noqa: N803
+    ) -> FieldOfView:  # fmt: skip
+        """The field of view of intrinsics (3, 3) in pixels and an image size; the margin in degrees."""
+        k = _check.floats("K", K, (3, 3), np.float64)
+        if k[0, 0] <= 0 or k[1, 1] <= 0:
+            raise ValueError(f"K: expected focal lengths > 0, got {k[0, 0]:g}, {k[1, 1]:g}")
+        left, right = k[0, 2] / k[0, 0], (width - k[0, 2]) / k[0, 0]
+        top, bottom = k[1, 2] / k[1, 1], (height - k[1, 2]) / k[1, 1]
+        return cls(float(left), float(right), float(top), float(bottom), float(np.radians(margin)), near)
+
+    def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
+        """(5, 4) float32: unit normals that point inwards and offsets of left, right, top, bottom and near plane.
+
+        Args:
+            position: (3,) eye.
+            quat: (4,) wxyz, world from camera.
+        """
+        eye = _check.floats("position", position, (3,), np.float64)
+        turn = rotations_from_quats(_check.floats("quat", quat, (4,), np.float64)[None])[0]
+        angles = np.arctan([self.left, self.right, self.top, self.bottom]) + self.margin
+        sines, cosines = np.sin(np.minimum(angles, _WIDEST)), np.cos(np.minimum(angles, _WIDEST))
+        local = np.zeros((5, 3))
+        local[[0, 1], 0], local[[2, 3], 1] = [cosines[0], -cosines[1]], [cosines[2], -cosines[3]]
+        local[:4, 2] = sines
+        local[4, 2] = 1.0
+        normals = local @ turn.T
+        offsets = -normals @ eye
+        offsets[4] -= self.near
+        return np.concatenate([normals, offsets[:, None]], axis=1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Classes:
+    """Classes of N Gaussians.
+
+    Attributes:
+        classes: (N,) uint8: FOV, PERIPHERAL, ADJACENT, or NONE for what no cell around sees.
+        distances: (N,) float32, from the cell of the eye to the nearest of the cells looked at that sees each, between
+            their centres, scene units: 0 for FoV and Peripheral, inf for NONE.
+    """
+
+    classes: U8
+    distances: F32
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many are in each class."""
+        names = {"fov": FOV, "peripheral": PERIPHERAL, "adjacent": ADJACENT, "none": NONE}
+        return {name: int(np.count_nonzero(self.classes == code)) for name, code in names.items()}
+
+
+def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
+    """The class of every Gaussian.
+
+    Args:
+        index: The scene.
+        cell: The cell of the eye.
+        planes: (F, 5, 4) frusta, or (5, 4) one; in one of them is in view.
+
+    References:
+        SRBF-Gaussian, section 6.3.
+    """
+    frusta = np.asarray(planes, np.float32)
+    frusta = _check.floats("planes", frusta[None] if frusta.ndim == 2 else frusta, ("F", 5, 4))
+    classes, distances = np.full(len(index), NONE, np.uint8), np.full(len(index), np.inf, np.float32)
+    rings = ring_cells(index.grid, cell)
+    for ring in range(RINGS - 1, 0, -1):
+        for other in rings[ring]:
+            ids = ids_of(index.cells.members(other).words)
+            classes[ids], distances[ids] = ADJACENT, index.grid.cell_size * np.sqrt(ring)
+    ids = ids_of(index.cells.members(cell).words)
+    inside = np.zeros(len(ids), np.bool_)
+    kernels.in_view(frusta, index.means[ids], index.radii[ids], inside)
+    classes[ids], distances[ids] = np.where(inside, FOV, PERIPHERAL), 0.0
+    return Classes(classes, distances)

@@ -1,0 +1,139 @@
+"""How fast the link is: estimators of throughput from what transfers have taken. Bytes and seconds.
+
+All share one protocol: `observe` a transfer, ask for an `estimate`. They know no clock and no network.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+
+from gsvis import _check
+
+__all__ = ["ESTIMATORS", "Ewma", "HarmonicMean", "RobustMpc", "ThroughputEstimator", "estimator"]
+
+DEFAULT_START = 250e3
+"""Bytes a second that is believed before anything has been seen: 2 Mbit/s."""
+
+
+class ThroughputEstimator(Protocol):
+    """What an estimator can do."""
+
+    def observe(self, sent: float, seconds: float, /) -> None:
+        """Take in that `sent` bytes took `seconds`."""
+        ...
+
+    def estimate(self) -> float:
+        """Bytes a second, > 0."""
+        ...
+
+
+class Ewma:
+    """The lower of two exponentially weighted means, a quick and a slow one, as dash.js and hls.js do.
+
+    A transfer counts by its duration: after `half_life` seconds of transfers what was before counts half. Both means
+    are freed of the bias towards 0 with which they begin.
+
+    Args:
+        fast: Half-life of the quick one, seconds of transfers.
+        slow: Half-life of the slow one.
+        start: Bytes a second before the first transfer.
+    """
+
+    def __init__(self, fast: float = 3.0, slow: float = 8.0, start: float = DEFAULT_START) -> None:
+        self._half_lives = _positive("fast", fast), _positive("slow", slow)
+        self._start = _positive("start", start)
+        self._means, self._seconds = [0.0, 0.0], 0.0
+
+    def observe(self, sent: float, seconds: float) -> None:
+        """Take in a transfer; see `ThroughputEstimator`."""
+        rate = _rate(sent, seconds)
+        self._seconds += seconds
+        for k, half_life in enumerate(self._half_lives):
+            kept = 0.5 ** (seconds / half_life)
+            self._means[k] = kept * self._means[k] + (1.0 - kept) * rate
+
+    def estimate(self) -> float:
+        """Bytes a second."""
+        if self._seconds <= 0.0:
+            return self._start
+        unbiased = [
+            mean / -np.expm1(-np.log(2.0) * self._seconds / half_life)
+            for mean, half_life in zip(self._means, self._half_lives, strict=True)
+        ]
+        return max(float(min(unbiased)), 1.0)
+
+
+class HarmonicMean:
+    """The harmonic mean of the last few rates: one quick transfer says little, one slow one says much.
+
+    Args:
+        last: Transfers that count.
+        start: Bytes a second before the first.
+    """
+
+    def __init__(self, last: int = 5, start: float = DEFAULT_START) -> None:
+        self._rates: deque[float] = deque(maxlen=_check.positive_int("last", last))
+        self._start = _positive("start", start)
+
+    def observe(self, sent: float, seconds: float) -> None:
+        """Take in a transfer; see `ThroughputEstimator`."""
+        self._rates.append(max(_rate(sent, seconds), 1.0))
+
+    def estimate(self) -> float:
+        """Bytes a second."""
+        if not self._rates:
+            return self._start
+        return len(self._rates) / sum(1.0 / rate for rate in self._rates)
+
+
+class RobustMpc:
+    """A harmonic mean, less by what its forecasts of late have been wrong at the most.
+
+    Args:
+        last: Transfers and errors that count.
+        start: Bytes a second before the first transfer.
+
+    References:
+        Yin et al., "A Control-Theoretic Approach for Dynamic Adaptive Video Streaming over HTTP", SIGCOMM 2015.
+    """
+
+    def __init__(self, last: int = 5, start: float = DEFAULT_START) -> None:
+        self._mean = HarmonicMean(last, start)
+        self._errors: deque[float] = deque(maxlen=last)
+        self._seen = False
+
+    def observe(self, sent: float, seconds: float) -> None:
+        """Take in a transfer; see `ThroughputEstimator`."""
+        rate = max(_rate(sent, seconds), 1.0)
+        if self._seen:
+            self._errors.append(abs(self._mean.estimate() - rate) / rate)
+        self._mean.observe(sent, seconds)
+        self._seen = True
+
+    def estimate(self) -> float:
+        """Bytes a second."""
+        return max(self._mean.estimate() / (1.0 + max(self._errors, default=0.0)), 1.0)
+
+
+ESTIMATORS = ("ewma", "harmonic", "robust-mpc")
+
+
+def estimator(name: str, start: float = DEFAULT_START) -> ThroughputEstimator:
+    """An estimator by name, one of `ESTIMATORS`."""
+    _check.one_of("name", name, ESTIMATORS)
+    return Ewma(start=start) if name == "ewma" else (HarmonicMean if name == "harmonic" else RobustMpc)(start=start)
+
+
+def _positive(name: str, value: float) -> float:
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
+    return float(value)
+
+
+def _rate(sent: float, seconds: float) -> float:
+    if not (np.isfinite(sent) and sent >= 0):
+        raise ValueError(f"sent: expected finite bytes >= 0, got {sent!r}")
+    return sent / _positive("seconds", seconds)

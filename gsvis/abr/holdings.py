@@ -1,0 +1,151 @@
+"""What a client holds: sets of Gaussians and terms, and who has been replaced. What is held is never sent again.
+
+As packed words for the kernels, as roaring bitmaps in their portable format for a client that comes back.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+from pyroaring import BitMap
+
+from gsvis import _check
+from gsvis.visibility._codec import bitmap_of, ids_of, pack, word_count
+from gsvis.visibility._kernels_store import count
+
+__all__ = ["Holdings"]
+
+Words = NDArray[np.uint64]
+I64 = NDArray[np.int64]
+
+_HEAD = struct.Struct("<4sIIIII")
+_MAGIC = b"GVH1"
+
+
+class Holdings:
+    """What one client has received.
+
+    Args:
+        gaussians: N of the scene.
+        terms: T of the scene.
+
+    Attributes:
+        gaussians: N.
+        terms: T.
+        sent: Words of the Gaussians received.
+        sent_terms: Words of the terms received.
+        gone: Words of the Gaussians that have been replaced: they are not shown, and not sent if they have not been.
+    """
+
+    def __init__(self, gaussians: int, terms: int = 0) -> None:
+        self.gaussians = _check.positive_int("gaussians", gaussians, at_least=0)
+        self.terms = _check.positive_int("terms", terms, at_least=0)
+        self.sent: Words = np.zeros(word_count(gaussians), np.uint64)
+        self.gone: Words = np.zeros_like(self.sent)
+        self.sent_terms: Words = np.zeros(word_count(terms), np.uint64)
+
+    def __repr__(self) -> str:
+        held = (
+            f"{count(self.sent):,} of {self.gaussians:,} Gaussians, {count(self.sent_terms):,} of {self.terms:,} terms"
+        )
+        return f"Holdings({held})"
+
+    @property
+    def words(self) -> tuple[Words, Words, Words]:
+        """What the kernels take, and change."""
+        return self.sent, self.sent_terms, self.gone
+
+    @property
+    def shown(self) -> I64:
+        """Rising ids of the Gaussians that the client shows: received and not replaced."""
+        return ids_of(self.sent & ~self.gone)
+
+    @property
+    def received(self) -> I64:
+        """Rising ids of all Gaussians received, replaced or not."""
+        return ids_of(self.sent)
+
+    @property
+    def received_terms(self) -> I64:
+        """Rising ids of the terms received."""
+        return ids_of(self.sent_terms)
+
+    def copy(self) -> Holdings:
+        """The same, apart."""
+        other = Holdings(self.gaussians, self.terms)
+        for mine, theirs in zip(self.words, other.words, strict=True):
+            theirs[:] = mine
+        return other
+
+    def add(self, gaussians: NDArray[np.integer], terms: NDArray[np.integer], dropped: NDArray[np.integer]) -> None:  # type: ignore[type-arg]
+        """Enter what a batch brought: what a client does.
+
+        Raises:
+            ValueError: If an id is out of range, or a Gaussian or term is there already.
+        """
+        for name, ids, words, size in (
+            ("gaussians", gaussians, self.sent, self.gaussians),
+            ("terms", terms, self.sent_terms, self.terms),
+            ("dropped", dropped, self.gone, self.gaussians),
+        ):
+            values = _check.integers(name, ids, ("M",))
+            _check.in_range(name, values, 0, size - 1)
+            fresh = pack(values, size)
+            if name != "dropped" and (count(fresh) != len(values) or np.any(fresh & words)):
+                raise ValueError(f"{name}: expected each once, got one that is held already")
+            words |= fresh
+
+    def to_bytes(self) -> bytes:
+        """A head (magic GVH1, N, T, and the bytes of each of three bitmaps: little-endian uint32) and the bitmaps.
+
+        The bitmaps are roaring, portable format: Gaussians received, terms received, Gaussians replaced.
+        """
+        parts = []
+        for words in self.words:
+            bitmap = bitmap_of(words)
+            bitmap.run_optimize()
+            parts.append(bytes(bitmap.serialize()))
+        return _HEAD.pack(_MAGIC, self.gaussians, self.terms, *(len(part) for part in parts)) + b"".join(parts)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, gaussians: int, terms: int) -> Holdings:
+        """What a client says that it holds of a scene.
+
+        Args:
+            data: What `to_bytes` gave.
+            gaussians: N of the scene.
+            terms: T of the scene.
+
+        Raises:
+            ValueError: If these are other bytes, or those of another scene.
+        """
+        out = cls(gaussians, terms)
+        if len(data) < _HEAD.size or data[:4] != _MAGIC:
+            raise ValueError(f"data: expected holdings that begin with {_MAGIC!r}, got {data[:4]!r}")
+        _, n, t, *lengths = _HEAD.unpack_from(data)
+        if (n, t) != (gaussians, terms):
+            raise ValueError(
+                f"data: expected holdings of {gaussians} Gaussians and {terms} terms, got of {n} and {t};"
+                " begin with nothing"
+            )
+        if _HEAD.size + sum(lengths) != len(data):
+            raise ValueError(f"data: expected {_HEAD.size + sum(lengths)} bytes, got {len(data)}")
+        start = _HEAD.size
+        for words, length, size in zip(out.words, lengths, (n, t, n), strict=True):
+            words[:] = _words_of(data[start : start + length], size)
+            start += length
+        return out
+
+
+def _words_of(data: bytes, size: int) -> Words:
+    try:
+        bitmap = BitMap.deserialize(data)
+        if bitmap.serialize() != data:  # one that hides something, or is in disorder
+            raise ValueError("another spelling")
+    except ValueError as error:
+        raise ValueError(f"data: expected a roaring bitmap, got other bytes ({str(error)[:60]})") from error
+    if len(bitmap) and (bitmap.max() >= size or len(bitmap) > size):
+        raise ValueError(f"data: expected ids below {size}, got {bitmap.max()}")
+    return pack(np.array(bitmap.to_array(), np.int64), size)

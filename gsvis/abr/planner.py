@@ -1,0 +1,150 @@
+"""The order of records for one client, kept while it is used up: ranked when the view changes, then taken from.
+
+A plan reaches as far as the bytes of the near future; when it is used up, ranking goes on behind it. Between two
+changes of the view, batches together are one order, whatever their sizes. Knows no time, no estimator and no predictor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.abr import _kernels as kernels
+from gsvis.abr.candidates import Candidates, CandidateStore
+from gsvis.abr.holdings import Holdings
+from gsvis.abr.policies import UtilityConfig, lowest_last, offsets
+
+__all__ = ["Batch", "Planner"]
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What is sent at once.
+
+    Attributes:
+        gaussians: (G,) int32 ids of the records of geometry and base colour, in order.
+        terms: (M,) uint32 ids of the records of terms, in order; their Gaussians are in this batch or before it.
+        dropped: (D,) int32 ids of Gaussians that the client is to show no more: their replacements are all there.
+        bytes: Of the records.
+    """
+
+    gaussians: I32
+    terms: NDArray[np.uint32]
+    dropped: I32
+    bytes: float
+
+    def __len__(self) -> int:
+        """Records in all."""
+        return len(self.gaussians) + len(self.terms)
+
+
+class Planner:
+    """The order for one client.
+
+    Args:
+        store: Candidates of the scene, shared.
+        policy: One of `POLICIES`.
+        holdings: What the client holds; changed by `take`. None is nothing.
+        utility: Factors of the policy "utility".
+        reach: Bytes that are ranked at least at a time.
+    """
+
+    def __init__(
+        self,
+        store: CandidateStore,
+        policy: str = "utility",
+        *,
+        holdings: Holdings | None = None,
+        utility: UtilityConfig | None = None,
+        reach: float = 1e6,
+    ) -> None:
+        index = store.index
+        self.store, self.policy, self.utility, self.reach = store, policy, utility, reach
+        offsets(policy, "high", index.num_levels, utility)  # refuses what it does not know
+        self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
+        if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
+            raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
+        self._candidates: Candidates | None = None
+        self._view = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
+        self._offsets = np.zeros((5, index.num_levels, 2), np.int64)
+        self._top = 0
+        self._plan, self._place = np.zeros(0, np.int32), 0
+        self._least, self._whole = 0, True
+        starts, self._ends = index.replacement_offsets, int(np.count_nonzero(np.diff(index.replacement_offsets)))
+        self._links = starts, index.replacement_ids, *index.replaced
+        self._scene = store.spheres, store.spreads, store.word_bytes, index.term_offsets, store.term_size
+        self._records = index.means, index.radii, index.gaussian_bytes, index.term_offsets, index.term_bytes
+        self._least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
+
+    @property
+    def done(self) -> bool:
+        """Whether all that the view asks for has been taken."""
+        return self._whole and self._place == len(self._plan)
+
+    def aim(self, cell: int, eye: ArrayLike, planes: ArrayLike, regime: str = "high") -> None:
+        """Turn to a view; the next records are ranked for it.
+
+        Args:
+            cell: The cell of the eye.
+            eye: (3,) position.
+            planes: (F, 5, 4) frusta; what is in one of them is in view.
+            regime: One of `REGIMES`.
+        """
+        levels = self.store.index.num_levels
+        view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
+        self._offsets, self._top = offsets(self.policy, regime, levels, self.utility), lowest_last(regime, levels)
+        self._candidates, self._view = self.store.of(cell), view
+        self._plan, self._place, self._least, self._whole = np.zeros(0, np.int32), 0, 0, False
+
+    def take(self, budget: float) -> Batch:
+        """The next records, of at most so many bytes; from now on they count as held.
+
+        Nothing, when the next record is larger than the budget, or all has been taken.
+        """
+        if not budget >= 0:
+            raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
+        candidates = self._candidates
+        most = [
+            min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(self._counts, self._least_sizes, strict=True)
+        ]
+        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(self._ends, np.int32)
+        taken, total = [0, 0, 0], 0.0
+        while candidates is not None and not self.done:
+            if self._place == len(self._plan):
+                self._rank(candidates, max(self.reach, budget - total))
+            rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
+            links = candidates.union, *self._links
+            self._place, *counts, size = kernels.take(
+                self._plan, self._place, candidates.units, candidates.active, self.holdings.words, self._records, links,
+                self._view, budget - total, rest,
+            )  # fmt: skip
+            taken, total = [a + b for a, b in zip(taken, counts, strict=True)], total + size
+            if self._place < len(self._plan):
+                break
+        gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
+        return Batch(gaussians, terms, dropped, total)
+
+    @property
+    def _counts(self) -> tuple[int, int]:
+        return self.holdings.gaussians, self.holdings.terms
+
+    def _rank(self, candidates: Candidates, enough: float) -> None:
+        count = len(candidates)
+        keys = int(self._offsets.max()) + kernels.BUCKETS
+        plan = np.empty(4 * count, np.int32)
+        work = np.empty(4 * count, np.int32), np.zeros(keys + 1, np.int64), np.zeros(keys), plan
+        length, last, self._whole = kernels.rank(
+            candidates.units, candidates.active, self.holdings.words, self._scene, self._view, self._offsets,
+            (self._top, float(enough), self._least), work,
+        )  # fmt: skip
+        self._plan, self._place, self._least = plan[:length], 0, last + 1
+
+
+def _least(sizes: F32) -> float:
+    return float(sizes.min()) if len(sizes) else 1.0

@@ -1,0 +1,145 @@
+"""In which order records go: policies by name, and how they bend to the bandwidth (section 6.3, DESIGN decision 7).
+
+A policy is a table: what is added to the bucket of a record's gain for its group (in view, out of view, rings 1 to 3
+of neighbouring cells), the level at which it enters, and its kind (geometry, or active terms, which follow it). The
+smaller the sum, the sooner. The two orders of the paper add whole ranks, so that gain only decides within one;
+`utility` adds the logarithm of a factor, so that all is weighed in one currency, weight gained for each byte.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.abr import _kernels as kernels
+from gsvis.abr.candidates import RINGS
+
+__all__ = ["GROUPS", "POLICIES", "REGIMES", "UtilityConfig", "lowest_last", "offsets", "pairs", "regime_of"]
+
+I64 = NDArray[np.int64]
+
+POLICIES = ("fov-first", "low-first", "utility")
+REGIMES = ("high", "medium", "low")
+GROUPS = 1 + RINGS
+_STEPS = 32  # buckets for each halving
+_STICKY = 1.2
+
+
+@dataclass(frozen=True)
+class UtilityConfig:
+    """Worth of a record against one in view of the same gain, in (0, 1].
+
+    Attributes:
+        peripheral: Out of view, seen from the cell.
+        adjacent: Seen from a neighbour by face only; by edge and by corner it is the second and third power of its
+            share in `peripheral`, times that.
+        terms: Active terms of a Gaussian against its geometry.
+        beyond: Above the level that a regime of less bandwidth is after.
+        medium: Power of `peripheral` and `adjacent` under medium bandwidth.
+        low: The same under low bandwidth: the less there is, the more goes to what is in view.
+    """
+
+    peripheral: float = 0.25
+    adjacent: float = 0.05
+    terms: float = 0.1
+    beyond: float = 0.25
+    medium: float = 1.5
+    low: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("peripheral", "adjacent", "terms", "beyond"):
+            if not 1e-6 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: expected a factor in [1e-6, 1], got {getattr(self, name)!r}")
+        for name in ("medium", "low"):
+            if not 1.0 <= getattr(self, name) <= 4.0:
+                raise ValueError(f"{name}: expected a power in [1, 4], got {getattr(self, name)!r}")
+
+
+def regime_of(rate: float, level_bytes: NDArray[np.float64], horizon: float, before: str | None = None) -> str:
+    """What the bandwidth allows in a cell: its highest level within the horizon, the one below it, or less.
+
+    Args:
+        rate: Estimated throughput, bytes a second.
+        level_bytes: (L,) bytes of what the cell sees of each level, lowest first.
+        horizon: Seconds.
+        before: The regime until now, which is left only when the rate is a fifth beyond its border; None has none.
+
+    Returns:
+        "high", "medium" or "low".
+    """
+    sizes = np.maximum.accumulate(level_bytes)
+    borders = float(sizes[-1]), float(sizes[max(len(sizes) - 2, 0)])  # of high, of medium or better
+    ranks = dict(zip(REGIMES, (0, 1, 2), strict=True))
+
+    def at(budget: float) -> int:
+        return 0 if budget >= borders[0] else 1 if budget >= borders[1] else 2
+
+    now = at(rate * horizon)
+    if before is not None and now != ranks[before]:
+        held_back = at(rate * horizon / _STICKY) if now < ranks[before] else at(rate * horizon * _STICKY)
+        now = held_back if (held_back - ranks[before]) * (now - ranks[before]) > 0 else ranks[before]
+    return REGIMES[now]
+
+
+def lowest_last(regime: str, levels: int) -> int:
+    """Gaussians that end below this level are not sent: under high bandwidth those of low levels alone are skipped."""
+    return levels - 1 if _check.one_of("regime", regime, REGIMES) == "high" else 0
+
+
+def caps(regime: str, levels: int) -> tuple[int, int]:
+    """The highest level that a regime is after, in view and elsewhere; what is above goes last."""
+    middle = max(levels - 2, 0)
+    return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (middle, 0)}[regime]
+
+
+def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
+    """The groups and levels of one of the paper's two orders, first to last.
+
+    Args:
+        policy: "fov-first": in view from low to high, the low level out of view, the rest by distance; "low-first": low
+            in view, low out of view, medium in view, the rest by distance.
+        regime: Levels above those that it is after go behind all others, in the same order.
+        levels: L.
+    """
+    _check.one_of("policy", policy, POLICIES[:2])
+    _check.one_of("regime", regime, REGIMES)
+    everything = range(levels)
+    if policy == "fov-first":
+        order = [(0, level) for level in everything] + [(1, level) for level in everything]
+    else:
+        order = [(0, 0), (1, 0)] + [(0, level) for level in everything[1:]] + [(1, level) for level in everything[1:]]
+    order += [(group, level) for group in range(2, GROUPS) for level in everything]
+    in_view, elsewhere = caps(regime, levels)
+    beyond = [(group, level) for group, level in order if level > (in_view if group == 0 else elsewhere)]
+    return [pair for pair in order if pair not in beyond] + beyond
+
+
+def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> I64:
+    """(5, L, 2) what is added to the bucket of a record: by group, level at which it enters, geometry or terms.
+
+    Args:
+        policy: One of `POLICIES`.
+        regime: One of `REGIMES`.
+        levels: L.
+        config: Factors of `utility`; None means `UtilityConfig()`.
+    """
+    _check.one_of("policy", policy, POLICIES)
+    out = np.zeros((GROUPS, _check.positive_int("levels", levels), 2), np.int64)
+    if policy != "utility":
+        for rank, (group, level) in enumerate(pairs(policy, regime, levels)):
+            out[group, level] = (np.array([0, 1]) + 2 * rank) * kernels.BUCKETS
+        return out
+    config = config or UtilityConfig()
+    power = {"high": 1.0, "medium": config.medium, "low": config.low}[_check.one_of("regime", regime, REGIMES)]
+    ratio = min(config.adjacent / config.peripheral, 1.0)
+    worth = [1.0] + [(config.peripheral * ratio**ring) ** power for ring in range(RINGS)]
+    in_view, elsewhere = caps(regime, levels)
+    for group in range(GROUPS):
+        for level in range(levels):
+            beyond = config.beyond if level > (in_view if group == 0 else elsewhere) else 1.0
+            for kind, factor in ((kernels.GEOMETRY, 1.0), (kernels.TERMS, config.terms)):
+                out[group, level, kind] = round(-_STEPS * np.log2(worth[group] * beyond * factor))
+    return out

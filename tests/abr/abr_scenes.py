@@ -1,0 +1,81 @@
+"""Small scenes with levels, cells and terms, at random: what the tests of this room share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsvis.abr.index import CellMembers, SceneIndex, nearest_replacements, streaming_order
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.visibility.cells import CellGrid
+
+
+class ArrayCells:
+    """Cells from lists."""
+
+    def __init__(self, members: list[CellMembers], terms: list[np.ndarray]) -> None:
+        self._members, self._terms = members, terms
+
+    def members(self, cell: int) -> CellMembers:
+        return self._members[cell]
+
+    def terms(self, cell: int) -> np.ndarray:
+        return self._terms[cell]
+
+
+def random_levels(rng: np.random.Generator, count: int, levels: int, *, ordered: bool = True) -> Levels:
+    means = rng.uniform(-5, 5, (count, 3))
+    union = Gaussians(
+        means,
+        rng.normal(size=(count, 4)) + 1e-3,
+        rng.lognormal(-2.5, 0.7, (count, 3)),
+        rng.uniform(0.05, 1, count),
+        np.zeros((count, 1, 3)),
+    )
+    first = rng.integers(0, levels, count)
+    last = np.where(rng.random(count) < 0.7, levels - 1, first)
+    last[first == 0] = np.where(rng.random(int((first == 0).sum())) < 0.6, levels - 1, 0)
+    first[:levels], last[:levels] = np.arange(levels), levels - 1
+    names = tuple(f"level {k}" for k in range(levels))
+    made = Levels(union, first, last, names)
+    if not ordered:
+        return made
+    order = streaming_order(made, block=64)
+    return Levels(union[order], first[order], last[order], names)
+
+
+def random_index(
+    seed: int,
+    count: int = 700,
+    levels: int = 3,
+    *,
+    most_terms: int = 3,
+    share: float = 0.4,
+    shape: tuple[int, int, int] = (3, 3, 2),
+    ordered: bool = True,
+    classes: int = 4,
+) -> SceneIndex:
+    rng = np.random.default_rng(seed)
+    made = random_levels(rng, count, levels, ordered=ordered)
+    boxes = np.argwhere(rng.random(shape) < 0.9)
+    boxes = boxes if len(boxes) else np.zeros((1, 3), np.int64)
+    grid = CellGrid(np.full(3, -3.0), 2.0, shape, boxes.astype(np.int32), np.array([0.0, 0.0, 1.0]))
+    offsets = np.concatenate([[0], np.cumsum(rng.integers(0, most_terms + 1, count))])
+    members, terms = [], []
+    for _ in range(len(grid)):
+        ids = np.flatnonzero(rng.random(count) < share)
+        members.append(CellMembers.of(ids, count, rng.integers(0, classes, len(ids)).astype(np.uint8)))
+        owners = np.repeat(np.arange(count), np.diff(offsets))
+        terms.append(np.flatnonzero(np.isin(owners, ids) & (rng.random(len(owners)) < 0.4)).astype(np.uint32))
+    return SceneIndex.from_levels(
+        made,
+        grid,
+        ArrayCells(members, terms),
+        gaussian_bytes=rng.integers(10, 20, count),
+        term_offsets=offsets,
+        term_bytes=rng.uniform(3, 6, int(offsets[-1])),
+        class_weights=np.geomspace(0.01, 0.8, classes),
+    )
+
+
+__all__ = ["ArrayCells", "nearest_replacements", "random_index", "random_levels"]

@@ -1,0 +1,257 @@
+"""The order of records: the fast path against its slow twin, and the laws that any order keeps."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsvis.abr.candidates import CandidateStore
+from gsvis.abr.classes import ADJACENT, FOV, NONE, PERIPHERAL, FieldOfView, classify
+from gsvis.abr.holdings import Holdings
+from gsvis.abr.planner import Batch, Planner
+from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig
+from gsvis.abr.reference import View, order_records
+from gsvis.visibility._codec import ids_of
+
+_spec = importlib.util.spec_from_file_location("abr_scenes", Path(__file__).with_name("abr_scenes.py"))
+assert _spec
+assert _spec.loader
+scenes = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(scenes)
+
+FEW = settings(max_examples=25)
+
+
+def some_view(index, seed: int, regime: str = "high") -> View:
+    rng = np.random.default_rng(seed)
+    eye = rng.uniform(-3, 3, 3).astype(np.float32)
+    cell = int(rng.integers(len(index.grid)))
+    fov = FieldOfView.of_degrees(80, 60, margin=5)
+    planes = np.stack([fov.planes(eye, rng.normal(size=4)) for _ in range(int(rng.integers(1, 3)))])
+    return View(cell, eye, planes, regime)
+
+
+def aimed(store: CandidateStore, view: View, policy: str, holdings: Holdings | None = None, **more) -> Planner:
+    planner = Planner(store, policy, holdings=holdings, **more)
+    planner.aim(view.cell, view.eye, view.planes, view.regime)
+    return planner
+
+
+def taken(planner: Planner, budgets: list[float]) -> list[Batch]:
+    """Batches until nothing is left, with budgets one after the other."""
+    out, k, empty = [], 0, 0
+    while not planner.done and empty < len(budgets) + 1:
+        out.append(planner.take(budgets[k % len(budgets)]))
+        empty = 0 if len(out[-1]) else empty + 1
+        k += 1
+    return out
+
+
+def joined(batches: list[Batch], name: str) -> list[int]:
+    return [int(i) for batch in batches for i in getattr(batch, name)]
+
+
+@FEW
+@given(st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.integers(1, 3), st.booleans())
+def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, regime, levels, ordered) -> None:
+    index = scenes.random_index(seed, count=300, levels=levels, ordered=ordered)
+    store = CandidateStore(index)
+    view = some_view(index, seed, regime)
+    rng = np.random.default_rng(seed)
+    held = Holdings(len(index), index.num_terms)
+    held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
+    slow = order_records(store, view, policy, held)
+    batches = taken(aimed(store, view, policy, held.copy(), reach=float(rng.choice([1.0, 500.0, 1e9]))), [1e9])
+    assert joined(batches, "gaussians") == [i for kind, i in slow if kind == "gaussian"]
+    assert joined(batches, "terms") == [i for kind, i in slow if kind == "term"]
+    assert joined(batches, "dropped") == [i for kind, i in slow if kind == "drop"]
+
+
+@FEW
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from(POLICIES),
+    st.lists(st.floats(20, 3000), min_size=1, max_size=5),
+    st.floats(1, 1e5),
+)
+def test_batches_together_are_one_order_whatever_their_sizes(seed, policy, budgets, reach) -> None:
+    index = scenes.random_index(seed, count=300)
+    store, view = CandidateStore(index), some_view(index, seed)
+    whole = taken(aimed(store, view, policy), [1e12])
+    parts = taken(aimed(store, view, policy, reach=reach), budgets)
+    for name in ("gaussians", "terms", "dropped"):
+        assert joined(parts, name) == joined(whole, name)
+    for k, batch in enumerate(parts):
+        size = index.gaussian_bytes[batch.gaussians].sum() + index.term_bytes[batch.terms].sum()
+        assert batch.bytes == pytest.approx(float(size))
+        assert batch.bytes <= budgets[k % len(budgets)]
+
+
+@FEW
+@given(st.integers(0, 10_000), st.sampled_from(POLICIES))
+def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, policy) -> None:
+    index = scenes.random_index(seed)
+    store = CandidateStore(index)
+    planner, client = Planner(store, policy), Holdings(len(index), index.num_terms)
+    rng = np.random.default_rng(seed)
+    for step in range(6):
+        view = some_view(index, seed + step, str(rng.choice(REGIMES)))
+        planner.aim(view.cell, view.eye, view.planes, view.regime)
+        while not planner.done:
+            batch = planner.take(2000.0)
+            owners = np.searchsorted(index.term_offsets, batch.terms, side="right") - 1
+            client.add(batch.gaussians, batch.terms, batch.dropped)  # refuses what it has
+            assert np.isin(owners, client.received).all()
+        members = ids_of(index.cells.members(view.cell).words)
+        wanted = members[index.last[members] == index.num_levels - 1]
+        assert np.isin(wanted, client.received).all()
+        active = index.cells.terms(view.cell)
+        owners = np.searchsorted(index.term_offsets, active, side="right") - 1
+        assert np.isin(active[np.isin(owners, wanted)], client.received_terms).all()
+    assert all(np.array_equal(a, b) for a, b in zip(client.words[:2], planner.holdings.words[:2], strict=True))
+    assert np.array_equal(client.shown, planner.holdings.shown)
+
+
+@FEW
+@given(st.integers(0, 10_000), st.sampled_from(("medium", "low")))
+def test_those_of_a_level_alone_go_when_all_that_replaces_them_is_there(seed, regime) -> None:
+    index = scenes.random_index(seed)
+    store, view = CandidateStore(index), some_view(index, seed, regime)
+    planner = aimed(store, view, "fov-first")
+    candidates = ids_of(store.of(view.cell).union)
+    while not planner.done:
+        batch = planner.take(400.0)
+        received = planner.holdings.received
+        for x in batch.dropped.tolist():
+            low, high = index.replacement_offsets[x : x + 2]
+            wanted = np.intersect1d(index.replacement_ids[low:high], candidates)
+            assert len(wanted)
+            assert np.isin(wanted, received).all()
+    shown = planner.holdings.shown
+    for x in shown[index.last[shown] < index.num_levels - 1].tolist():  # nothing that is replaced stays
+        low, high = index.replacement_offsets[x : x + 2]
+        assert not len(np.intersect1d(index.replacement_ids[low:high], candidates))
+
+
+@FEW
+@given(st.integers(0, 10_000))
+def test_under_high_bandwidth_nothing_is_sent_that_the_highest_level_has_not(seed) -> None:
+    index = scenes.random_index(seed)
+    store, view = CandidateStore(index), some_view(index, seed)
+    found = joined(taken(aimed(store, view, "utility"), [1e9]), "gaussians")
+    assert (index.last[found] == index.num_levels - 1).all()
+    candidates = ids_of(store.of(view.cell).union)
+    assert sorted(found) == candidates[index.last[candidates] == index.num_levels - 1].tolist()
+
+
+@FEW
+@given(st.integers(0, 10_000))
+def test_the_orders_of_the_paper(seed) -> None:
+    index = scenes.random_index(seed, most_terms=0)
+    store, view = CandidateStore(index), some_view(index, seed, "low")
+    found = classify(index, view.cell, view.planes)
+    for policy, head in (
+        ("fov-first", [(FOV, 0), (FOV, 1), (PERIPHERAL, 0)]),
+        ("low-first", [(FOV, 0), (PERIPHERAL, 0), (FOV, 1)]),
+    ):
+        ids = np.array(joined(taken(aimed(store, view, policy), [1e9]), "gaussians"), np.int64)
+        groups = list(zip(found.classes[ids].tolist(), index.first[ids].tolist(), strict=True))
+        ranks = [groups.index(pair) for pair in head if pair in groups]
+        if policy == "low-first":
+            assert ranks == sorted(ranks)
+        runs = [pair for k, pair in enumerate(groups) if k == 0 or pair != groups[k - 1]]
+        adjacent = [k for k, pair in enumerate(runs) if pair[0] == ADJACENT]
+        assert len([pair for pair in runs if pair[0] != ADJACENT]) == len(
+            {pair for pair in runs if pair[0] != ADJACENT}
+        )
+        assert NONE not in found.classes[ids]
+        low = [k for k in adjacent if runs[k][1] == 0]
+        beyond = [k for k, pair in enumerate(runs) if pair[0] == PERIPHERAL and pair[1] > 0]
+        assert not low or not beyond or min(beyond) > min(low)  # what is above goes last under low bandwidth
+        for level in range(3):
+            distances = found.distances[ids[(found.classes[ids] == ADJACENT) & (index.first[ids] == level)]]
+            assert (np.diff(distances) >= 0).all()
+
+
+@given(st.integers(0, 10_000))
+def test_in_view_or_not_is_told_from_the_corners_of_the_image(seed) -> None:
+    rng = np.random.default_rng(seed)
+    eye, quat = rng.normal(0, 3, 3), rng.normal(size=4)
+    fov = FieldOfView(*rng.uniform(0.2, 2.0, 4), near=0.1)
+    planes = fov.planes(eye, quat).astype(np.float64)
+    from gsvis.scene.gaussians import rotations_from_quats
+
+    turn = rotations_from_quats(quat[None])[0]
+    local = rng.normal(0, 2, (200, 3))
+    x, y, z = local.T
+    expected = (z > 0.1) & (x < fov.right * z) & (-x < fov.left * z) & (y < fov.bottom * z) & (-y < fov.top * z)
+    points = local @ turn.T + eye
+    far = points @ planes[:, :3].T + planes[:, 3]
+    sure = np.abs(far).min(axis=1) > 1e-4
+    assert np.array_equal((far > 0).all(axis=1)[sure], expected[sure])
+
+
+def test_a_wider_margin_only_adds() -> None:
+    index = scenes.random_index(3)
+    before = None
+    for margin in (0.0, 5.0, 20.0, 60.0):
+        planes = FieldOfView.of_degrees(60, 40, margin=margin).planes([0, 0, 0], [1, 0.2, 0.1, 0])
+        inside = classify(index, 0, planes).classes == FOV
+        assert before is None or not (before & ~inside).any()
+        before = inside
+
+
+def test_utility_prefers_what_is_near_large_and_in_view() -> None:
+    index = scenes.random_index(5, count=3000, levels=1, most_terms=0, share=1.0)
+    store = CandidateStore(index)
+    view = some_view(index, 5)
+    ids = np.array(joined(taken(aimed(store, view, "utility"), [1e9]), "gaussians"), np.int64)
+    apart = np.maximum(np.linalg.norm(index.means[ids] - view.eye, axis=1), 0.3)
+    gain = index.areas[ids] / apart**2 / index.gaussian_bytes[ids]
+    inside = classify(index, view.cell, view.planes).classes[ids] == FOV
+    tenth = len(ids) // 10
+    assert np.median(gain[:tenth]) > 4 * np.median(gain[-tenth:])
+    assert inside[:tenth].mean() > inside[-tenth:].mean()
+
+
+def test_budgets_that_fit_nothing_give_nothing() -> None:
+    index = scenes.random_index(1)
+    planner = Planner(CandidateStore(index))
+    assert len(planner.take(1e6)) == 0  # no view yet
+    view = some_view(index, 1)
+    planner.aim(view.cell, view.eye, view.planes)
+    assert len(planner.take(0.0)) == 0
+    assert len(planner.take(5.0)) == 0
+    assert len(planner.take(1e6)) > 0
+
+
+def test_candidates_of_cells_are_kept_within_bounds() -> None:
+    index = scenes.random_index(2)
+    store = CandidateStore(index, max_bytes=1)
+    for cell in range(len(index.grid)):
+        made, again = store.of(cell), store.of(cell)
+        assert made is again
+    assert len(store._kept) == 1
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda i: Planner(CandidateStore(i), "best"), "policy"),
+        (lambda i: Planner(CandidateStore(i), holdings=Holdings(1)), "holdings"),
+        (lambda i: Planner(CandidateStore(i)).take(np.nan), "budget"),
+        (lambda i: CandidateStore(i, pixel=np.nan), "pixel"),
+        (lambda i: CandidateStore(i).of(10_000), "cell"),
+        (lambda i: UtilityConfig(peripheral=0.0), "peripheral"),
+        (lambda i: FieldOfView.of_degrees(190, 20), "horizontal"),
+        (lambda i: FieldOfView(1, 1, 1, 1, margin=np.nan), "margin"),
+    ],
+)
+def test_wrong_arguments_are_named(make, told) -> None:
+    with pytest.raises(ValueError, match=f"^{told}"):
+        make(scenes.random_index(0, count=50))
