@@ -1,9 +1,9 @@
 """Kernels that take each Gaussian out of a tile, one at a time, and sum what that does to the tile's pixels.
 
 A pixel's colour is linear in the alpha of any one Gaussian: without it, the light it took falls on what lies behind.
-With B the colour that full light would show behind it, c its own and w its weight, the pixel changes by w (B - c); for
-a Gaussian that is absent, by w (c - B), w being the weight it would have. Sums are per (tile, splat) pair and do not
-depend on the number of threads.
+With B the colour that full light would show behind it, c its own and w its weight, the pixel changes by w (B - c).
+Gaussians may be present in part, with a share of their alpha. Sums are per (tile, splat) pair and do not depend on the
+number of threads.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SPENT = 1e-6
 """Light this dim no longer counts. Far below the image's 1e-4: a removal lets up to 1000 times more of it through."""
 
 PRESENT = 9
-"""Entry of a record, in the place of a depth: 1, or 0 for a Gaussian that is absent and tried."""
+"""Entry of a record, in the place of a depth: the share of its alpha with which the Gaussian is there, in [0, 1]."""
 
 BEHIND, RESIDUAL = (1, 2, 3), (4, 5, 7)
 """Channels of the state on the way back: the colour behind, and image minus target. T and STOP are the lanes'."""
@@ -35,7 +35,7 @@ BEHIND, RESIDUAL = (1, 2, 3), (4, 5, 7)
 
 @intrinsic
 def _dim(typing_context, state, records, number, todo, lit, place):
-    """Let one Gaussian, if it is present, take its light from a tile, on the way to the back.
+    """Let one Gaussian take its light from a tile, as far as it is present, on the way to the back.
 
     A pixel whose light falls to SPENT keeps it negated, and in STOP the place behind the Gaussian that took it.
 
@@ -80,7 +80,7 @@ def _dim(typing_context, state, records, number, todo, lit, place):
 
 @intrinsic
 def _remove(typing_context, state, records, number, todo, place, sums, pair):
-    """Go past one Gaussian of a tile on the way to the front, and sum what its removal, or its coming, would do.
+    """Go past one Gaussian of a tile on the way to the front, and sum what its absence does, next to its presence.
 
     The state holds the transmittance behind the Gaussian in T, the colour behind it under full light in BEHIND, and the
     image minus the target in RESIDUAL.
@@ -92,8 +92,9 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         number: Which record.
         todo: int64, rows in which it may be seen.
         place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never met it.
-        sums: (P, 4) float32, receives in row `pair` the sums over pixels and channels of |d|, d^2 and d (2 r + d),
-            d the change of a value and r its residual; and a zero.
+        sums: (P, 4) float32, receives in row `pair` the sums over pixels and channels of |d|, d^2 and
+            d (2 r + (2 p - 1) d), where d is a value without the Gaussian less that with all of it, r its residual with
+            the share p of it; and a zero.
         pair: Which row.
     """
     del typing_context
@@ -105,7 +106,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         colour, place = [record[6 + k] for k in range(3)], lanes.splat(args[4])
         present = record[PRESENT]
-        sign = present.times_plus(2.0, -1.0)
+        excess = present.times_plus(2.0, -1.0)
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
@@ -113,7 +114,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
             alpha = live.where(p.exp2().least(0.999), 0.0)
             held = present * alpha
             front = t / (lanes.constant(1.0) - held)
-            weight = sign * alpha * front
+            weight = alpha * front
             totals = [Vector(lanes, builder.load(room)) for room in rooms]
             for channel in range(3):
                 behind = _load(lanes, row, BEHIND[channel])
@@ -122,7 +123,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
                 residual = _load(lanes, row, RESIDUAL[channel])
                 totals[0] = totals[0] + change.most(change * -1.0)
                 totals[1] = change.times_plus(change, totals[1])
-                totals[2] = change.times_plus(residual.times_plus(2.0, change), totals[2])
+                totals[2] = change.times_plus(residual.times_plus(2.0, excess * change), totals[2])
                 _store(lanes, (held * -1.0).times_plus(further, behind), row, BEHIND[channel])
             for room, total in zip(rooms, totals, strict=True):
                 builder.store(total.value, room)
@@ -153,7 +154,7 @@ def _turn(state, gates, residual, background, left, top, rows, columns):
 def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
     """Sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
 
-    `features` is (M, 4) float32: colour, and whether the splat is present. `residual` is (H, W, 3) float32.
+    `features` is (M, 4) float32: colour, and the share of its alpha with which the splat is there. `residual` is (H, W, 3) float32.
     """
     height, width = residual.shape[:2]
     tiles = len(offsets) - 1

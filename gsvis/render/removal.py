@@ -38,7 +38,7 @@ class RemovalEffects:
         absolute: (N,) float64, absolute change of the values.
         squared: (N,) float64, squared change: the rise of the squared error against the scene's own images.
         error_change: (N,) float64, change of the squared error against the target images: negative where they are met
-            better without the Gaussian; equal to `squared` where no targets were given.
+            better without the Gaussian; equal to `squared` where no targets were given and all are present.
         pixels: Number of pixels summed over; sums over `pixels` are changes of mean errors.
     """
 
@@ -55,7 +55,7 @@ def removal_effects(
     images: NDArray[Any] | None = None,
     colors: Colours = None,
     background: ArrayLike = (0.0, 0.0, 0.0),
-    present: NDArray[np.bool_] | None = None,
+    presence: ArrayLike | None = None,
     progress: Progress = silent,
 ) -> RemovalEffects:
     """What removing each Gaussian, alone, would do to the images of some cameras.
@@ -72,8 +72,9 @@ def removal_effects(
             where 1 is white. None for the scene's own images.
         colors: As in `rasterize`, in place of SH.
         background: (3,) RGB behind everything.
-        present: (N,) which Gaussians the images have; for the others, the effects are those of adding each alone. None
-            for all.
+        presence: (N,) in [0, 1], the share of its alpha with which each Gaussian is there while others are looked at:
+            0 for one that is absent, between for one that may or may not stay. Effects are always those of none of a
+            Gaussian against all of it. None for 1.
         progress: Called with stage "removal", in views.
 
     Returns:
@@ -92,9 +93,10 @@ def removal_effects(
             raise ValueError(f"images: expected uint8 or floats, got dtype {images.dtype}")
         if images.shape != shape:
             raise ValueError(f"images: expected shape {shape} to go with the cameras, got {images.shape}")
-    there = np.ones(len(gaussians), bool) if present is None else np.asarray(present)
-    if there.shape != (len(gaussians),) or there.dtype != bool:
-        raise ValueError(f"present: expected ({len(gaussians)},) booleans, got {there.dtype} of shape {there.shape}")
+    there = np.ones(len(gaussians), np.float32)
+    if presence is not None:
+        there = _check.floats("presence", presence, (len(gaussians),))
+        _check.in_range("presence", there, 0.0, 1.0)
     tensors = None if colors is None else GaussianTensors.from_gaussians(gaussians)
     colours = None if tensors is None else camera_colours(colors, tensors, cameras, "cpu")
     sums = np.zeros((len(gaussians), 3))
@@ -137,11 +139,11 @@ def _features(g: Gaussians, view: View, projected: Projected, colours: CameraCol
 
 
 def _blended(view: View, projected: Projected, features: F32, background: F32) -> F32:
-    """(H, W, 3) the image of what is present, as `rasterize` draws it."""
+    """(H, W, 3) the image, as `rasterize` draws it with opacities times presence."""
     splats = projected.splats
-    if not features[:, 3].all():
+    if (features[:, 3] != 1.0).any():
         splats = splats.copy()
-        splats[features[:, 3] == 0.0, 5] = -1000.0  # log2 of the opacity
+        splats[:, 5] += np.log2(np.maximum(features[:, 3], 1e-30))  # log2 of the opacity
     shape = (view.height, view.width)
     image = np.empty((*shape, 3), np.float32)
     others = (np.empty(shape, np.float32) for _ in range(4))

@@ -141,11 +141,12 @@ def prune(
     """Nested subsets, found by taking away what is missed least, a share at a time, and looking again.
 
     Effects of single removals do not add up: of two Gaussians that hide each other either may go, but not both. So
-    after each round the importance ("removal") of those that stay is measured again, against the same images.
+    after each round it is measured again what the removal of each of those that stay would change. That change counts
+    and not its sign: those whose loss would mend what is amiss all mend it in the same direction, and too much.
 
     Args:
         gaussians: N Gaussians.
-        views: Photographs with their cameras, or cameras alone, for which the full scene's own images stand in.
+        views: Cameras, or photographs, of which the cameras alone are used.
         counts: Sizes wanted, falling, each 1 to N.
         share: Most of what is left that one round takes away, in (0, 1); each round costs a pass over all views.
         background: (3,) RGB behind everything.
@@ -161,11 +162,6 @@ def prune(
         raise ValueError(f"share: expected a value in (0, 1), got {share!r}")
     schedule = _schedule(len(gaussians), counts, share)
     cameras = views.cameras if isinstance(views, PosedImages) else views
-    if isinstance(views, Cameras):
-        targets = np.empty((len(views), views.height, views.width, 3), np.float32)
-        for c in range(len(views)):
-            targets[c] = rasterize(gaussians, views[c], background=background).images[0].numpy()
-        views = PosedImages(views, targets)
     total, kept = len(schedule) * len(cameras), np.arange(len(gaussians))
     masks = {}
     progress("prune", 0, total)
@@ -177,7 +173,7 @@ def prune(
 
         if size < len(kept):
             left = gaussians[kept]
-            values = importance(left, views, background=background, progress=told)
+            values = removal_effects(left, cameras, background=background, progress=told).squared
             kept = kept[most_important(left, values, size)]
         masks[size] = np.isin(np.arange(len(gaussians)), kept, assume_unique=True)
     progress("prune", total, total)

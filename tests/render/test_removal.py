@@ -91,22 +91,31 @@ def test_a_wrong_gaussian_is_better_gone() -> None:
     np.testing.assert_allclose(effects.error_change[largest], -effects.squared[largest], rtol=1e-3)
 
 
-def test_adding_undoes_removing() -> None:
-    """Adding a Gaussian that is absent does what its removal undoes, and the absent change nothing for the rest."""
+def test_the_absent_are_tried() -> None:
+    """A Gaussian that is absent changes nothing for the rest, and adding it does what its removal would undo."""
     g, cameras = scene("mixed", n=60), views()
     images = rasterize(scene("blobs", seed=3, n=40), cameras).images.numpy()
     full = removal_effects(g, cameras, images=images)
     for index in range(0, len(g), 7):
         present = np.arange(len(g)) != index
-        tried = removal_effects(g, cameras, images=images, present=present)
+        tried = removal_effects(g, cameras, images=images, presence=present)
         alone = removal_effects(g[present], cameras, images=images)
         for name in NAMES:
             np.testing.assert_allclose(getattr(tried, name)[present], getattr(alone, name), atol=1e-3, rtol=1e-4)
         np.testing.assert_allclose(tried.squared[index], full.squared[index], atol=1e-3, rtol=1e-3)
-        undone = -full.error_change[index]
-        np.testing.assert_allclose(tried.error_change[index], undone, atol=0.02 * abs(full.squared[index]) + 1e-2)
-    with pytest.raises(ValueError, match=r"^present: expected \(60,\) booleans, got int64 of shape \(60,\)"):
-        removal_effects(g, cameras, present=np.ones(60, np.int64))
+        change, allowed = full.error_change[index], 0.02 * full.squared[index] + 1e-2
+        np.testing.assert_allclose(tried.error_change[index], change, atol=allowed)
+
+
+def test_presence_thins_alpha() -> None:
+    g, cameras = scene("blobs", n=50), views()
+    g = Gaussians(g.means, g.quats, g.scales, 0.2 + 0.5 * g.opacities, g.sh0, g.shN)
+    share = np.full(len(g), 0.5)
+    thin = Gaussians(g.means, g.quats, g.scales, 0.5 * g.opacities, g.sh0, g.shN)
+    got, want = removal_effects(g, cameras, presence=share), removal_effects(thin, cameras)
+    np.testing.assert_allclose(got.absolute, 2.0 * want.absolute, rtol=0.1, atol=0.05 * got.absolute.max())
+    with pytest.raises(ValueError, match=r"^presence: expected values in \[0, 1\], got 2"):
+        removal_effects(g, cameras, presence=4.0 * share)
 
 
 def test_order_threads_and_colours_change_nothing(two_threads: None) -> None:

@@ -108,16 +108,6 @@ def test_pruning_nests_and_takes_one_of_two_twins() -> None:
         np.testing.assert_array_equal(mask, again)
 
 
-def test_pruning_takes_what_photographs_do_not_show() -> None:
-    g, cameras = scene("blobs", n=60), views()
-    extra = scene("blobs", seed=9, n=12)
-    both = Gaussians(*(np.concatenate([getattr(s, n) for s in (g, extra)]) for n in
-                       ("means", "quats", "scales", "opacities", "sh0", "shN")))  # fmt: skip
-    aims = photographs(g, cameras)
-    (mask,) = prune(both, aims, (60,), share=0.05)
-    assert error(both[mask], aims) < 0.05 * error(both, aims)
-
-
 def test_pruning_refuses() -> None:
     g, cameras = scene("blobs", n=20), views(1)
     assert [m.sum() for m in prune(g, cameras, (20, 20))] == [20, 20]
