@@ -154,7 +154,8 @@ def _turn(state, gates, residual, background, left, top, rows, columns):
 def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
     """Sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
 
-    `features` is (M, 4) float32: colour, and the share of its alpha with which the splat is there. `residual` is (H, W, 3) float32.
+    `features` is (M, 4) float32: colour, and the share of its alpha with which the splat is there. `residual` is
+    (H, W, 3) float32.
     """
     height, width = residual.shape[:2]
     tiles = len(offsets) - 1
