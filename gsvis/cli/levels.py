@@ -290,9 +290,13 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
     quality = None
     try:
         with between_steps() as stop_if_asked:
+            said = "", 0
 
             def told(stage: str, done: int, total: int) -> None:
-                status(stage.replace("train ", "training ", 1), done, total)
+                nonlocal said
+                if (stage, done) != said:  # an end may be told twice
+                    status(stage.replace("train ", "training ", 1), done, total)
+                said = stage, done
                 stop_if_asked()
 
             trained = train_levels(g, plan.views, plan.config, held_out=plan.held_out, work=work, progress=told)
