@@ -26,13 +26,14 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.photos import load_photos
+from gsvis.visibility.colors import ViewSampling
 
 __all__ = ["Case", "Numbers", "bonsai", "drawn", "showroom", "standing_cameras", "summed_weights"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-SIZE = {"width": 480, "height": 360, "fov": float(2.0 * np.degrees(np.arctan(0.8)))}  # 300 px focal
+SIZE: dict[str, Any] = {"width": 480, "height": 360, "fov": float(2.0 * np.degrees(np.arctan(0.8)))}  # 300 px focal
 EYE_HEIGHT = 1.6
 TRAIN_SEED, HELD_OUT_SEED = 7, 99
 HELD_OUT = 16
@@ -61,13 +62,22 @@ class Case:
     against: str
 
 
-def showroom(train: int) -> Case:
-    """Showroom LOD 3, judged against renders of itself at standing height (DESIGN decision 6)."""
+def showroom(train: int, seed: int = TRAIN_SEED, anywhere: bool = False) -> Case:
+    """Showroom LOD 3, judged against renders of itself at standing height (DESIGN decision 6).
+
+    Args:
+        train: Number of training cameras.
+        seed: Theirs.
+        anywhere: Whether they are drawn as `gsvis levels --views --seed` draws them, instead of at standing height.
+    """
     g = load_scene(realdata() / "scenes/showroom/lod-meta.json", lod=3)
     space = NavigableSpace.from_scene(g, up="+z")
     held_out = standing_cameras(space, HELD_OUT, HELD_OUT_SEED)
-    target = drawn(g, held_out)
-    return Case("showroom", g, standing_cameras(space, train, TRAIN_SEED), held_out, target, "the full scene")
+    if anywhere:
+        cameras = ViewSampling(train, **SIZE, seed=seed).cameras(g, space)
+    else:
+        cameras = standing_cameras(space, train, seed)
+    return Case("showroom", g, cameras, held_out, drawn(g, held_out), "the full scene")
 
 
 def bonsai(scene: Path, photos: Path | None) -> Case:

@@ -231,7 +231,9 @@ def main() -> None:
     parser.add_argument("--levels-dir", type=Path, nargs="+", default=[], help="folders written by gsvis levels")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--shares", nargs="+", type=float, choices=SHARES, default=list(SHARES))
-    parser.add_argument("--train-views", type=int, default=256, help="training cameras in showroom, seed 7")
+    parser.add_argument("--train-views", type=int, default=256, help="training cameras in showroom")
+    parser.add_argument("--train-seed", type=int, default=7, help="theirs")
+    parser.add_argument("--train-anywhere", action="store_true", help="draw them as gsvis levels does, not standing")
     parser.add_argument("--merge", type=Path, help="a sparser scene trained by itself, for figure 5")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "rivals", help="keeps what is slow")
     parser.add_argument("--pictures", type=Path, help="folder for a sheet of one held-out view")
@@ -243,7 +245,7 @@ def main() -> None:
     arguments.cache.mkdir(parents=True, exist_ok=True)
     loaded = [load_levels(folder) for folder in arguments.levels_dir]
     case = (
-        showroom(arguments.train_views)
+        showroom(arguments.train_views, arguments.train_seed, arguments.train_anywhere)
         if arguments.scene == "showroom"
         else bonsai(arguments.scene_file, arguments.photos)
     )
