@@ -417,7 +417,7 @@ class Levels:
     """Least share of each lower level that stands unchanged in the next."""
     names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
     """Names of all levels and their files, that of the scene itself last."""
-    iterations: Annotated[int, STEPS] = 1500
+    iterations: Annotated[int, STEPS] = 1000
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("160")] = None
     """Cameras to train on, drawn where eyes may be; not with --photos, which trains on 7 of 8."""
