@@ -1,7 +1,7 @@
 """Which Gaussians matter to images, and nested subsets of a scene that keep those that do.
 
-Errors are squared differences of RGB values where 1 is white, averaged over channels, pixels and views: against
-photographs where there are any, else against the scene's own images. docs/design/015-importance.md says what was tried.
+Values are per pixel, averaged over channels and views; RGB where 1 is white. docs/design/015-importance.md says what was
+tried and how it ranks.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gsvis.train.images import PosedImages
 
 __all__ = ["IMPORTANCE_METHODS", "importance", "most_important", "prune"]
 
-IMPORTANCE_METHODS = ("removal", "absolute", "gradient", "weight")
+IMPORTANCE_METHODS = ("removal", "absolute", "error", "gradient", "weight")
 
 _BLACK = (0.0, 0.0, 0.0)
 
@@ -42,11 +42,11 @@ def importance(
     Args:
         gaussians: N Gaussians.
         views: Photographs with their cameras, or cameras alone, for which the scene's own images stand in.
-        method: "removal": what removing the Gaussian alone adds to the mean squared error; negative where the
-            photographs are met better without it. "absolute": the mean absolute change of the images by its removal,
-            whatever the photographs. "gradient": eq. 6, the sum over views of |dE_i / dg| over the sum of pixels, with
-            E_i the squared error of view i and dE_i / dg taken over the opacity, times the opacity: the removal's
-            effect on the error to first order. "weight": the mean blending weight.
+        method: "removal": the mean squared change of the images by the Gaussian's removal. "absolute": the mean absolute
+            change. "error": what its removal adds to the mean squared error against the photographs, negative where they
+            are met better without it; it ranks subsets worst of all. "gradient": eq. 6, the sum over views of
+            |dE_i / dg| over the sum of pixels, with E_i the absolute error of view i and dE_i / dg taken over the
+            logarithms of the three scales (their norm), which ranked best. "weight": the mean blending weight.
         background: (3,) RGB behind everything.
         progress: Called with stage "importance", in views.
 
@@ -54,14 +54,19 @@ def importance(
         (N,) per pixel, the larger the more important; 0 for what no view shows.
 
     Raises:
-        ValueError: If the method is unknown, or is "gradient" without photographs: the error against the scene's own
-            images is zero and so is its gradient.
+        ValueError: If the method is unknown, or is "gradient" or "error" without photographs: the error against the
+            scene's own images is zero and so is its gradient.
 
     References:
         SRBF-Gaussian, section 6.1, equation 6.
     """
     _check.one_of("method", method, IMPORTANCE_METHODS)
-    cameras, images = (views.cameras, views.images) if isinstance(views, PosedImages) else (views, None)
+    cameras = views.cameras if isinstance(views, PosedImages) else views
+    if method in ("gradient", "error") and not isinstance(views, PosedImages):
+        raise ValueError(
+            f"method: expected photographs for {method!r}, got cameras alone; the error against the scene's own images "
+            "is zero and so is its gradient: use 'removal'"
+        )
     pixels = max(len(cameras), 1) * cameras.width * cameras.height
 
     def told(stage: str, done: int, total: int) -> None:
@@ -75,27 +80,24 @@ def importance(
             progress("importance", c + 1, len(cameras))
         return summed / pixels
     if method == "gradient":
-        if not isinstance(views, PosedImages):
-            raise ValueError(
-                "method: expected photographs for 'gradient', got cameras alone; the error against the scene's own "
-                "images is zero and so is its gradient: use 'removal'"
-            )
+        assert isinstance(views, PosedImages)
         return _gradients(gaussians, views, background, told) / pixels
+    images = views.images if method == "error" and isinstance(views, PosedImages) else None
     effects = removal_effects(gaussians, cameras, images=images, background=background, progress=told)
-    return (effects.absolute if method == "absolute" else effects.error_change) / pixels
+    return {"removal": effects.squared, "absolute": effects.absolute, "error": effects.error_change}[method] / pixels
 
 
 def _gradients(g: Gaussians, views: PosedImages, background: ArrayLike, progress: Progress) -> NDArray[np.float64]:
-    """(N,) sum over views of |opacity dE_i / d opacity|, E_i summed over pixels and averaged over channels."""
+    """(N,) sum over views of |dE_i / d log scales|, E_i the absolute error, summed over pixels, mean of channels."""
     tensors = GaussianTensors.from_gaussians(g)
-    tensors.opacities.requires_grad_(True)
+    tensors.scales.requires_grad_(True)
     total = torch.zeros(len(g), dtype=torch.float64)
     progress("gradient", 0, len(views))
     for c in range(len(views)):
         drawn = rasterize(tensors, views.cameras[c], background=background).images[0]
-        error = (drawn - torch.from_numpy(views.image(c))).square().sum() / 3.0
-        (by_opacity,) = torch.autograd.grad(error, [tensors.opacities])
-        total += (tensors.opacities.detach() * by_opacity).abs()
+        error = (drawn - torch.from_numpy(views.image(c))).abs().sum() / 3.0
+        (by_scales,) = torch.autograd.grad(error, [tensors.scales])
+        total += (tensors.scales.detach() * by_scales).double().norm(dim=1)
         progress("gradient", c + 1, len(views))
     return total.numpy()
 
