@@ -14,7 +14,17 @@ import numpy as np
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import tell_result
-from gsvis.cli.source import Source, check_file, check_folder, check_source, given_up, inspected, load_source
+from gsvis.cli.source import (
+    Source,
+    check_file,
+    check_folder,
+    check_source,
+    given_up,
+    inputs_of,
+    inspected,
+    levels_told,
+    load_source,
+)
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.errors import SceneError
@@ -124,8 +134,8 @@ def _checked(command: Color) -> ColorConfig:
 def _check_no_input(name: str, path: str, command: Color) -> None:
     """Refuse to replace what is read: a slip of the keyboard must not cost a scene."""
     target = Path(path)
-    for given in (command.scene, command.pvs):
-        if given is not None and target.exists() and Path(given).exists() and target.samefile(given):
+    for given in (*inputs_of(command.scene), *([] if command.pvs is None else [Path(command.pvs)])):
+        if target.exists() and given.exists() and target.samefile(given):
             raise ValueError(f"--{name}: expected a file of its own, got {path}, which is read; name another")
     if name == "out" and target.is_file() and target.stat().st_size > 0:
         with target.open("rb") as file:
@@ -144,7 +154,7 @@ def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None,
     if len(g) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to colour")
     if store is not None:
-        store.check_scene(g)
+        store.check_scene(source.whole)
     status("reading", 1, 1)
     status("space", 0, 1)
     remarks = []
@@ -188,8 +198,8 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
     from gsvis.visibility.colors import kept_beside, prepare_colors
     from gsvis.visibility.fitted_colors import FittedColors, rounded
 
-    g, sets = plan.source.gaussians, None if plan.store is None else plan.store.direction_sets
-    if g.sh_degree > 0:
+    g, sets = plan.source.whole, None if plan.store is None else plan.store.direction_sets
+    if plan.source.union.sh_degree > 0:
         _warm_up(plan.config, status)
     kept = kept_beside(g, plan.space, plan.config, command.out, sets=sets)
     try:
@@ -205,7 +215,10 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         raise KeyboardInterrupt(f"what was found is kept in {kept.name}; the same command goes on from there") from None
     if kept is not None:
         kept.unlink(missing_ok=True)
-    fitted = FittedColors(g, colors, found, command.precision, size, epsilon, calibration)
+    levels = plan.source.levels
+    shown = None if levels is None else levels.member(len(levels) - 1)
+    union = plan.source.union
+    fitted = FittedColors(union, colors, found, command.precision, size, epsilon, calibration, shown=shown)
     try:
         return _looked_at(command, plan, fitted, status)
     except KeyboardInterrupt:
@@ -250,9 +263,9 @@ def _epsilon(
 
     status("epsilon", 0, 1)
     views = ViewSampling(_OBSERVED_VIEWS, command.width, command.height, _FOV, command.seed, _OBSERVED)
-    g = plan.source.gaussians
+    source = plan.source
     images = {"views": views.count, "width": views.width, "height": views.height, "fov": views.fov, "seed": views.seed}
-    pictures = Approximations(g, colors, views.cameras(g, plan.space))
+    pictures = Approximations(source.gaussians, source.shown(colors), views.cameras(source.whole, plan.space))
     observer = MetricObserver(flip_difference(pictures), FLIP_JND, images=images)
     found = calibrate_epsilon(cast("Observer", observer))
     status("epsilon", 1, 1)
@@ -273,11 +286,12 @@ def _written(
         "fit": asdict(plan.config.fit),
         "views": asdict(plan.config.views),
         "directions": found.sets_from,
+        "levels": levels_told(plan.source),
         "epsilon": epsilon,
         "epsilon_from": None if calibration is None else calibration.as_dict(),
     }
     precision = None if command.precision == "exact" else command.precision
-    save_srbf(command.out, plan.source.gaussians, found.fit.colors, precision=precision, provenance=provenance)
+    save_srbf(command.out, plan.source.union, found.fit.colors, precision=precision, provenance=provenance)
     return Path(command.out).stat().st_size
 
 
@@ -310,7 +324,7 @@ def _compared(command: Color, plan: _Plan, fitted: FittedColors, status: Status)
     from gsvis.visibility.color_quality import ColorQualityConfig, has_flip, measure_colors
     from gsvis.visibility.colors import ViewSampling
 
-    g, epsilon = fitted.gaussians, fitted.epsilon
+    (g, colors), epsilon = fitted.drawn, fitted.epsilon
     asked = ColorQualityConfig(flip=has_flip())
     if command.report is None:
         asked = replace(asked, counts=(), epsilons=() if epsilon is None else (epsilon,))
@@ -318,7 +332,7 @@ def _compared(command: Color, plan: _Plan, fitted: FittedColors, status: Status)
         asked = replace(asked, epsilons=tuple(sorted({*asked.epsilons, epsilon})))
     views = ViewSampling(command.held_out, command.width, command.height, _FOV, command.seed, _HELD_OUT)
     assert plan.space is not None
-    return measure_colors(g, fitted.colors, views.cameras(g, plan.space), asked, progress=status)
+    return measure_colors(g, colors, views.cameras(plan.source.whole, plan.space), asked, progress=status)
 
 
 def _write_staircase(command: Color, plan: _Plan, colors: SrbfColors, status: Status) -> None:
@@ -326,11 +340,11 @@ def _write_staircase(command: Color, plan: _Plan, colors: SrbfColors, status: St
     from gsvis.report.staircase import PERSON_RULE, write_staircase_page
     from gsvis.visibility.colors import ViewSampling
 
-    g, space = plan.source.gaussians, plan.space
+    source, space = plan.source, plan.space
     assert command.staircase is not None
     assert space is not None
     views = ViewSampling(_OBSERVED_VIEWS, command.width, command.height, _FOV, command.seed, _OBSERVED)
-    pictures = Approximations(g, colors, views.cameras(g, space))
+    pictures = Approximations(source.gaussians, source.shown(colors), views.cameras(source.whole, space))
     ladder = pictures.ladder(PERSON_RULE.rungs, progress=status)
     about = {"variant": colors.variant, "precision": command.precision, "mean_terms": colors.num_terms / len(colors)}
     write_staircase_page(
@@ -346,7 +360,7 @@ def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Sta
     assert plan.space is not None
     subject = Subject(
         title=plan.source.name,
-        gaussians=fitted.gaussians,
+        gaussians=plan.source.gaussians,
         up=plan.space.up,
         cameras_from=f"drawn at random where eyes may be ({plan.space.rule})",
         command=_spelled(command),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Color
-from gsvis.cli.source import Source
+from gsvis.cli.source import Source, levels_spelled, levels_told
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
 
 if TYPE_CHECKING:
@@ -29,7 +29,14 @@ def tell_result(
     """
     document = fitted.as_dict()
     if command.json:
-        about = {"format": "gsvis-color", "version": 1, "scene": source.name, "lod": source.lod, "out": command.out}
+        about: dict[str, Any] = {
+            "format": "gsvis-color",
+            "version": 1,
+            "scene": source.name,
+            "lod": source.lod,
+            "out": command.out,
+        }
+        about["levels"] = levels_told(source)
         written = {name: getattr(command, name) for name in ("active", "report", "staircase")}
         print_json({**about, **written, **document, "seconds": seconds})
         return
@@ -47,16 +54,16 @@ def tell_result(
     if command.staircase is not None and Path(command.staircase).exists():
         lines.append(f" Test for a person: {command.staircase}")
     total = sum(seconds.values())
-    parts: list[Any] = [facts(source.name, [*_rows(command, document), ("time", clock(total))])]
+    parts: list[Any] = [facts(source.name, [*_rows(command, source, document), ("time", clock(total))])]
     if document["quality"]:
         parts.append(facts("", _likeness(document["quality"]), _header(document["quality"])))
     show(*parts, *lines)
 
 
-def _rows(command: Color, document: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tuple[str, str]]:
     terms, sizes, seen = document["terms"], document["bytes_per_gaussian"], document["directions"]
     rows = [
-        ("Gaussians", f"{document['gaussians']:,}, SH degree {document['sh_degree']}"),
+        ("Gaussians", f"{document['gaussians']:,}{levels_spelled(source)}, SH degree {document['sh_degree']}"),
         ("directions", f"{seen['from']}; {seen['mean_share']:.1%} on average"),
     ]
     if seen["without_any"]:

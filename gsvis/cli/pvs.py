@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 
 from gsvis.cli.arguments import Pvs
-from gsvis.cli.source import Source, check_file, check_source, given_up, load_source, navigable_space
+from gsvis.cli.source import (
+    Source,
+    check_file,
+    check_source,
+    given_up,
+    levels_spelled,
+    levels_told,
+    load_source,
+    navigable_space,
+)
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
@@ -59,7 +68,7 @@ def run_pvs(command: Pvs) -> None:
         plan = _planned(command, config, walk, status)
         if command.dry_run:
             estimate = estimate_pvs(
-                plan.source.gaussians, plan.grid, plan.space, command.out, config, workers=workers, progress=status
+                plan.source.whole, plan.grid, plan.space, command.out, config, workers=workers, progress=status
             )
         else:
             _warm_up(config, status)
@@ -183,7 +192,7 @@ def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> Visib
         kept = done if stage == "cells" else kept
         status(stage, done, total)
 
-    g, told = plan.source.gaussians, progress
+    g, told = plan.source.whole, progress
     try:
         return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=told)
     except KeyboardInterrupt:
@@ -200,7 +209,8 @@ def _about(plan: _Plan) -> dict[str, Any]:
     return {
         "scene": plan.source.name,
         "lod": plan.source.lod,
-        "gaussians": len(plan.source.gaussians),
+        "gaussians": len(plan.source.union),
+        "levels": levels_told(plan.source),
         "grid": plan.grid.as_dict(),
         "space": {"rule": plan.space.rule, "voxel_size": plan.space.voxel_size, "volume": plan.space.volume},
         "config": plan.config.as_dict(),
@@ -211,7 +221,7 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
     x, y, z = plan.grid.shape
     shown = plan.config
     return [
-        ("Gaussians", f"{len(plan.source.gaussians):,}"),
+        ("Gaussians", f"{len(plan.source.union):,}{levels_spelled(plan.source)}"),
         ("where eyes may be", f"{plan.space.rule}, {plan.space.volume:.3g} cubic units"),
         ("cells", f"{len(plan.grid):,} of side {plan.grid.cell_size:.3g}, in {x} x {y} x {z} boxes"),
         ("method", f"{shown.method}, six faces of {shown.size} pixels, tau {shown.tau:.3g}"),

@@ -46,7 +46,7 @@ def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dic
     """Everything between the opened store and a written report."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
-    store.check_scene(source.gaussians)
+    store.check_scene(source.whole)
     facts_found = inspected(source)
     status("reading", 1, 1)
     status("space", 0, 1)
@@ -58,7 +58,7 @@ def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dic
 
     names = ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed")
     config = QualityConfig(**{name: getattr(command, name) for name in names})
-    found = measure_quality(store, source.gaussians, viewpoints, config, progress=status)
+    found = measure_quality(store, source.whole, viewpoints, config, progress=status)
     subject = Subject(
         title=source.name,
         gaussians=source.gaussians,

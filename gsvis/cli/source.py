@@ -6,7 +6,7 @@ import os
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,11 @@ from gsvis.errors import SceneError
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, inspect_scene
+from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
+
+if TYPE_CHECKING:
+    from gsvis.color.srbf import SrbfColors
 
 __all__ = [
     "Source",
@@ -25,7 +29,11 @@ __all__ = [
     "evenly",
     "file_cameras",
     "given_up",
+    "inputs_of",
     "inspected",
+    "is_levels",
+    "levels_spelled",
+    "levels_told",
     "load_source",
     "navigable_space",
 ]
@@ -39,11 +47,12 @@ class Source:
 
     Attributes:
         name: What to call it in a report.
-        gaussians: The scene.
+        gaussians: The scene; of levels the highest, which is what pictures show.
         path: Its file; None for a built-in scene.
         lod: The level of detail that was asked for.
         lods: Levels of detail that are present in a streamed scene; empty for any other.
         navigable: Known navigable space of a built-in scene.
+        levels: All levels, of a folder of them.
     """
 
     name: str
@@ -52,18 +61,44 @@ class Source:
     lod: int | None = None
     lods: tuple[int, ...] = ()
     navigable: NavigableSpace | None = None
+    levels: Levels | None = None
+
+    @property
+    def whole(self) -> Gaussians | Levels:
+        """The scene, or all levels."""
+        return self.gaussians if self.levels is None else self.levels
+
+    @property
+    def union(self) -> Gaussians:
+        """The Gaussians of the scene, or those of all levels together."""
+        return self.gaussians if self.levels is None else self.levels.union
+
+    def shown(self, colors: SrbfColors) -> SrbfColors:
+        """Of colours of the union, those of `gaussians`."""
+        return colors if self.levels is None else colors[self.levels.member(len(self.levels) - 1)]
+
+
+def is_levels(scene: str) -> bool:
+    """Whether a path is a folder that `gsvis levels` wrote."""
+    if not Path(scene).is_dir():
+        return False
+    from gsvis.io.levels import MAP
+
+    return (Path(scene) / MAP).is_file()
 
 
 def check_source(scene: str, lod: int | None) -> None:
     """Say at once what is wrong with the name of a scene.
 
     Raises:
-        ValueError: If there is no built-in scene of that name, or it is asked for a level of detail.
+        ValueError: If there is no built-in scene of that name, or one without levels of detail is asked for one.
         FileNotFoundError: If there is no such file.
     """
     if not scene.startswith(BUILTIN):
         if not Path(scene).exists():
             raise FileNotFoundError(2, "no such file or folder", scene)
+        if lod is not None and is_levels(scene):
+            raise ValueError(f"--lod: expected none for a folder of levels, got {lod}; name the PLY of one level")
         return
     from gsvis.scene.procedural import BUILTIN_SCENES
 
@@ -76,7 +111,7 @@ def check_source(scene: str, lod: int | None) -> None:
 
 
 def load_source(scene: str, lod: int | None) -> Source:
-    """The scene of a path or a `builtin:NAME`.
+    """The scene of a path or a `builtin:NAME`; all levels of a folder of them.
 
     Raises:
         GsvisError: If the file cannot be read as a scene.
@@ -89,6 +124,11 @@ def load_source(scene: str, lod: int | None) -> Source:
 
         made = builtin_scene(scene.removeprefix(BUILTIN))
         return Source(scene, made.gaussians, navigable=made.navigable)
+    if is_levels(scene):
+        from gsvis.io.levels import load_levels
+
+        levels = load_levels(scene)
+        return Source(_called(Path(scene), None), levels.level(len(levels) - 1), Path(scene), levels=levels)
     from gsvis.io import load_scene
     from gsvis.io.streamed_sog import streamed_sog_lods
 
@@ -99,6 +139,20 @@ def load_source(scene: str, lod: int | None) -> Source:
     if lods and lod is None:
         lod = lods[0]
     return Source(_called(path, lod), g, path, lod, lods)
+
+
+def levels_told(source: Source) -> list[dict[str, Any]] | None:
+    """Names and sizes of the levels for JSON; None for a scene without."""
+    found = source.levels
+    if found is None:
+        return None
+    return [{"name": name, "gaussians": n} for name, n in zip(found.names, found.counts, strict=True)]
+
+
+def levels_spelled(source: Source) -> str:
+    """' in levels low 300, high 1,000', or nothing."""
+    sizes = ", ".join(f"{each['name']} {each['gaussians']:,}" for each in levels_told(source) or ())
+    return f" in levels {sizes}" if sizes else ""
 
 
 def inspected(source: Source) -> dict[str, Any]:
@@ -182,6 +236,19 @@ def evenly(cameras: Cameras, count: int) -> Cameras:
     if count >= len(cameras):
         return cameras
     return cameras[np.floor(np.arange(count) * len(cameras) / count).astype(int)]
+
+
+def inputs_of(scene: str) -> list[Path]:
+    """What is read: the path of the scene, and the files in a folder of levels.
+
+    Raises:
+        FormatError: If the map of levels is damaged.
+    """
+    if not is_levels(scene):
+        return [Path(scene)]
+    from gsvis.io.levels import MAP, levels_info
+
+    return [Path(scene, name) for name in (MAP, *levels_info(scene).files)]
 
 
 def check_file(path: str | os.PathLike[str]) -> None:

@@ -135,9 +135,9 @@ def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
 
 def _pictures(fitted: FittedColors, quality: ColorQuality, view: int) -> dict[str, NDArray[np.float32]]:
     """One view: by SH, by all terms, by base colours, and what differs between the first two."""
-    camera, g = quality.cameras[view], fitted.gaussians
+    camera, (g, fit) = quality.cameras[view], fitted.drawn
     images = {
         name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0].numpy(), 0.0, 1.0)
-        for name, colors in (("sh", None), ("srbf", fitted.colors), ("base", fitted.colors.first(0)))
+        for name, colors in (("sh", None), ("srbf", fit), ("base", fit.first(0)))
     }
     return {**images, "difference": DIFFERENCE * np.abs(images["sh"] - images["srbf"])}

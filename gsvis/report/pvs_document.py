@@ -175,6 +175,8 @@ def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict
     """The image that loses the most: of the full scene, of the set, and what differs."""
     m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
     camera = quality.camera(int(m), int(v))
-    kept = g[store.visible_ids(int(quality.cells[m]))]
+    held = np.zeros(store.gaussians, bool)
+    held[store.visible_ids(int(quality.cells[m]))] = True
+    kept = g[held if quality.shown is None else held[quality.shown]]
     full, culled = (np.clip(rasterize(some, camera, backend="cpu").images[0].numpy(), 0.0, 1.0) for some in (g, kept))
     return {"worst_full": full, "worst_set": culled, "worst_difference": _BRIGHTER * np.abs(full - culled)}

@@ -43,7 +43,7 @@ class FittedColors:
     """Colours of N Gaussians and what is known of them.
 
     Attributes:
-        gaussians: The scene, with its SH colours.
+        gaussians: The scene, or the union of its levels, with its SH colours.
         colors: As the file holds them.
         preparation: The fit, and what it was fitted to.
         precision: One of `PRECISION_NAMES`.
@@ -52,6 +52,7 @@ class FittedColors:
         calibration: How it was found; None if it was given.
         quality: Comparison with SH; None if nobody asked.
         cell_shares: (C,) share of all terms that each cell of the visible sets needs; None if nobody asked.
+        shown: (N,) bool, Gaussians of the highest of several levels, which pictures show; None for a scene.
     """
 
     gaussians: Gaussians
@@ -63,6 +64,13 @@ class FittedColors:
     calibration: EpsilonCalibration | None = None
     quality: ColorQuality | None = None
     cell_shares: F64 | None = None
+    shown: NDArray[np.bool_] | None = None
+
+    @property
+    def drawn(self) -> tuple[Gaussians, SrbfColors]:
+        """What pictures show: a scene, which a union of levels is not, and its colours."""
+        whole = self.gaussians, self.colors
+        return whole if self.shown is None else (whole[0][self.shown], whole[1][self.shown])
 
     @property
     def by_count(self) -> F64:

@@ -17,7 +17,9 @@ from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.render import psnr, rasterize, view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility._levels import as_levels
 from gsvis.visibility.cells import CellGrid
 from gsvis.visibility.look import buried
 from gsvis.visibility.quality_result import PSNR_CAP, TARGETS, Figure, Quality, QualityConfig, Trade
@@ -68,7 +70,7 @@ class _Measured:
 
 def measure_quality(
     store: VisibilityStore,
-    g: Gaussians,
+    scene: Gaussians | Levels,
     viewpoints: CellViewpoints,
     config: QualityConfig | None = None,
     *,
@@ -80,7 +82,7 @@ def measure_quality(
 
     Args:
         store: The visible sets.
-        g: The scene, N Gaussians.
+        scene: N Gaussians; of levels the highest is measured, with as much of the sets as belongs to it.
         viewpoints: Where eyes may be in the cells of the store.
         config: How; None means `QualityConfig()`.
         progress: Called with stage "quality".
@@ -94,11 +96,14 @@ def measure_quality(
         SceneError: If no cell has a viewpoint outside of something solid.
     """
     config = config or QualityConfig()
-    store.check_scene(g)
+    store.check_scene(scene)
+    levels = as_levels(scene)
+    member = levels.member(len(levels) - 1)
+    g, places = (levels.union if member.all() else levels.union[member]), np.where(member, member.cumsum() - 1, -1)
     if len(viewpoints.grid) != len(store) or not np.array_equal(viewpoints.grid.coords, store.grid.coords):
         raise ValueError("viewpoints: expected those of the store's cells, got others; make them from store.grid")
     tracer = Tracer(EllipsoidProxies.from_scene(g)) if config.rays else None
-    meter = _Meter(store, g, viewpoints, config, tracer)
+    meter = _Meter(store, g, places, viewpoints, config, tracer)
     wanted = len(store) if config.cells is None else min(config.cells, len(store))
     each = config.viewpoints + config.dense
     done: dict[int, _Measured] = {}
@@ -137,6 +142,7 @@ def measure_quality(
         cells=cells,
         centres=store.grid.centres[cells],
         left_out=tuple(sorted(left_out)),
+        shown=None if member.all() else member,
         **{**absent, **stacked},  # type: ignore[arg-type]
     )
 
@@ -185,6 +191,7 @@ class _Meter:
 
     store: VisibilityStore
     g: Gaussians
+    places: I64  # in g of each Gaussian of the store, -1 for those of other levels
     viewpoints: CellViewpoints
     config: QualityConfig
     tracer: Tracer | None
@@ -204,6 +211,8 @@ class _Meter:
         """Everything about one cell; progress counts the viewpoints that were looked from."""
         store, g, config = self.store, self.g, self.config
         ids, classes = store.classes(cell)
+        ids, classes = self.places[ids], classes[self.places[ids] >= 0]
+        ids = ids[ids >= 0]
         subsets = [ids[classes >= k] for k in range(len(store.info.class_edges))]
         held = np.zeros(len(g), bool)
         held[ids] = True

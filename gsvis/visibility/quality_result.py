@@ -158,6 +158,8 @@ class Quality:
         dense: (M,) Gaussians of the dense union; None without one.
         dense_shared: (M,) how many of them the set has; None without.
         dense_psnr: (M, V) PSNR of the image drawn from the dense union; None without.
+        shown: (U,) bool, the N of the U Gaussians of a union that were measured, those of its highest level; None for
+            a scene.
     """
 
     config: QualityConfig
@@ -181,6 +183,7 @@ class Quality:
     dense: I64 | None
     dense_shared: I64 | None
     dense_psnr: F64 | None
+    shown: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.cells)
