@@ -1,7 +1,7 @@
 """Which Gaussians matter to images, and nested subsets of a scene that keep those that do.
 
-Values are per pixel, averaged over channels and views; RGB where 1 is white. docs/design/015-importance.md says what was
-tried and how it ranks.
+Values are per pixel, averaged over channels and views; RGB where 1 is white. What was tried, and how it ranks, stands
+in docs/design/015-importance.md.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ def importance(
     Args:
         gaussians: N Gaussians.
         views: Photographs with their cameras, or cameras alone, for which the scene's own images stand in.
-        method: "removal": the mean squared change of the images by the Gaussian's removal. "absolute": the mean absolute
-            change. "error": what its removal adds to the mean squared error against the photographs, negative where they
-            are met better without it; it ranks subsets worst of all. "gradient": eq. 6, the sum over views of
-            |dE_i / dg| over the sum of pixels, with E_i the absolute error of view i and dE_i / dg taken over the
+        method: "removal": the mean squared change of the images by the Gaussian's removal. "absolute": the mean
+            absolute change. "error": what its removal adds to the mean squared error against the photographs, negative
+            where they are met better without it; subsets of the highest are bad. "gradient": eq. 6, the sum over views
+            of |dE_i / dg| over the sum of pixels, with E_i the absolute error of view i and dE_i / dg taken over the
             logarithms of the three scales (their norm), which ranked best. "weight": the mean blending weight.
         background: (3,) RGB behind everything.
         progress: Called with stage "importance", in views.
