@@ -6,7 +6,7 @@ with Package.open("scene.gsvis") as package:
     some = package.contents.gaussians([4, 8, 15])
 """
 
-from gsvis.package.codec import ChunkTable, Geometry, build_chunks, decode_records, encode_records
+from gsvis.package.codec import ChunkTable, Geometry, build_chunks, chunk_starts, decode_records, encode_records
 from gsvis.package.contents import Contents, base_rgb
 from gsvis.package.cost import measure_cost
 from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
@@ -33,6 +33,7 @@ __all__ = [
     "Verified",
     "base_rgb",
     "build_chunks",
+    "chunk_starts",
     "decode_records",
     "decode_terms",
     "encode_records",

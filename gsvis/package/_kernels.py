@@ -108,21 +108,18 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
         levels: (N, 3) int32 log-scales.
         opacities: (N,) float32.
         colors: (N, 3 or 4) uint8 base colour, and its scale.
-        bits: Of a coordinate, and of a component of a quaternion.
+        bits: Of a coordinate, of a component of a quaternion, and of a log-scale.
         out: (N, 16) uint8.
     """
-    position, rotation = bits
-    places, half = (1 << position) - 1, (1 << (rotation - 1)) - 1
-    width, first = position + rotation, 4 + colors.shape[1]
+    position, rotation, scale = bits
+    places, half, sizes = (1 << position) - 1, (1 << (rotation - 1)) - 1, (1 << scale) - 1
+    width, first = position + rotation + scale, 1 + colors.shape[1]
     forms = np.empty((4, 4))
     for i in range(len(chunk)):
         c = chunk[i]
         out[i, 0] = np.uint8(np.rint(np.float64(opacities[i]) * 255.0))
-        for k in range(3):
-            place = (levels[i, k] - int(lows[c]) + int(strides[c]) // 2) // int(strides[c])
-            out[i, 1 + k] = np.uint8(min(place, 255))
         for k in range(colors.shape[1]):
-            out[i, 4 + k] = colors[i, k]
+            out[i, 1 + k] = colors[i, k]
         w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
         # Turned half around its own axes an ellipsoid is the same: of the four forms, the one with the largest w.
         forms[0, 0], forms[0, 1], forms[0, 2], forms[0, 3] = w, x, y, z
@@ -140,7 +137,8 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
                 along = (np.float64(means[i, k]) - np.float64(origins[c, k])) / np.float64(steps[c, k])
                 place = min(np.int64(np.rint(along)), places)
             turn = np.int64(np.rint(sign * forms[best, 1 + k] / SQRT_HALF * half)) + half
-            word = place | (min(max(turn, 0), 2 * half) << position)
+            size = np.int64((levels[i, k] - int(lows[c]) + int(strides[c]) // 2) // int(strides[c]))
+            word = place | (min(max(turn, 0), 2 * half) << position) | (min(size, sizes) << (position + rotation))
             bit = k * width
             word <<= bit & 7
             byte = first + (bit >> 3)
@@ -161,7 +159,7 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
         lows: (C,) int16.
         strides: (C,) uint8.
         records: (M, 16) uint8.
-        bits: Of a coordinate, and of a component of a quaternion.
+        bits: Of a coordinate, of a component of a quaternion, and of a log-scale.
         first: Byte at which the string of bits begins.
         roots: (64,) float64, 2^(k / 64).
         means: (M, 3).
@@ -169,26 +167,26 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
         scales: (M, 3).
         opacities: (M,).
     """
-    position, rotation = bits
-    half, width = (1 << (rotation - 1)) - 1, position + rotation
+    position, rotation, scale = bits
+    half, width = (1 << (rotation - 1)) - 1, position + rotation + scale
     unit = SQRT_HALF / half
     v = np.empty(3)
     for i in range(len(chunk)):
         c = chunk[i]
         opacities[i] = np.float32(np.float64(records[i, 0]) / 255.0)
         for k in range(3):
-            level = int(lows[c]) + int(records[i, 1 + k]) * int(strides[c])
-            level = min(max(level, LEAST_LOG), MOST_LOG)
-            scales[i, k] = np.float32(np.ldexp(roots[level & 63], level >> 6))
             bit = k * width
             byte, shift = first + (bit >> 3), bit & 7
             word = np.int64(0)
-            for b in range(4):
+            for b in range(5):
                 if byte + b < 16:
                     word |= np.int64(records[i, byte + b]) << (8 * b)
             word >>= shift
             place = word & ((1 << position) - 1)
             turn = (word >> position) & ((1 << rotation) - 1)
+            size = (word >> (position + rotation)) & ((1 << scale) - 1)
+            level = min(max(int(lows[c]) + size * int(strides[c]), LEAST_LOG), MOST_LOG)
+            scales[i, k] = np.float32(np.ldexp(roots[level & 63], level >> 6))
             value = np.float64(origins[c, k]) + np.float64(place) * np.float64(steps[c, k])
             means[i, k] = np.float32(min(max(value, -LARGEST), LARGEST))
             v[k] = np.float64(turn - half) * unit

@@ -8,6 +8,7 @@ the others coarse. Frame and units are the scene's. This module knows no file.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from gsvis.package import _kernels as kernels
 from gsvis.package.layout import RECORD_BYTES, RecordLayout
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["CHUNK", "ChunkTable", "Geometry", "build_chunks", "decode_records", "encode_records"]
+__all__ = ["CHUNK", "ChunkTable", "Geometry", "build_chunks", "chunk_starts", "decode_records", "encode_records"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -33,6 +34,7 @@ STEP = 1.0 / 16.0
 SPREAD = 10 * 64
 """By how many 1/64 octaves the largest scales of two Gaussians of a chunk may differ."""
 
+_CUT_PLACES = (1 << 13) - 1  # of the layout with the fewest bits: chunks do not depend on the variant of colours
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
 
@@ -121,12 +123,11 @@ class Geometry(NamedTuple):
     opacities: F32
 
 
-def build_chunks(g: Gaussians, layout: RecordLayout, *, cuts: ArrayLike = (), finest: float = 0.0) -> ChunkTable:
-    """Chunks for Gaussians in their order, which ought to be one in which neighbours are near each other.
+def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0) -> I64:
+    """(C,) the first of each chunk of Gaussians in their order, in which neighbours ought to be near each other.
 
     Args:
         g: N Gaussians.
-        layout: How many bits a coordinate has.
         cuts: Ids before which a chunk ends in any case, rising.
         finest: Largest scale below which a Gaussian need not be placed more finely, scene units.
 
@@ -137,27 +138,45 @@ def build_chunks(g: Gaussians, layout: RecordLayout, *, cuts: ArrayLike = (), fi
     bounds = np.concatenate([[0], _check.integers("cuts", np.asarray(cuts, np.int64), ("K",)), [n]])
     if (np.diff(bounds) < 0).any():
         raise ValueError(f"cuts: expected rising ids from 0 to {n}, got others")
-    levels = np.empty((n, 3), np.int32)
-    largest = kernels.log_scales(g.scales, levels)
+    largest = kernels.log_scales(g.scales, np.empty((n, 3), np.int32))
     allowed = np.maximum(g.scales.max(axis=1, initial=0.0).astype(np.float64), finest) * STEP
-    places = (1 << layout.position) - 1
     pieces = [np.zeros(0, np.int64)]
-    for low, high in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+    for low, high in pairwise(bounds.tolist()):
         some, found = slice(low, high), np.empty(high - low, np.int64)
         means = g.means[some].astype(np.float64)
-        count = kernels.chunk_starts(means, largest[some], allowed[some], places, CHUNK, SPREAD, found)
+        count = kernels.chunk_starts(means, largest[some], allowed[some], _CUT_PLACES, CHUNK, SPREAD, found)
         pieces.append(low + found[:count])
-    starts = np.concatenate(pieces)
+    return np.concatenate(pieces)
+
+
+def build_chunks(g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None = None) -> ChunkTable:
+    """The rows of the chunks of Gaussians.
+
+    Args:
+        g: N Gaussians.
+        layout: How many bits a coordinate has.
+        starts: (C,) the first Gaussian of each chunk; None means `chunk_starts(g)`.
+
+    Raises:
+        ValueError: If the starts do not rise from 0, or a chunk is larger than `CHUNK`.
+    """
+    n = len(g)
+    heads = chunk_starts(g) if starts is None else _check.integers("starts", starts, ("C",))
     if n == 0:
         return ChunkTable.concatenate([])
-    low, high = (np.asarray(of.reduceat(g.means, starts, axis=0), np.float64) for of in (np.minimum, np.maximum))
+    counts = np.diff(np.append(heads, n))
+    if len(heads) == 0 or heads[0] != 0 or counts.min() < 1 or counts.max() > CHUNK:
+        raise ValueError(f"starts: expected chunks of 1 to {CHUNK} Gaussians from 0 on, got others")
+    levels = np.empty((n, 3), np.int32)
+    kernels.log_scales(g.scales, levels)
+    places = (1 << layout.position) - 1
+    low, high = (np.asarray(of.reduceat(g.means, heads, axis=0), np.float64) for of in (np.minimum, np.maximum))
     steps = ((high - low) / places).astype(np.float32)
     short = steps.astype(np.float64) * places < high - low  # rounded down: one step would be missing at the end
     steps = np.where(short, np.nextafter(steps, np.float32(np.inf)), steps)
-    lows = np.minimum.reduceat(levels.min(axis=1), starts)
-    ranges = np.maximum.reduceat(levels.max(axis=1), starts) - lows
-    strides = np.maximum(1, -(-ranges // 255))
-    counts = np.diff(np.append(starts, n))
+    lows = np.minimum.reduceat(levels.min(axis=1), heads)
+    ranges = np.maximum.reduceat(levels.max(axis=1), heads) - lows
+    strides = np.maximum(1, -(-ranges // ((1 << layout.scale) - 1)))
     return ChunkTable(low.astype(np.float32), steps, lows.astype(np.int16), strides.astype(np.uint8), counts)
 
 
@@ -183,7 +202,8 @@ def encode_records(
     places = (1 << layout.position) - 1
     away = g.means.astype(np.float64) - table.origins[rows]
     above = levels.min(axis=1, initial=1 << 20) - table.lows[rows]
-    over = levels.max(axis=1, initial=-(1 << 20)) - table.lows[rows] - 255 * table.strides[rows].astype(np.int32)
+    reach = ((1 << layout.scale) - 1) * table.strides[rows].astype(np.int32)
+    over = levels.max(axis=1, initial=-(1 << 20)) - table.lows[rows] - reach
     if (away < 0).any() or (away > table.steps[rows].astype(np.float64) * places).any():
         raise ValueError("g: expected Gaussians within the boxes of their chunks, got one outside")
     if (above < 0).any() or (over > 0).any():
@@ -191,7 +211,7 @@ def encode_records(
     out = np.zeros((len(g), RECORD_BYTES), np.uint8)
     kernels.encode(
         rows, table.origins, table.steps, table.lows, table.strides, g.means, g.quats, levels, g.opacities, base,
-        (layout.position, layout.rotation), out,
+        layout.bits, out,
     )  # fmt: skip
     return out
 
@@ -218,7 +238,7 @@ def decode_records(
         np.empty(m, np.float32),
     )  # fmt: skip
     kernels.decode(
-        rows, table.origins, table.steps, table.lows, table.strides, packed, (layout.position, layout.rotation),
+        rows, table.origins, table.steps, table.lows, table.strides, packed, layout.bits,
         layout.packed_from, _ROOTS, *found,
     )  # fmt: skip
     return found
@@ -226,7 +246,7 @@ def decode_records(
 
 def base_colors(records: U8, layout: RecordLayout) -> U8:
     """(M, 3 or 4) base colours of records as places in their tables."""
-    return np.ascontiguousarray(records[:, 4 : 8 if layout.color_scale else 7])
+    return np.ascontiguousarray(records[:, 1 : layout.packed_from])
 
 
 def _rows(table: ChunkTable, chunks: ArrayLike | None, count: int) -> NDArray[np.int32]:

@@ -77,9 +77,7 @@ class Contents:
         counts = np.diff(colors.offsets)
         _check.in_range("colors", counts, 0, 255)
         layout = RecordLayout.of(colors.grids.variant)
-        largest = g.scales.max(axis=1).astype(np.float64)
-        finest = 2.0 ** float(np.floor(np.log2(np.quantile(largest, 0.02))))
-        table = build_chunks(g, layout, cuts=order.starts[1:-1], finest=finest)
+        table = build_chunks(g, layout, starts=order.chunks)
         heads = table.starts[:-1]
         base = colors.base.astype(np.uint8)
         if layout.color_scale:

@@ -1,9 +1,9 @@
 """Where the bits of a record are: geometry and base colour of one Gaussian in 16 bytes, and one term in a few.
 
-A record of a Gaussian is, in this order: opacity, three log-scales, three components of the base colour, one byte
-each; the scale of the colour in one byte where the variant has one; then a little-endian string of bits, for x, y and
-z in turn the place in the chunk's box and a component of the quaternion, lowest bits first. A record of a term is one
-such string. docs/design/016-package.md says why. This module holds numbers only.
+A record of a Gaussian is, in this order: opacity and three components of the base colour, one byte each; the scale of
+the colour in one byte where the variant has one; then a little-endian string of bits, lowest first: for x, y and z in
+turn the place in the chunk's box, a component of the quaternion, and the log-scale. A record of a term is one such
+string. docs/design/016-package.md says why. This module holds numbers only.
 """
 
 from __future__ import annotations
@@ -29,26 +29,33 @@ class RecordLayout:
     Attributes:
         position: Bits of each coordinate in the box of the chunk.
         rotation: Bits of each of the three smaller components of the quaternion.
+        scale: Bits of each log-scale.
         color_scale: Whether a byte holds the scale of the colour.
 
     Examples:
         >>> RecordLayout.of("rgb")
-        RecordLayout(position=14, rotation=10, color_scale=False)
+        RecordLayout(position=14, rotation=9, scale=9, color_scale=False)
     """
 
     position: int
     rotation: int
+    scale: int
     color_scale: bool
 
     @classmethod
     def of(cls, name: str) -> RecordLayout:
         """The layout for a variant of colours; those with a scale have fewer bits for the rest."""
-        return cls(13, 8, True) if has_scales(variant(name)) else cls(14, 10, False)
+        return cls(13, 8, 8, True) if has_scales(variant(name)) else cls(14, 9, 9, False)
 
     @property
     def packed_from(self) -> int:
         """The byte at which the string of bits begins."""
-        return 8 if self.color_scale else 7
+        return 5 if self.color_scale else 4
+
+    @property
+    def bits(self) -> tuple[int, int, int]:
+        """Of place, component of the quaternion and log-scale: what each of x, y and z has in the string."""
+        return self.position, self.rotation, self.scale
 
 
 @dataclass(frozen=True)

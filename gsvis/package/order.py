@@ -1,4 +1,4 @@
-"""The order of a package: by level, then along a Morton curve, then by content; and where its parts begin.
+"""The order of a package: by level, then along a Morton curve, within a chunk by what is seen most; where parts begin.
 
 Gaussians that leave together with an upgrade stand together, and so do neighbours. The order depends on what the
 Gaussians are, never on how they came: a permutation changes nothing. Scene frame and units.
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.package import _kernels as kernels
+from gsvis.package.codec import chunk_starts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
@@ -35,10 +36,12 @@ class PackageOrder:
         permutation: (N,) the Gaussians in the order of the package.
         starts: (P + 1,) where its parts begin, and N: each a cell of the curve, or neighbouring ones of one parent, of
             one first and last level, so that an edit changes the parts that it lies in and no others.
+        chunks: (C,) where chunks begin.
     """
 
     permutation: I64
     starts: I64
+    chunks: I64
 
     @classmethod
     def of(cls, levels: Levels) -> PackageOrder:
@@ -54,7 +57,10 @@ class PackageOrder:
         groups = np.append(np.flatnonzero(np.diff(keys, prepend=-1)), len(keys)).tolist()
         for low, high in pairwise(groups):
             cuts += [end for _, end in _parts(codes, low, high, _TOP)]
-        return cls(order, np.array(cuts, np.int64))
+        chunks = chunk_starts(union[order], cuts=cuts[1:-1], finest=_finest(union))
+        inside = np.repeat(np.arange(len(chunks)), np.diff(np.append(chunks, len(order))))
+        order = order[np.lexsort((-_strengths(union)[order], inside))]
+        return cls(order, np.array(cuts, np.int64), chunks)
 
 
 def in_package_order(levels: Levels) -> Levels:
@@ -77,6 +83,20 @@ def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
     widest = float((high - low).max()) / 2.0
     half = 2.0 ** float(np.ceil(np.log2(widest))) if widest > 1e-30 else 1.0
     return np.rint((low + high) / 2.0 / (half / 8.0)) * (half / 8.0), half
+
+
+def _finest(g: Gaussians) -> float:
+    """Size of the small Gaussians of a scene, rounded so that few edits change it."""
+    if len(g) == 0:
+        return 0.0
+    small = float(np.quantile(g.scales.max(axis=1).astype(np.float64), 0.02))
+    return float(2.0 ** np.floor(np.log2(small)))
+
+
+def _strengths(g: Gaussians) -> NDArray[np.float64]:
+    """(N,) opacity times mean cross-section: what each is likely to cover."""
+    s = g.scales.astype(np.float64)
+    return np.asarray(g.opacities * (s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]))
 
 
 def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:

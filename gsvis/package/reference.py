@@ -22,11 +22,9 @@ def decode_one(
     """Mean, quaternion, scales and opacity of one record, before they are rounded to float32."""
     opacity = record[0] / 255.0
     low, stride = int(table.lows[row]), int(table.strides[row])
-    logs = [min(max(low + place * stride, -126 * 64), 128 * 64 - 1) for place in record[1:4]]
-    scales = [math.ldexp(2.0 ** ((level % 64) / 64.0), level // 64) for level in logs]
     bits = int.from_bytes(record[layout.packed_from :], "little")
-    width, half = layout.position + layout.rotation, (1 << (layout.rotation - 1)) - 1
-    mean, vector = [], []
+    width, half = sum(layout.bits), (1 << (layout.rotation - 1)) - 1
+    mean, vector, scales = [], [], []
     for axis in range(3):
         word = bits >> (axis * width)
         place = word & ((1 << layout.position) - 1)
@@ -34,6 +32,9 @@ def decode_one(
         value = float(table.origins[row, axis]) + place * float(table.steps[row, axis])
         mean.append(min(max(value, -_LARGEST), _LARGEST))
         vector.append((turn - half) * (_SQRT_HALF / half))
+        size = (word >> (layout.position + layout.rotation)) & ((1 << layout.scale) - 1)
+        level = min(max(low + size * stride, -126 * 64), 128 * 64 - 1)
+        scales.append(math.ldexp(2.0 ** ((level % 64) / 64.0), level // 64))
     x, y, z = vector
     return mean, [math.sqrt(max(0.0, 1.0 - (x * x + y * y + z * z))), x, y, z], scales, opacity
 
@@ -52,7 +53,7 @@ def encode_one(
     logs = [min(max(round(math.log2(float(s)) * 64.0), -126 * 64), 128 * 64 - 1) for s in scales]
     logs = [max(level, max(logs) - 11 * 64) for level in logs]
     low, stride = int(table.lows[row]), int(table.strides[row])
-    head = bytes([round(float(opacity) * 255.0), *(min(255, (v - low + stride // 2) // stride) for v in logs), *color])
+    head = bytes([round(float(opacity) * 255.0), *color])
     w, x, y, z = (float(v) for v in quat)
     forms = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
     best = max(forms, key=lambda form: abs(form[0]))  # the first of equals
@@ -63,5 +64,7 @@ def encode_one(
         if step > 0:
             place = min(round((float(mean[axis]) - float(table.origins[row, axis])) / step), (1 << layout.position) - 1)
         turn = min(max(round(sign * best[1 + axis] / _SQRT_HALF * half) + half, 0), 2 * half)
-        bits |= (place | turn << layout.position) << (axis * (layout.position + layout.rotation))
+        size = min((logs[axis] - low + stride // 2) // stride, (1 << layout.scale) - 1)
+        word = place | turn << layout.position | size << (layout.position + layout.rotation)
+        bits |= word << (axis * sum(layout.bits))
     return head + bits.to_bytes(16 - layout.packed_from, "little")

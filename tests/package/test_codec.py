@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.package import codec
-from gsvis.package.codec import ChunkTable, build_chunks, decode_records, encode_records
+from gsvis.package.codec import ChunkTable, build_chunks, chunk_starts, decode_records, encode_records
 from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.reference import decode_one, encode_one
 from gsvis.scene.gaussians import Gaussians
@@ -73,11 +73,11 @@ def test_errors_stay_within_their_bounds_whatever_the_neighbours(layout: RecordL
     assert np.all(away <= largest * codec.STEP + rounding)
     asked = np.maximum(g.scales.astype(np.float64), np.maximum(largest * 2.0**-11, 2.0**-126)[:, None])
     octaves = np.abs(np.log2(kept.scales.astype(np.float64) / asked)).max(axis=1)
-    assert octaves.max() <= 3.5 / 64 + 1e-6
+    assert octaves.max() <= (2.0 if layout.scale == 9 else 3.5) / 64 + 1e-6
     assert np.abs(kept.opacities - g.opacities).max() <= 0.5 / 255 + 1e-7
 
 
-@pytest.mark.parametrize(("layout", "degrees"), [(LAYOUTS[0], 0.3), (LAYOUTS[1], 1.2)], ids=["rgb", "hsl"])
+@pytest.mark.parametrize(("layout", "degrees"), [(LAYOUTS[0], 0.6), (LAYOUTS[1], 1.2)], ids=["rgb", "hsl"])
 def test_the_ellipsoid_hardly_turns(layout: RecordLayout, degrees: float) -> None:
     g = scene(2000)
     table = build_chunks(g, layout)
@@ -99,13 +99,13 @@ def test_an_outlier_does_not_make_its_neighbours_coarse() -> None:
     near = np.delete(np.arange(300), [7, 150])
     assert np.abs(found.means[near] - g.means[near]).max() < 10.0 / (1 << 14)
     np.testing.assert_allclose(found.means[[7, 150]], far.means[[7, 150]], rtol=1e-6)
-    assert len(table) <= 9  # 0..6, 7, 8..149, 150, 151..299, and few more
+    assert len(table) <= 12  # 0..6, 7, 8..149, 150, 151..299, and few more
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=["rgb", "hsl"])
 def test_any_subset_decodes_as_it_does_among_all(layout: RecordLayout) -> None:
     g = scene(3000)
-    table = build_chunks(g, layout, cuts=[100, 100, 2999])
+    table = build_chunks(g, layout, starts=chunk_starts(g, cuts=[100, 100, 2999]))
     assert {100, 2999} <= set(table.starts.tolist())
     records = encode_records(g, colors_of(3000, layout), table, layout)
     whole = decode_records(records, table, layout)
@@ -156,13 +156,15 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="records: expected shape"):
         decode_records(np.zeros((1, 15), np.uint8), table, layout, chunks=[0])
     with pytest.raises(ValueError, match="cuts: expected rising"):
-        build_chunks(g, layout, cuts=[30])
+        chunk_starts(g, cuts=[30])
+    with pytest.raises(ValueError, match="starts: expected chunks"):
+        build_chunks(g, layout, starts=[1])
     with pytest.raises(ValueError, match="strides"):
         ChunkTable(table.origins, table.steps, table.lows, np.zeros(len(table), np.uint8), table.counts)
 
 
 def test_layouts_use_at_most_128_bits() -> None:
     for layout in LAYOUTS:
-        used = 8 * layout.packed_from + 3 * (layout.position + layout.rotation)
+        used = 8 * layout.packed_from + 3 * sum(layout.bits)
         assert used <= 8 * RECORD_BYTES
     assert TermLayout(0, 6, 7, 5, 6, 3).nbytes == 5

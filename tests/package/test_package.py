@@ -103,6 +103,20 @@ def test_gaussians_in_one_place_are_ordered_by_what_they_are() -> None:
     assert scene_hash(a) == scene_hash(b)
 
 
+def test_the_order_is_by_level_and_in_a_chunk_by_what_is_likely_to_be_seen() -> None:
+    levels = levels_of(3000)
+    order = orders.PackageOrder.of(levels)
+    np.testing.assert_array_equal(order.permutation, np.arange(3000))
+    keys = levels.first.astype(int) * 16 - levels.last
+    assert np.all(np.diff(keys) >= 0)
+    s, g = levels.union.scales.astype(float), levels.union
+    strengths = g.opacities * (s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0])
+    falls = np.diff(strengths) <= 0
+    falls[order.chunks[1:] - 1] = True
+    assert falls.all()
+    assert set(order.starts[:-1].tolist()) <= set(order.chunks.tolist())
+
+
 @pytest.mark.usefixtures("many_parts")
 def test_a_second_run_writes_nothing_and_an_edit_little(tmp_path: Path) -> None:
     levels, (_, colors) = levels_of(2000), colors_of(2000)
@@ -110,9 +124,9 @@ def test_a_second_run_writes_nothing_and_an_edit_little(tmp_path: Path) -> None:
     times = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "s" / "parts").iterdir()}
     write_package(tmp_path / "s", levels, colors)
     assert times == {p.name: p.stat().st_mtime_ns for p in (tmp_path / "s" / "parts").iterdir()}
-    g, opacities = levels.union, levels.union.opacities.copy()
-    opacities[1000] = 1.0 - opacities[1000]
-    edited = Levels(Gaussians(g.means, g.quats, g.scales, opacities, g.sh0, g.shN), levels.first, levels.last, NAMES)
+    g, quats = levels.union, levels.union.quats.copy()
+    quats[1000] = 0.5, 0.1, 0.7, -0.3
+    edited = Levels(Gaussians(g.means, quats, g.scales, g.opacities, g.sh0, g.shN), levels.first, levels.last, NAMES)
     write_package(tmp_path / "s", edited, colors)
     now = {p.name for p in (tmp_path / "s" / "parts").iterdir()}
     assert len(now - set(times)) == 1
