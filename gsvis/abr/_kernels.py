@@ -301,7 +301,7 @@ def take(plan, place, units, active, held, scene, links, view, budget, out):
         links: (words of all candidates, offsets and ids of replacements, offsets and ids of replaced).
         view: (eye, planes).
         budget: bytes.
-        out: (Gaussians, terms, dropped) receive ids.
+        out: (Gaussians, terms, dropped) receive ids; and room for as many as can be dropped.
 
     Returns:
         Where to go on, numbers of Gaussians, terms, and dropped Gaussians, and bytes.
@@ -310,7 +310,7 @@ def take(plan, place, units, active, held, scene, links, view, budget, out):
     gaussians, held_terms, gone = held
     means, radii, sizes, term_offsets, term_sizes = scene
     planes = view[1]
-    out_gaussians, out_terms, out_dropped = out
+    out_gaussians, out_terms, out_dropped, queue = out
     found, found_terms, dropped, total = 0, 0, 0, 0.0
     one = np.uint64(1)
     while place < len(plan):
@@ -332,7 +332,7 @@ def take(plan, place, units, active, held, scene, links, view, budget, out):
                 out_gaussians[found] = g
                 found += 1
                 _put(gaussians, g)
-                dropped = _let_go(g, held, links, out_dropped, dropped)
+                dropped = _let_go(g, held, links, queue, out_dropped, dropped)
             else:
                 for t in range(term_offsets[g], term_offsets[g + 1]):
                     if _has(active, t) and not _has(held_terms, t):
@@ -347,23 +347,33 @@ def take(plan, place, units, active, held, scene, links, view, budget, out):
 
 
 @njit(inline="always")
-def _let_go(g, held, links, out, dropped):
-    """Mark as gone those whose place g takes and whose other replacements are held, too, or not to be seen here."""
+def _let_go(g, held, links, queue, out, dropped):
+    """Mark as gone those whose place g takes and whose other replacements are there, or not to be seen here.
+
+    What is gone has been replaced itself: it counts as there, and those whose place it was to take are looked at, too.
+    """
     gaussians, _, gone = held
     candidates, offsets, ids, replaced_offsets, replaced = links
-    for k in range(replaced_offsets[g], replaced_offsets[g + 1]):
-        x = np.int64(replaced[k])
-        if _has(gone, x):
-            continue
-        complete = True
-        for m in range(offsets[x], offsets[x + 1]):
-            h = np.int64(ids[m])
-            if _has(candidates, h) and not _has(gaussians, h):
-                complete = False
-                break
-        if complete:
-            _put(gone, x)
-            if _has(gaussians, x):
-                out[dropped] = x
-                dropped += 1
-    return dropped
+    waiting, done, y = 0, 0, g
+    while True:
+        for k in range(replaced_offsets[y], replaced_offsets[y + 1]):
+            x = np.int64(replaced[k])
+            if _has(gone, x):
+                continue
+            complete = True
+            for m in range(offsets[x], offsets[x + 1]):
+                h = np.int64(ids[m])
+                if _has(candidates, h) and not _has(gaussians, h) and not _has(gone, h):
+                    complete = False
+                    break
+            if complete:
+                _put(gone, x)
+                queue[waiting] = x
+                waiting += 1
+                if _has(gaussians, x):
+                    out[dropped] = x
+                    dropped += 1
+        if done == waiting:
+            return dropped
+        y = np.int64(queue[done])
+        done += 1

@@ -84,6 +84,8 @@ class CandidateStore:
         spreads: (W,) float32 mean square of their distance from its middle.
         word_bytes: (W,) float32 mean bytes of their records.
         term_size: Mean bytes of a term.
+        least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
+        ending: Gaussians that are replaced by others.
     """
 
     def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, max_bytes: int = 256 << 20) -> None:
@@ -99,6 +101,8 @@ class CandidateStore:
         self.word_bytes = np.ones(count, np.float32)
         self.word_bytes[: len(starts)] = sums / np.minimum(64, len(index) - starts)
         self.term_size = float(index.term_bytes.mean()) if index.num_terms else 0.0
+        self.least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
+        self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
         self._strengths = strengths(index, pixel)
         every = CellMembers.of(np.arange(len(index)), len(index))
         units = self._units(every, np.full(1, np.mean(index.class_weights), np.float32))
@@ -179,3 +183,7 @@ def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
 def _empty(count: int) -> tuple[Any, ...]:
     strength, labels = np.empty((count, 2), np.float32), np.empty((count, 3), np.uint8)
     return np.empty(count, np.int32), np.empty(count, np.uint64), strength, labels
+
+
+def _least(sizes: F32) -> float:
+    return float(sizes.min()) if len(sizes) else 1.0

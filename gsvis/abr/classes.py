@@ -85,10 +85,13 @@ class FieldOfView:
 
         Args:
             position: (3,) eye.
-            quat: (4,) wxyz, world from camera.
+            quat: (4,) wxyz, world from camera, any length but 0.
         """
         eye = _check.floats("position", position, (3,), np.float64)
-        turn = rotations_from_quats(_check.floats("quat", quat, (4,), np.float64)[None])[0]
+        unit = _check.floats("quat", quat, (4,), np.float64)
+        if not (length := float(np.linalg.norm(unit))) > 0:
+            raise ValueError("quat: expected a rotation, got a zero quaternion")
+        turn = rotations_from_quats(unit[None] / length)[0]
         angles = np.arctan([self.left, self.right, self.top, self.bottom]) + self.margin
         sines, cosines = np.sin(np.minimum(angles, _WIDEST)), np.cos(np.minimum(angles, _WIDEST))
         local = np.zeros((5, 3))

@@ -19,7 +19,6 @@ from gsvis.abr.policies import UtilityConfig, lowest_last, offsets
 
 __all__ = ["Batch", "Planner"]
 
-F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 
@@ -76,11 +75,9 @@ class Planner:
         self._top = 0
         self._plan, self._place = np.zeros(0, np.int32), 0
         self._least, self._whole = 0, True
-        starts, self._ends = index.replacement_offsets, int(np.count_nonzero(np.diff(index.replacement_offsets)))
-        self._links = starts, index.replacement_ids, *index.replaced
+        self._links = index.replacement_offsets, index.replacement_ids, *index.replaced
         self._scene = store.spheres, store.spreads, store.word_bytes, index.term_offsets, store.term_size
         self._records = index.means, index.radii, index.gaussian_bytes, index.term_offsets, index.term_bytes
-        self._least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
 
     @property
     def done(self) -> bool:
@@ -110,29 +107,25 @@ class Planner:
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
         candidates = self._candidates
-        most = [
-            min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(self._counts, self._least_sizes, strict=True)
-        ]
-        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(self._ends, np.int32)
+        counts, sizes = (self.holdings.gaussians, self.holdings.terms), self.store.least_sizes
+        most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
+        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(self.store.ending, np.int32)
+        queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
         while candidates is not None and not self.done:
             if self._place == len(self._plan):
                 self._rank(candidates, max(self.reach, budget - total))
             rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
             links = candidates.union, *self._links
-            self._place, *counts, size = kernels.take(
+            self._place, *found, size = kernels.take(
                 self._plan, self._place, candidates.units, candidates.active, self.holdings.words, self._records, links,
-                self._view, budget - total, rest,
+                self._view, budget - total, (*rest, queue),
             )  # fmt: skip
-            taken, total = [a + b for a, b in zip(taken, counts, strict=True)], total + size
+            taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
             if self._place < len(self._plan):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
         return Batch(gaussians, terms, dropped, total)
-
-    @property
-    def _counts(self) -> tuple[int, int]:
-        return self.holdings.gaussians, self.holdings.terms
 
     def _rank(self, candidates: Candidates, enough: float) -> None:
         count = len(candidates)
@@ -144,7 +137,3 @@ class Planner:
             (self._top, float(enough), self._least), work,
         )  # fmt: skip
         self._plan, self._place, self._least = plan[:length], 0, last + 1
-
-
-def _least(sizes: F32) -> float:
-    return float(sizes.min()) if len(sizes) else 1.0

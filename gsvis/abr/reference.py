@@ -141,11 +141,14 @@ def _walk(
             elif not terms and g not in held:
                 held.add(g)
                 out.append(("gaussian", g))
-                for x in ids[starts[g] : starts[g + 1]].tolist():
-                    low, high = index.replacement_offsets[x : x + 2]
-                    wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
-                    if x not in gone and all(h in held for h in wanted):
-                        gone.add(x)
-                        if x in held:
-                            out.append(("drop", x))
+                queue = [g]
+                while queue:
+                    y = queue.pop(0)
+                    for x in ids[starts[y] : starts[y + 1]].tolist():
+                        low, high = index.replacement_offsets[x : x + 2]
+                        wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
+                        if x not in gone and all(h in held or h in gone for h in wanted):
+                            gone.add(x)
+                            queue.append(x)
+                            out += [("drop", x)] if x in held else []
     return out
