@@ -148,13 +148,14 @@ class CandidateStore:
             found = _empty(len(self._every[0]))
             count = kernels.ring_units(fresh, ring, self._every, found, 0)
             parts.append(tuple(array[:count] for array in found))
-        units = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        words, masks, strong, labels = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         active, terms = np.zeros(0, np.uint64), 0
         if index.num_terms:
             ids = index.cells.terms(cell)
             active, terms = np.zeros(word_count(index.num_terms), np.uint64), len(ids)
             mark(np.ascontiguousarray(ids), active)
-        return Candidates(cell, *units, seen, active, np.cumsum(sums)[:levels] + terms * self.term_size)
+        needs = np.cumsum(sums)[:levels] + terms * self.term_size
+        return Candidates(cell, words, masks, strong, labels, seen, active, needs)
 
     def _units(self, members: CellMembers, weights: F32) -> tuple[Any, ...]:
         """Units of what one cell sees, ring 0."""

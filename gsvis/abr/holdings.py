@@ -6,6 +6,7 @@ As packed words for the kernels, as roaring bitmaps in their portable format for
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ class Holdings:
             theirs[:] = mine
         return other
 
-    def add(self, gaussians: NDArray[np.integer], terms: NDArray[np.integer], dropped: NDArray[np.integer]) -> None:  # type: ignore[type-arg]
+    def add(self, gaussians: NDArray[Any], terms: NDArray[Any], dropped: NDArray[Any]) -> None:
         """Enter what a batch brought: what a client does.
 
         Raises:

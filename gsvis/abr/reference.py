@@ -109,12 +109,12 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
     return sorted(found.items(), key=place)
 
 
-def _gain(store: CandidateStore, word: int, strength: list[F32], eye: F32, weight: np.float32) -> np.float32:
+def _gain(store: CandidateStore, word: int, strength: list[F32], eye: F32, weight: np.float32) -> NDArray[np.float32]:
     """Mean weighted solid angle, for each byte, of Gaussians of a word whose strengths are given."""
     x, y, z = store.spheres[word, :3] - eye
     square = x * x + y * y + z * z + store.spreads[word] + np.float32(1e-12)
     area, pixel = (np.float32(float(weight) * sum(float(pair[k]) for pair in strength) / len(strength)) for k in (0, 1))
-    return np.float32(area / square + pixel)
+    return np.asarray(area / square + pixel, np.float32)
 
 
 def _walk(

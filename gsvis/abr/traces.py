@@ -83,7 +83,7 @@ class BandwidthTrace:
     def rate_at(self, t: float) -> float:
         """Mbit/s from time t on."""
         _, within = self._turns(t)
-        return float(self.mbit_per_s[min(np.searchsorted(self.times, within, side="right"), len(self.times) - 1)])
+        return float(self.mbit_per_s[min(int(np.searchsorted(self.times, within, side="right")), len(self.times) - 1)])
 
     def bytes_between(self, start: float, stop: float) -> float:
         """Bytes carried from `start` to `stop`, both in seconds >= 0.
