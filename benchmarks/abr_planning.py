@@ -36,7 +36,7 @@ class NearestCells:
         self._members = []
         for centre in centres:
             apart = np.linalg.norm(means - centre, axis=1)
-            ids = np.flatnonzero(apart <= np.quantile(apart, share))
+            ids = np.flatnonzero(apart <= np.partition(apart, int(share * len(apart)) - 1)[int(share * len(apart)) - 1])
             classes = rng.integers(0, 4, len(ids)).astype(np.uint8)
             self._members.append(CellMembers.of(ids, len(means), classes))
         self._terms = np.flatnonzero(rng.random(terms) < 0.1).astype(np.uint32)
@@ -102,7 +102,7 @@ def main() -> None:
     levels = levels_of(load_scene(data / "scenes" / "showroom" / "lod-meta.json", lod=3))
     means = levels.union.means
     low, high = levels.union.bounds(0.9)
-    boxes = np.array([10, 10, 2])
+    boxes = np.array([5, 5, 2])
     side = float(((high - low) / boxes).max())
     coords = np.argwhere(np.ones(boxes, bool)).astype(np.int32)
     grid = CellGrid(low, side, tuple(int(n) for n in boxes), coords, np.array([0.0, 0.0, 1.0]))
