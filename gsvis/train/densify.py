@@ -21,6 +21,7 @@ from gsvis.train.parameters import Parameters
 
 __all__ = ["Densifier", "DensifyConfig"]
 
+_FAINT = math.log(0.05 / 0.95)  # logit at which the clone of a frozen one begins, as that one cannot make room for it
 _SMALLER = 1.6  # a split Gaussian is this much larger than its two parts
 
 
@@ -139,6 +140,8 @@ class Densifier:
         split = chosen & large if c.split else torch.zeros_like(chosen)
         split[: p.frozen] = False  # a frozen one is cloned instead
         cloned = {name: value.detach()[chosen & ~split] for name, value in p.values.items()}
+        standing = int((chosen & ~split)[: p.frozen].sum())
+        cloned["logit_opacities"][:standing] = cloned["logit_opacities"][:standing].clamp(max=_FAINT)
         parts = self._parts(split, generator)
         p.append({name: torch.cat([cloned[name], parts[name]]) for name in cloned})
         return split

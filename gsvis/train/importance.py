@@ -143,8 +143,10 @@ def prune(
     """Nested subsets, found by taking away what is missed least, a share at a time, and looking again.
 
     Effects of single removals do not add up: of two Gaussians that hide each other either may go, but not both. So
-    after each round it is measured again what the removal of each of those that stay would change. That change counts
-    and not its sign: those whose loss would mend what is amiss all mend it in the same direction, and too much.
+    after each round it is measured again what the removal of each of those that stay would change, and it is measured
+    while all the others are there with the share of their alpha that the round will leave of them on average: what two
+    that hide each other do then shows. The change counts and not its sign: those whose loss would mend what is amiss
+    all mend it in the same direction, and too much. docs/design/015-importance.md compares.
 
     Args:
         gaussians: N Gaussians.
@@ -175,7 +177,8 @@ def prune(
 
         if size < len(kept):
             left = gaussians[kept]
-            values = removal_effects(left, cameras, background=background, progress=told).squared
+            presence = np.full(len(left), size / len(left), np.float32)
+            values = removal_effects(left, cameras, background=background, presence=presence, progress=told).squared
             kept = kept[most_important(left, values, size)]
         masks[size] = np.isin(np.arange(len(gaussians)), kept, assume_unique=True)
     progress("prune", total, total)

@@ -1,8 +1,8 @@
 """Quality levels that reuse each other: the most important Gaussians of a scene, frozen, and a few more that repair.
 
 The highest level is the scene itself. Each lower one keeps a part of it unchanged, nested in the part that the next
-level keeps, and is trained on what it lacks: photographs, or renders of the scene where there are none. So going up a
-level sends the difference alone.
+level keeps; a few merged Gaussians stand for the rest and are trained on photographs, or on renders of the scene where
+there are none. So going up a level sends the difference alone. docs/design/018-levels.md says what was tried.
 
 References:
     SRBF-Gaussian, section 6.1.
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.io.atomic import atomic_path
 from gsvis.progress import Progress, silent
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -30,6 +31,7 @@ from gsvis.train.densify import DensifyConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import prune
+from gsvis.train.merge import merged
 from gsvis.train.trainer import TrainConfig, train
 
 __all__ = ["LevelsConfig", "TrainedLevels", "train_levels"]
@@ -46,8 +48,8 @@ class LevelsConfig:
         reuse: Least share of each that stands in the next.
         names: Of all levels, the scene's own last.
         iterations: Steps of training for each level.
-        kept: Of what a level may have of its own, how much begins as the scene's next most important Gaussians; the
-            rest are clones that training adds where it needs them.
+        merged: Of what a level may have of its own, how much begins as merges of all that it lacks; the rest are clones
+            that training adds where it needs them.
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
         most_share: Of all Gaussians of a level, how many may be cloned at a time.
         prune_share: Of what is left, how much one round of the choice of frozen Gaussians takes away.
@@ -59,8 +61,8 @@ class LevelsConfig:
     shares: tuple[float, ...] = (0.25, 0.5)
     reuse: tuple[float, ...] = (0.90, 0.96)
     names: tuple[str, ...] = ("low", "medium", "high")
-    iterations: int = 1_500
-    kept: float = 0.5
+    iterations: int = 1_000
+    merged: float = 1.0
     threshold: float = 4e-4
     most_share: float = 0.01
     prune_share: float = 0.2
@@ -89,8 +91,8 @@ class LevelsConfig:
             raise ValueError(
                 f"names: expected {len(self.shares) + 1} different ones, the scene's own last, got {list(self.names)}"
             )
-        if not 0.0 <= self.kept <= 1.0:
-            raise ValueError(f"kept: expected a share in [0, 1], got {self.kept!r}")
+        if not 0.0 <= self.merged <= 1.0:
+            raise ValueError(f"merged: expected a share in [0, 1], got {self.merged!r}")
         if not 0.0 < self.prune_share < 1.0:
             raise ValueError(f"prune_share: expected a share in (0, 1), got {self.prune_share!r}")
         self.training(2, 1)
@@ -109,7 +111,7 @@ class LevelsConfig:
             frozen = max(int(np.ceil(reuse * total - 1e-9)), 1)
             if total < 2:
                 raise ValueError(f"shares: expected at least 2 Gaussians in each level, got {share:g} of {count}")
-            found.append((total, frozen, min(frozen + max(round(self.kept * (total - frozen)), 1), total)))
+            found.append((total, frozen, min(frozen + max(round(self.merged * (total - frozen)), 1), total)))
         return found
 
     def training(self, most_count: int, sh_degree: int) -> TrainConfig:
@@ -132,6 +134,11 @@ class LevelsConfig:
             iterations=self.iterations,
             sh_degree=sh_degree,
             sh_every=0,
+            means_rate=6e-4,  # rates are faster than for a scene from nothing: there are few steps
+            means_rate_end=6e-5,
+            scales_rate=0.01,
+            opacities_rate=0.1,
+            sh0_rate=0.01,
             densify=rules,
             evaluate_every=self.evaluate_every,
             seed=self.seed,
@@ -202,7 +209,7 @@ def train_levels(
             continue
         result = train(
             views,
-            scene[masks[begun] & ~stays],
+            merged(scene[~stays], begun - frozen),
             config.training(total, scene.sh_degree),
             frozen=scene[stays],
             held_out=held_out,
@@ -226,9 +233,10 @@ def _subsets(
     progress: Progress,
 ) -> dict[int, Mask]:
     """Nested masks by their size, from a file of the same run if there is one."""
-    counts = sorted({count for _, frozen, begun in sizes for count in (frozen, begun)}, reverse=True)
+    counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
+    cameras = _halved(views.cameras)
     if work is None:
-        return dict(zip(counts, prune(scene, views, counts, share=share, progress=progress), strict=True))
+        return dict(zip(counts, prune(scene, cameras, counts, share=share, progress=progress), strict=True))
     path = Path(work) / "subsets.npz"
     digest = hashlib.sha256(json.dumps([scene_hash(scene), counts, share]).encode())
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
@@ -250,7 +258,14 @@ def _subsets(
                 "delete it to begin anew, or name another folder"
             )
         return dict(zip(counts, bits, strict=True))
-    masks = prune(scene, views, counts, share=share, progress=progress)
+    masks = prune(scene, cameras, counts, share=share, progress=progress)
     with atomic_path(path) as partial, partial.open("wb") as file:
         np.savez(file, key=np.frombuffer(key.encode(), np.uint8), masks=np.packbits(np.stack(masks), axis=1))
     return dict(zip(counts, masks, strict=True))
+
+
+def _halved(cameras: Cameras) -> Cameras:
+    """The same at half the size: enough to choose by, and quicker."""
+    width, height = max(cameras.width // 2, 1), max(cameras.height // 2, 1)
+    scale = np.array([width / cameras.width, height / cameras.height, 1.0])
+    return Cameras(cameras.viewmats, cameras.Ks * scale[:, None], width, height, cameras.names)

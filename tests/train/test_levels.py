@@ -287,7 +287,7 @@ def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views:
         ({"names": ("low", "high")}, "names: expected 3 different ones"),
         ({"names": ("low", "low", "high")}, "names: expected 3 different ones"),
         ({"iterations": 0}, "iterations: expected"),
-        ({"kept": 1.5}, "kept: expected a share in"),
+        ({"merged": 1.5}, "merged: expected a share in"),
         ({"prune_share": 0.0}, "prune_share: expected a share in"),
         ({"prune_share": 1.0}, "prune_share: expected a share in"),
         ({"threshold": 0.0}, "threshold: expected a finite number > 0"),
