@@ -242,10 +242,10 @@ def _change(w, k, channels, intensities):
 @njit(cache=True, nogil=True, fastmath=True)
 def falls_along(w, total, terms, channels, intensities):
     """Whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
-    for k in range(terms):
-        if _change(w, k, channels, intensities) > 1e-7 * total:
-            return False
-    return True
+    k = 0
+    while k < terms and _change(w, k, channels, intensities) <= 1e-7 * total:
+        k += 1
+    return k == terms
 
 
 @njit(cache=True, nogil=True, fastmath=True)

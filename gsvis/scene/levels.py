@@ -55,8 +55,10 @@ class Levels:
             raise ValueError(f"last: expected at least first, got less at index {int(np.argmax(low > high))}")
         for array in (low := low.view(), high := high.view()):
             array.flags.writeable = False
-        for name, value in (("union", union), ("first", low), ("last", high), ("names", names)):
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "union", union)
+        object.__setattr__(self, "first", low)
+        object.__setattr__(self, "last", high)
+        object.__setattr__(self, "names", names)
         empty = [name for k, name in enumerate(names) if not self.member(k).any()]
         if empty:
             raise ValueError(f"first: expected a Gaussian in every level, got none in {empty[0]!r}")
