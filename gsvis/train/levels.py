@@ -2,7 +2,7 @@
 
 The highest level is the scene itself. Each lower one keeps a part of it unchanged, nested in the part that the next
 level keeps; a few merged Gaussians stand for the rest and are trained on photographs, or on renders of the scene where
-there are none. So going up a level sends the difference alone. docs/design/018-levels.md says what was tried.
+there are none. So going up a level sends the difference alone. docs/design/019-levels.md says what was tried.
 
 References:
     SRBF-Gaussian, section 6.1.
