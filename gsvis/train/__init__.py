@@ -4,24 +4,38 @@ from __future__ import annotations
 
 from gsvis.train.densify import DensifyConfig
 from gsvis.train.history import Record
-from gsvis.train.images import PosedImages
+from gsvis.train.images import PosedImages, render_views
+from gsvis.train.importance import importance, most_important, prune
 from gsvis.train.initial import gaussians_from_points, random_points
+from gsvis.train.level_quality import LevelQuality, measure_levels
+from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 from gsvis.train.likeness import ViewLikeness, measure_views
+from gsvis.train.merge import merged
 from gsvis.train.photos import Photos, load_photos
 from gsvis.train.trainer import TrainConfig, Trainer, TrainResult, train
 
 __all__ = [
     "DensifyConfig",
+    "LevelQuality",
+    "LevelsConfig",
     "Photos",
     "PosedImages",
     "Record",
     "TrainConfig",
     "TrainResult",
+    "TrainedLevels",
     "Trainer",
     "ViewLikeness",
     "gaussians_from_points",
+    "importance",
     "load_photos",
+    "measure_levels",
     "measure_views",
+    "merged",
+    "most_important",
+    "prune",
     "random_points",
+    "render_views",
     "train",
+    "train_levels",
 ]

@@ -20,6 +20,7 @@ from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import psnr
 from gsvis.render.rasterizer import rasterize
+from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -197,7 +198,9 @@ class Trainer:
         """Measure on held-out views, if there are any, and note how things stand."""
         now = Record(self.step, self.seconds, self.loss, len(self.parameters))
         if self.held_out is not None:
-            now = replace(now, psnr=mean_psnr(self.gaussians(), self.held_out, self.config.backend))
+            with torch.no_grad():
+                drawn = self.parameters.activated()  # where they are: a GPU has no use for arrays
+            now = replace(now, psnr=mean_psnr(drawn, self.held_out, self.config.backend))
         self.history.append(now)
         _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
         return now
@@ -292,7 +295,7 @@ def extent_of(cameras: Cameras) -> float:
     return 1.1 * float(away.max()) or 1.0
 
 
-def mean_psnr(gaussians: Gaussians, views: PosedImages, backend: str = "auto") -> float:
+def mean_psnr(gaussians: Gaussians | GaussianTensors, views: PosedImages, backend: str = "auto") -> float:
     """Mean PSNR over views in dB, of images clipped to [0, 1] as a display does."""
     with torch.no_grad():
         values = []

@@ -1,0 +1,78 @@
+"""Merged Gaussians: counts, moments, coverage; one voxel each is the scene itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.merge import merged, merged_by_cell, occupied_voxels
+
+
+def cloud(n: int = 600, seed: int = 3, degree: int = 1) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        rng.normal(size=(n, 3)) * [3.0, 2.0, 1.0],
+        rng.normal(size=(n, 4)),
+        np.exp(rng.normal(-3.0, 0.7, size=(n, 3))),
+        rng.uniform(0.05, 0.9, size=n),
+        rng.normal(size=(n, 1, 3)),
+        0.1 * rng.normal(size=(n, (degree + 1) ** 2 - 1, 3)),
+    )
+
+
+@pytest.mark.parametrize("count", [1, 7, 150, 300, 599, 600])
+@pytest.mark.parametrize("degree", [0, 1])
+def test_a_merged_scene_has_the_count_asked_for(count: int, degree: int) -> None:
+    level = merged(cloud(degree=degree), count)
+    assert len(level) == count
+    assert level.sh_degree == degree
+
+
+def test_a_merged_scene_with_a_voxel_for_each_is_the_scene() -> None:
+    g = cloud()
+    level = merged(g, len(g))
+    back = np.lexsort(level.means.T), np.lexsort(g.means.T)
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(getattr(level, name)[back[0]], getattr(g, name)[back[1]])
+
+
+def test_moments_of_a_cell_are_those_of_its_mixture() -> None:
+    one = Gaussians(
+        [[5.0, 0, 0], [7.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[0.5] * 3] * 2, [0.4, 0.4], [[[0.0] * 3], [[1.0] * 3]]
+    )
+    level = merged_by_cell(one, np.zeros(2, np.int64))
+    np.testing.assert_allclose(level.means, [[6, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(level.covars()[0], np.diag([1.25, 0.25, 0.25]), atol=1e-6)
+    np.testing.assert_allclose(level.sh0, [[[0.5] * 3]], atol=1e-6)
+    shadow = np.pi * ((2 * (1.25 * 0.25) ** 0.8 + 0.25**1.6) / 3) ** (1 / 1.6)
+    np.testing.assert_allclose(level.opacities, [2 * 0.4 * np.pi * 0.25 / shadow], rtol=1e-5)
+
+
+def test_what_covers_little_counts_little_and_opacity_has_a_top() -> None:
+    pair = Gaussians([[0.0, 0, 0], [1.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[0.3] * 3] * 2, [0.0, 1.0], np.zeros((2, 1, 3)))
+    level = merged_by_cell(pair, np.zeros(2, np.int64))
+    np.testing.assert_allclose(level.means, [[1, 0, 0]], atol=1e-6)
+    same = Gaussians([[0.0, 0, 0]] * 3, [[1, 0, 0, 0]] * 3, [[0.3] * 3] * 3, [0.9] * 3, np.zeros((3, 1, 3)))
+    assert merged_by_cell(same, np.zeros(3, np.int64)).opacities[0] == pytest.approx(0.996)
+
+
+def test_a_merged_scene_follows_a_scale_of_the_scene_and_a_shuffle() -> None:
+    g = cloud()
+    level, larger = merged(g, 200), merged(g.transformed(np.eye(3), scale=4.0), 200)
+    np.testing.assert_allclose(larger.means, 4.0 * level.means, rtol=1e-4, atol=1e-5)
+    shuffled = merged(g[np.random.default_rng(0).permutation(len(g))], 200)
+    np.testing.assert_allclose(shuffled.means, level.means, atol=1e-5)
+
+
+def test_voxels_far_away_do_not_overflow() -> None:
+    cells = occupied_voxels(np.array([[0.0, 0, 0], [1e12, 0, 0], [-1e12, 5, 0], [0.5, 0.5, 0.5]]), 1.0)
+    assert len(set(cells.tolist())) == 3
+    assert cells[0] == cells[3]
+
+
+def test_centres_that_coincide_cannot_be_told_apart() -> None:
+    same = Gaussians(np.zeros((3, 3)), [[1, 0, 0, 0]] * 3, np.ones((3, 3)), [0.5] * 3, np.zeros((3, 1, 3)))
+    assert len(merged(same, 1)) == 1
+    with pytest.raises(ValueError, match="count: expected at most 1 of 3"):
+        merged(same, 2)
