@@ -391,6 +391,8 @@ class Train:
     """What draws; auto takes a GPU where there is one that can. (default: auto)"""
     checkpoint: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: OUT.checkpoint)")] = None
     """Keeps a run that is not done, and is removed with its end. The same command goes on from it."""
+    checkpoint_seconds: Annotated[int, COUNTED] = 120
+    """Seconds from one write of it to the next: what a kill may cost."""
     restart: Flag = False
     """Begin anew where there is a checkpoint."""
     json: Flag = False

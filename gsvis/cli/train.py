@@ -203,7 +203,11 @@ def _trained(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
     _warm_up(trainer.config, plan.device, status)
     try:
         with between_steps() as stop_if_asked:
-            result = trainer.run(checkpoint=plan.checkpoint, progress=_telling(trainer, status, begun, stop_if_asked))
+            result = trainer.run(
+                checkpoint=plan.checkpoint,
+                checkpoint_seconds=command.checkpoint_seconds,
+                progress=_telling(trainer, status, begun, stop_if_asked),
+            )
     except KeyboardInterrupt:
         if not plan.checkpoint.exists():
             raise
