@@ -69,7 +69,7 @@ def test_what_is_too_faint_to_be_seen_is_not() -> None:
 
 @pytest.mark.xfail(
     strict=False,
-    reason="does not hold for 16 of 80 scenes (seeds 150 to 229) at a share of 1: nearness falls, by 30% in one of them; "
+    reason="does not hold for 16 of 80 scenes (seeds 150 to 229) at a share of 1: nearness falls, by 30% in one; "
     "not understood yet; Hypothesis first met it on 2026-11-21",
 )
 @given(seed=st.integers(0, 10**6), share=st.floats(0.0, 1.0))
