@@ -198,9 +198,9 @@ class Trainer:
         """Measure on held-out views, if there are any, and note how things stand."""
         now = Record(self.step, self.seconds, self.loss, len(self.parameters))
         if self.held_out is not None:
-            with torch.no_grad():
-                drawn = self.parameters.activated()  # where they are: a GPU has no use for arrays
-            now = replace(now, psnr=mean_psnr(drawn, self.held_out, self.config.backend))
+            device = self.parameters.values["means"].device  # a GPU has no use for arrays
+            scene = GaussianTensors.from_gaussians(self.gaussians(), device=device)
+            now = replace(now, psnr=mean_psnr(scene, self.held_out, self.config.backend))
         self.history.append(now)
         _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
         return now

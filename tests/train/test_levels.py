@@ -129,7 +129,7 @@ def test_a_level_looks_more_like_the_scene_than_what_it_keeps_alone(
         history = trained.histories[name]
         assert [record.step for record in history] == [20, 40, 60]
         assert history[-1].count == levels.counts[k]
-        assert history[-1].psnr == pytest.approx(mean_psnr(levels.level(k), held_out), abs=1e-3)
+        assert history[-1].psnr == pytest.approx(mean_psnr(levels.level(k), held_out), abs=1e-6)
     assert mean_psnr(levels.level(1), views) > mean_psnr(levels.level(0), views)
 
 

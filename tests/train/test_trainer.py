@@ -68,7 +68,7 @@ def test_it_comes_closer_also_where_it_did_not_look(views: PosedImages, start: G
     first = mean_psnr(start, held_out)
     assert [record.step for record in result.history] == [30, 60]
     assert first + 3.0 < result.history[-1].psnr
-    assert result.history[-1].psnr == pytest.approx(mean_psnr(result.gaussians, held_out), abs=1e-3)
+    assert result.history[-1].psnr == pytest.approx(mean_psnr(result.gaussians, held_out), abs=1e-6)
     assert result.gaussians.sh_degree == 1
     assert result.history[-1].count == len(result.gaussians) != COUNT
 
