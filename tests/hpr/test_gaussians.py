@@ -69,7 +69,7 @@ def test_what_is_too_faint_to_be_seen_is_not() -> None:
 
 @pytest.mark.xfail(
     strict=False,
-    reason="does not hold for 16 of 80 scenes (seeds 150 to 229) at a share of 1: what _through_hull takes for the sky is "
+    reason="does not hold for 16 of 80 scenes (seeds 150 to 229) at a share of 1: the sky of _through_hull is "
     "1000 times the deepest end of light, which moves; with a fixed sky 0 of 40 fail where 9 do",
 )
 @given(seed=st.integers(0, 10**6), share=st.floats(0.0, 1.0))
