@@ -85,7 +85,7 @@ class OcclusionHull:
         toward, shapes, faces = np.empty((len(g), 3)), np.empty((len(g), 5)), np.empty(len(g), np.int64)
         _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, faces, shapes)
         depths = _light_ends(g, toward, shapes, faces, size, spent)
-        return cls(eye, size, _through_hull(depths, size, margin), g, toward, shapes)
+        return cls(eye, size, _through_hull(depths, size, margin, shapes[:, 0]), g, toward, shapes)
 
     @classmethod
     def from_depths(
@@ -109,7 +109,7 @@ class OcclusionHull:
         toward, shapes, faces = np.empty((len(g), 3)), np.empty((len(g), 5)), np.empty(len(g), np.int64)
         _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, faces, shapes)
         size = ends.shape[1]
-        return cls(eye, size, _through_hull(ends.reshape(-1), size, margin), g, toward, shapes)
+        return cls(eye, size, _through_hull(ends.reshape(-1), size, margin, shapes[:, 0]), g, toward, shapes)
 
     def nearness(self, ids: ArrayLike | None = None) -> F32:
         """How far in front of the hull, or behind it, each Gaussian lies.
@@ -170,7 +170,7 @@ def visible_gaussians(
 
 def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, spent: float) -> F64:
     """(6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
-    distances = shapes[:, 0][(faces < 7) & (shapes[:, 0] > 0.0)]
+    distances = shapes[:, 0][shapes[:, 0] > 0.0]  # of faint ones too: bins that opacity does not move
     if len(distances) == 0:
         return np.full(6 * size * size, np.inf)
     sample = distances[:: max(len(distances) // 20_000, 1)]
@@ -186,16 +186,22 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
     return depths
 
 
-def _through_hull(depths: F64, size: int, margin: float) -> F64:
-    """The distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see."""
-    deepest = float(depths[np.isfinite(depths)].max(initial=0.0))
-    if deepest == 0.0:  # open everywhere, or an eye in the dark
+def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
+    """The distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
+
+    Where light never ends, the sky is flipped. It lies 1000 times as far as the farthest of the centres, at `distances`
+    (N,) from the eye, and not at a multiple of the deepest end of light: more opacity moves that, and a sky that comes
+    nearer shows more.
+    """
+    away = distances[distances > 0.0]
+    if len(away) == 0 or not depths[np.isfinite(depths)].any():  # nobody asks, open everywhere, or an eye in the dark
         return depths
     directions = np.empty((len(depths), 3))
     _kernels.centres_of_cells(size, directions)
     gamma = -((np.pi / (2.0 * size)) ** 2) / (8.0 * margin)
-    sky = 1e3 * deepest
-    flips = directions * np.clip(depths, 1e-6 * deepest, sky)[:, None] ** gamma
+    sky = 1e3 * float(away.max())
+    dark = 1e-6 * float(np.median(away))  # how far an eye sees in the dark; 0 cannot be flipped
+    flips = directions * np.clip(depths, dark, sky)[:, None] ** gamma
     # Cells are symmetric and depths repeat: a touch of noise keeps four points from lying in one plane.
     flips *= 1.0 + 1e-9 * np.random.default_rng(0).random((len(flips), 1))
     hull, _ = Hull.around(flips, exact=False)
