@@ -86,6 +86,7 @@ def ticks(index: SceneIndex, policy: str, walk) -> tuple[list[float], Scheduler]
     def tick(t: float, position, quat) -> None:
         scheduler.on_pose(t, position, quat)
         batch = scheduler.next_batch(t, BUDGET)
+        scheduler.on_sent(t, batch.bytes)
         scheduler.on_ack(t + 0.1, max(batch.bytes, 1.0), max(batch.bytes, 1.0) / BUDGET * 0.1)
 
     for t, position, quat in zip(walk.times, walk.positions, walk.quats, strict=True):

@@ -3,6 +3,7 @@
     GsvisError
     ├── FormatError       a file does not hold what its format promises
     ├── SceneError        a scene is well formed but cannot serve the request (no free space, no Gaussian left)
+    ├── ProtocolError     a message does not hold what the wire promises
     └── BackendError      an engine or a library is missing or cannot do this; says what to install
 
 A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*.
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 from os import PathLike, fspath
 
-__all__ = ["BackendError", "FormatError", "GsvisError", "SceneError"]
+__all__ = ["BackendError", "FormatError", "GsvisError", "ProtocolError", "SceneError"]
 
 
 class GsvisError(Exception):
@@ -46,6 +47,23 @@ class FormatError(GsvisError):
 
 class SceneError(GsvisError):
     """A scene is well formed but cannot serve what was asked of it."""
+
+
+class ProtocolError(GsvisError):
+    """A message from the other end of a connection does not hold what the wire promises.
+
+    Args:
+        message: What was expected and what came, in a line that may be told to the other end.
+        code: Number of the fault, as ERROR messages carry it; `gsvis.stream.wire` names them.
+    """
+
+    def __init__(self, message: str, code: int = 1) -> None:
+        self.code = code
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[type[ProtocolError], tuple[str, int]]:
+        """Pickled by its parts."""
+        return type(self), (str(self), self.code)
 
 
 class BackendError(GsvisError):

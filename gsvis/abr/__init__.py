@@ -4,7 +4,8 @@
     scheduler = Scheduler(store, FieldOfView.of_degrees(90, 70, margin=8))    # one for a client
     scheduler.on_pose(t, position, quat)
     batch = scheduler.next_batch(t, scheduler.allowance())
-    scheduler.on_ack(t, batch.bytes, seconds)
+    scheduler.on_sent(t, nbytes)                                    # of the message that the batch has become
+    scheduler.on_ack(t, nbytes, seconds)
 
 Pure functions and small state machines: no socket, no clock (time is an argument), no torch. The same objects drive the
 simulator and the server. Names are imported when first used.

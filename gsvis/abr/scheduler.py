@@ -1,7 +1,8 @@
 """The scheduler: poses and acknowledgements in, batches out. One object drives the simulator and the server.
 
 A state machine without a clock: time, in seconds, is an argument. For each client one `Scheduler`; the candidates of a
-scene are shared (`CandidateStore`). Scene frame and units, bytes of records without what the wire adds.
+scene are shared (`CandidateStore`). Scene frame and units. Batches are counted in bytes of records; what is on its way
+and how fast the link is, in bytes of the wire, which the owner of the scheduler tells.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class SchedulerConfig:
         move: Share of the side of a cell by which it moves before they are.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
         window: Seconds of data that may be under way.
-        start_rate: Bytes a second that are believed before the first acknowledgement.
+        start_rate: Bytes of the wire a second that are believed before the first acknowledgement.
         utility: Factors of the policy "utility".
     """
 
@@ -78,8 +79,9 @@ class Scheduler:
 
     Attributes:
         holdings: What has been sent.
-        outstanding: Bytes sent and not acknowledged.
-        sent_bytes: Bytes of all batches.
+        outstanding: Bytes of the wire sent and not acknowledged.
+        wire_bytes: Bytes of the wire sent.
+        sent_bytes: Bytes of the records of all batches.
         regime: What the bandwidth allows, of `REGIMES`; None before the first batch.
         cell: The cell of the viewer; -1 before the first pose.
         plans: How often records were ranked for a new view.
@@ -103,7 +105,7 @@ class Scheduler:
         self._now: Pose | None = None
         self._time = -np.inf
         self._aimed: tuple[int, Pose, Pose, str] | None = None
-        self.outstanding, self.sent_bytes = 0.0, 0.0
+        self.outstanding, self.wire_bytes, self.sent_bytes = 0.0, 0.0, 0.0
         self.regime: str | None = None
         self.cell, self.plans = -1, 0
 
@@ -114,8 +116,14 @@ class Scheduler:
 
     @property
     def rate(self) -> float:
-        """Estimated throughput, bytes a second."""
+        """Estimated throughput, bytes of the wire a second."""
         return self._throughput.estimate()
+
+    @property
+    def record_rate(self) -> float:
+        """Estimated throughput, bytes of records a second: the rate less what the wire has added so far."""
+        share = self.sent_bytes / self.wire_bytes if self.wire_bytes > 0 else 1.0
+        return self.rate * min(share, 1.0) if share > 0 else self.rate
 
     @property
     def done(self) -> bool:
@@ -141,29 +149,41 @@ class Scheduler:
         self._poses.observe(t, pose.position, pose.quat)
         self._now, self._time, self.cell = pose, t, self._cell_of(pose.position)
 
+    def on_sent(self, t: float, size: float) -> None:
+        """A message is on its way.
+
+        Args:
+            t: Seconds; not looked at, for the record of who calls.
+            size: Bytes of the wire.
+        """
+        self.outstanding += size
+        self.wire_bytes += size
+
     def on_ack(self, t: float, size: float, seconds: float) -> None:
         """The client has received so many bytes, for which the link took so long.
 
         Args:
             t: Seconds; not looked at, for the record of who calls.
-            size: Bytes.
-            seconds: From the first byte's departure, or the end of the transfer before, to the last byte's arrival.
+            size: Bytes of the wire, as told to `on_sent`.
+            seconds: From the first byte's departure, or the end of the transfer before, to the last byte's arrival; 0
+                where nobody knows: the bytes are then acknowledged, and say nothing of the link.
         """
-        self._throughput.observe(size, seconds)
+        if seconds > 0:
+            self._throughput.observe(size, seconds)
         self.outstanding = max(0.0, self.outstanding - size)
 
     def allowance(self) -> float:
-        """Bytes that may be sent now, so that no more than `window` seconds of data are under way."""
+        """Bytes of the wire that may be sent now, so that no more than `window` seconds of data are under way."""
         return max(0.0, self.rate * self.config.window - self.outstanding)
 
     def next_batch(self, t: float, budget: float) -> Batch:
         """The next records for the client, of at most `budget` bytes; nothing before the first pose.
 
-        They count as held from now on: whoever loses them on the way begins again with `holdings` of the client.
+        They count as held from now on: whoever loses them on the way begins again with `holdings` of the client. They
+        do not count as being under way: `on_sent` is told when they are, and how large they are then.
         """
         self._aim(t)
         batch = self._planner.take(budget)
-        self.outstanding += batch.bytes
         self.sent_bytes += batch.bytes
         return batch
 
@@ -173,7 +193,7 @@ class Scheduler:
         config, now = self.config, self._now
         then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
         candidates = self.store.of(self.cell)
-        self.regime = regime_of(self.rate, candidates.level_bytes, config.horizon, self.regime)
+        self.regime = regime_of(self.record_rate, candidates.level_bytes, config.horizon, self.regime)
         if self._aimed is not None:
             cell, was, was_then, regime = self._aimed
             near = self._near(now, was) and self._near(then, was_then)
@@ -181,7 +201,7 @@ class Scheduler:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
         planes = np.stack([self.view.planes(pose.position, pose.quat) for pose in poses])
-        self._planner.reach = self.rate
+        self._planner.reach = self.record_rate
         self._planner.aim(self.cell, now.position, planes, self.regime)
         self._aimed = self.cell, now, then, self.regime
         self.plans += 1

@@ -29,6 +29,7 @@ def walked(scheduler: Scheduler, client: Holdings, seed: int, ticks: int, start:
         batch = scheduler.next_batch(t, max(200.0, scheduler.allowance()))
         client.add(batch.gaussians, batch.terms, batch.dropped)
         if batch.bytes:
+            scheduler.on_sent(t, batch.bytes)
             scheduler.on_ack(t + 0.1, batch.bytes, 0.1)
 
 
@@ -90,11 +91,18 @@ def test_what_is_under_way_is_bounded_by_the_window() -> None:
     scheduler = Scheduler(CandidateStore(scenes.random_index(7)), VIEW, SchedulerConfig(start_rate=1e4, window=0.3))
     scheduler.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
     assert scheduler.allowance() == 3e3
-    sent = scheduler.next_batch(0.0, scheduler.allowance()).bytes
-    assert scheduler.outstanding == sent
-    assert scheduler.allowance() == 3e3 - sent
-    scheduler.on_ack(0.2, sent, sent / 1e4)
+    records = scheduler.next_batch(0.0, scheduler.allowance() / 2).bytes
     assert scheduler.outstanding == 0.0
+    sent = 1.25 * records  # what the wire adds
+    scheduler.on_sent(0.0, sent)
+    assert scheduler.outstanding == sent
+    assert scheduler.record_rate == pytest.approx(1e4 / 1.25)
+    assert scheduler.allowance() == 3e3 - sent
+    scheduler.on_ack(0.2, sent / 2, 0.0)
+    assert (scheduler.outstanding, scheduler.rate) == (sent / 2, 1e4)
+    scheduler.on_ack(0.2, sent / 2, sent / 4e4)
+    assert scheduler.outstanding == 0.0
+    assert scheduler.rate == pytest.approx(2e4)
 
 
 def test_the_regime_follows_the_bandwidth_and_holds_on() -> None:

@@ -1,0 +1,145 @@
+"""What a client has to know of a scene before its first batch: counts, levels, tables of colours, frame, identity.
+
+As JSON in the metadata of the Arrow schema of all batches, so that a WELCOME and the batches after it, each without its
+head, are one Arrow stream.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from dataclasses import asdict, dataclass
+
+import pyarrow as pa
+
+from gsvis.color.records import Grids
+from gsvis.color.storage import grids_of
+from gsvis.color.variants import VARIANTS
+from gsvis.errors import FormatError, ProtocolError
+from gsvis.io._json import Fields, parse_object
+from gsvis.package.layout import RECORD_BYTES, TermLayout
+from gsvis.package.manifest import Manifest
+from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
+
+__all__ = ["SCHEMA", "SceneHeader"]
+
+SCHEMA = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
+"""Of every batch: one row a section."""
+
+HEAD = struct.Struct("<BBHI")  # type, version, 0, sequence
+_MOST_BYTES = 1 << 20
+_MOST = (1 << 31) - 1
+_KEY = b"gsvis"
+_WHERE = "WELCOME"
+
+
+@dataclass(frozen=True)
+class SceneHeader:
+    """What WELCOME says.
+
+    Attributes:
+        gaussians: N.
+        terms: T.
+        chunks: C.
+        names: Of the levels, lowest first.
+        counts: Gaussians of each.
+        grids: What base colours and terms point into.
+        up: (3,) unit axis that points upwards.
+        metres_per_unit: Size of a scene unit; 0 where nobody knows.
+        identity: 64 hexadecimal digits: what ids and records are of. Holdings are worth something for the same only.
+    """
+
+    gaussians: int
+    terms: int
+    chunks: int
+    names: tuple[str, ...]
+    counts: tuple[int, ...]
+    grids: Grids
+    up: tuple[float, float, float]
+    metres_per_unit: float
+    identity: str
+
+    @classmethod
+    def of(cls, manifest: Manifest) -> SceneHeader:
+        """What the manifest of a package says."""
+        named = [part.name for part, _ in manifest.tables]
+        for block in manifest.blocks:
+            named += [block.gaussians.name, *(part.name for part, _ in block.terms)]
+        said = json.dumps([named, asdict(manifest.grids), manifest.names], sort_keys=True)
+        return cls(
+            manifest.gaussians, manifest.terms, sum(rows for _, rows in manifest.tables), manifest.names,
+            manifest.counts, manifest.grids, manifest.info.up, manifest.info.metres_per_unit,
+            hashlib.sha256(said.encode()).hexdigest(),
+        )  # fmt: skip
+
+    @property
+    def term_bytes(self) -> int:
+        """Bytes of the record of a term."""
+        return TermLayout.of(self.grids).nbytes
+
+    @property
+    def axis_bytes(self) -> int:
+        """Bytes of the colour axes of a Gaussian, which come with its first term."""
+        return 2 * self.grids.kind.num_axes
+
+    def to_message(self) -> bytes:
+        """WELCOME."""
+        said = {
+            "protocol": PROTOCOL,
+            "gaussians": self.gaussians,
+            "terms": self.terms,
+            "chunks": self.chunks,
+            "levels": [{"name": name, "count": count} for name, count in zip(self.names, self.counts, strict=True)],
+            "record_bytes": RECORD_BYTES,
+            "term_bytes": self.term_bytes,
+            "axis_bytes": self.axis_bytes,
+            "colors": asdict(self.grids),
+            "up": list(self.up),
+            "metres_per_unit": self.metres_per_unit,
+            "identity": self.identity,
+        }
+        text = json.dumps(said, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+        schema = SCHEMA.with_metadata({_KEY: text})
+        return HEAD.pack(WELCOME, PROTOCOL, 0, 0) + bytes(schema.serialize())
+
+    @classmethod
+    def parse(cls, data: bytes) -> SceneHeader:
+        """What a WELCOME says.
+
+        Raises:
+            ProtocolError: If it is none, of another version, or contradicts itself.
+        """
+        if len(data) < HEAD.size or len(data) > _MOST_BYTES or data[0] != WELCOME:
+            raise ProtocolError(f"message: expected WELCOME, got {len(data):,} bytes of another kind")
+        if data[1] != PROTOCOL:
+            raise ProtocolError(f"WELCOME: expected version {PROTOCOL}, got {data[1]}; update", FAULTS["version"])
+        try:
+            schema = pa.ipc.read_schema(pa.py_buffer(data[HEAD.size :]))
+            if not schema.remove_metadata().equals(SCHEMA):
+                raise ProtocolError(f"WELCOME: expected the schema of batches, got {str(schema)[:80]!r}")
+            return cls._of(parse_object(_WHERE, (schema.metadata or {}).get(_KEY, b"")))
+        except (pa.ArrowException, OSError, FormatError, ValueError) as error:
+            raise ProtocolError(f"WELCOME: {str(error)[:200]}") from error
+
+    @classmethod
+    def _of(cls, said: Fields) -> SceneHeader:
+        colors, identity = said.child("colors"), said.raw("identity")
+        name = colors.raw("variant")
+        if name not in VARIANTS or not isinstance(identity, str) or len(bytes.fromhex(identity)) != 32:
+            raise ProtocolError("WELCOME: expected a known variant of colours and an identity, got others")
+        levels = [Fields(_WHERE, "levels", row) for row in said.items("levels")]
+        if not 1 <= len(levels) <= 16:
+            raise ProtocolError(f"WELCOME: expected 1 to 16 levels, got {len(levels)}")
+        up = said.numbers("up", 3).tolist()
+        n = said.integer("gaussians", 0, _MOST)
+        found = cls(
+            n, said.integer("terms", 0, 255 * n), said.integer("chunks", 0, n),
+            tuple(str(level.raw("name"))[:100] for level in levels),
+            tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
+            said.number("metres_per_unit"), identity,
+        )  # fmt: skip
+        sizes = RECORD_BYTES, found.term_bytes, found.axis_bytes
+        if tuple(said.integer(f"{key}_bytes", 0, 64) for key in ("record", "term", "axis")) != sizes:
+            raise ProtocolError(f"WELCOME: expected records of {sizes} bytes, got others")
+        return found

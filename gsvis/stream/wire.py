@@ -1,0 +1,207 @@
+"""Messages between a client and a server, to the byte: little-endian, the first byte says which one it is.
+
+What a client says is read by `parse_client`, which refuses anything else than a whole and sensible message before it
+allocates. Batches are in `batch.py`. docs/streaming.md is the description for other implementations.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.errors import ProtocolError
+
+__all__ = ["FAULTS", "MOST_HELLO", "PROTOCOL", "Ack", "Bye", "Hello", "PoseAt", "ServerFault", "parse_client"]
+
+PROTOCOL = 1
+"""Version of the messages."""
+
+MOST_HELLO = 16 << 20
+"""Bytes of a HELLO at most, unless told otherwise."""
+
+HELLO, POSE, ACK, BYE = 1, 2, 3, 4
+WELCOME, BATCH, ERROR = 129, 130, 131
+
+FAULTS = {
+    "malformed": 1,
+    "version": 2,
+    "too-large": 3,
+    "refused": 4,
+    "too-many": 5,
+    "flood": 6,
+    "late": 7,
+    "internal": 8,
+    "ending": 9,
+}
+"""Codes of ERROR: no message; another version; over a limit; no token; too many connections; too many messages; no
+acknowledgement for too long; a fault of the server; the server is going away."""
+
+IDENTITY = 32
+_HELLO = struct.Struct("<BBHI6f32s")  # type, version, 0, bytes of holdings, field of view, scene of the holdings
+_POSE = struct.Struct("<B3xI3f4f")
+_ACK = struct.Struct("<B3xI")
+_BYE = struct.Struct("<B3x")
+_ERROR = struct.Struct("<BBH")  # type, code, bytes of the line
+_MOST_LINE = 1000
+
+
+@dataclass(frozen=True)
+class Hello:
+    """The first message of a client.
+
+    Attributes:
+        view: What it shows.
+        identity: 32 bytes, `SceneHeader.identity` of the scene that the holdings are of; zeros without.
+        holdings: `Holdings.to_bytes` of what it holds; empty for nothing.
+        version: Of the protocol.
+    """
+
+    view: FieldOfView
+    identity: bytes = bytes(IDENTITY)
+    holdings: bytes = b""
+    version: int = PROTOCOL
+
+    def to_bytes(self) -> bytes:
+        """The message."""
+        if len(self.identity) != IDENTITY:
+            raise ValueError(f"identity: expected {IDENTITY} bytes, got {len(self.identity)}")
+        v = self.view
+        numbers = v.left, v.right, v.top, v.bottom, v.margin, v.near
+        return _HELLO.pack(HELLO, self.version, 0, len(self.holdings), *numbers, self.identity) + self.holdings
+
+
+@dataclass(frozen=True)
+class PoseAt:
+    """Where the client is.
+
+    Attributes:
+        time_ms: Milliseconds of the client's own clock, below 2^32.
+        position: (3,) scene frame, float32.
+        quat: (4,) wxyz, world from camera, not zero.
+    """
+
+    time_ms: int
+    position: tuple[float, float, float]
+    quat: tuple[float, float, float, float]
+
+    def to_bytes(self) -> bytes:
+        """The message."""
+        return _POSE.pack(POSE, self.time_ms & 0xFFFFFFFF, *self.position, *self.quat)
+
+
+@dataclass(frozen=True)
+class Ack:
+    """All messages up to this one have arrived; WELCOME is number 0.
+
+    Attributes:
+        sequence: Of the last one.
+    """
+
+    sequence: int
+
+    def to_bytes(self) -> bytes:
+        """The message."""
+        return _ACK.pack(ACK, self.sequence)
+
+
+@dataclass(frozen=True)
+class Bye:
+    """The client is leaving."""
+
+    def to_bytes(self) -> bytes:
+        """The message."""
+        return _BYE.pack(BYE)
+
+
+@dataclass(frozen=True)
+class ServerFault:
+    """Why the server ends the connection.
+
+    Attributes:
+        code: One of `FAULTS`.
+        line: For people.
+    """
+
+    code: int
+    line: str
+
+    def to_bytes(self) -> bytes:
+        """The message."""
+        text = self.line.encode("utf-8", "replace")[:_MOST_LINE]
+        return _ERROR.pack(ERROR, self.code, len(text)) + text
+
+    @classmethod
+    def of(cls, error: Exception) -> ServerFault:
+        """What to say of an error; nothing of the server's own faults but that there was one."""
+        if isinstance(error, ProtocolError):
+            return cls(error.code, str(error))
+        return cls(FAULTS["internal"], "the server failed; come back later")
+
+    @classmethod
+    def parse(cls, data: bytes) -> ServerFault:
+        """The message ERROR."""
+        if len(data) < _ERROR.size or data[0] != ERROR:
+            raise ProtocolError(f"message: expected ERROR, got {len(data)} bytes")
+        _, code, length = _ERROR.unpack_from(data)
+        if length > _MOST_LINE or len(data) != _ERROR.size + length:
+            raise ProtocolError(f"ERROR: expected {_ERROR.size + length} bytes, got {len(data)}")
+        return cls(code, data[_ERROR.size :].decode("utf-8", "replace"))
+
+
+def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt | Ack | Bye:
+    """What a client says.
+
+    Args:
+        data: One message.
+        most_hello: Bytes of a HELLO at most; for a known scene, `StreamedScene.most_hello`.
+
+    Raises:
+        ProtocolError: If it is anything else than one whole message with values that make sense. A HELLO of another
+            version has code `FAULTS["version"]`, one over the limit `FAULTS["too-large"]`.
+    """
+    kind = data[0] if data else 0
+    if kind == HELLO:
+        return _hello(data, most_hello)
+    for code, name, layout in ((POSE, "POSE", _POSE), (ACK, "ACK", _ACK), (BYE, "BYE", _BYE)):
+        if kind == code:
+            if len(data) != layout.size:
+                raise ProtocolError(f"{name}: expected {layout.size} bytes, got {len(data)}")
+            if data[1:4] != b"\0\0\0":
+                raise ProtocolError(f"{name}: expected zeros in bytes 1 to 3, got others")
+    if kind == POSE:
+        values = _POSE.unpack(data)[1:]
+        numbers = np.array(values[1:], np.float64)
+        if not np.isfinite(numbers).all():
+            raise ProtocolError("POSE: expected finite numbers, got others")
+        if not 1e-12 < float(numbers[3:] @ numbers[3:]) < 1e12:
+            raise ProtocolError("POSE: expected a rotation, got a quaternion of no sensible length")
+        return PoseAt(values[0], (values[1], values[2], values[3]), (values[4], values[5], values[6], values[7]))
+    if kind == ACK:
+        return Ack(_ACK.unpack(data)[1])
+    if kind == BYE:
+        return Bye()
+    raise ProtocolError(f"message: expected one of HELLO, POSE, ACK, BYE, got {'nothing' if not data else kind}")
+
+
+def _hello(data: bytes, most: int) -> Hello:
+    if len(data) > most:
+        raise ProtocolError(f"HELLO: expected at most {most:,} bytes, got {len(data):,}", FAULTS["too-large"])
+    if len(data) < 2 or data[1] != PROTOCOL:
+        got = f"version {data[1]}" if len(data) > 1 else "none"
+        raise ProtocolError(f"HELLO: expected version {PROTOCOL}, got {got}; update", FAULTS["version"])
+    if len(data) < _HELLO.size:
+        raise ProtocolError(f"HELLO: expected at least {_HELLO.size} bytes, got {len(data)}")
+    _, version, zero, length, *numbers, identity = _HELLO.unpack_from(data)
+    if zero or len(data) != _HELLO.size + length:
+        raise ProtocolError(f"HELLO: expected {_HELLO.size + length:,} bytes, got {len(data):,}")
+    if not np.abs(np.array(numbers)).max() < 1e6:  # worded so that NaN fails
+        raise ProtocolError("HELLO: expected a field of view of sensible numbers, got others")
+    try:
+        view = FieldOfView(*numbers)
+        view.planes((0, 0, 0), (1, 0, 0, 0))
+    except ValueError as error:
+        raise ProtocolError(f"HELLO: {error}") from error
+    return Hello(view, identity, data[_HELLO.size :], version)
