@@ -65,68 +65,65 @@ def word_spheres(means, radii, areas, spheres, spreads):
             spread += share * square
             reach = max(reach, np.sqrt(square) + radii[g])
         spheres[w, 0], spheres[w, 1], spheres[w, 2] = x, y, z
-        spheres[w, 3] = min(reach * 1.000001 + 1e-30, 1e30)
+        slack = 1e-6 * (reach + abs(x) + abs(y) + abs(z)) + 1e-30  # for what is rounded when depths are computed
+        spheres[w, 3] = min(reach + slack, 1e30)
         spreads[w] = min(spread / total, 1e30)
 
 
 @njit(**_OPTIONS)
-def cell_units(members, ring, scene, class_weights, found, filled):
-    """Split the members of a cell into units, and append them.
+def cell_units(members, scene, class_weights, found):
+    """Split the members of a cell into units of ring 0.
 
     Args:
         members: (words, classes), classes of the members in rising order.
-        ring: number of the ring they are in.
-        scene: (strengths (N, 2), first, last).
+        scene: (strengths (N, 2), first, last, mixed (W,): whether a word has more than one pair of levels).
         class_weights: (K,).
         found: (words, masks, strengths (U, 2), labels (U, 3)) receive the units, labels: ring, first, last.
-        filled: how many there are before.
 
     Returns:
-        How many there are after.
+        How many there are.
     """
     words, classes = members
-    strengths, first, last = scene
+    strengths, first, last, mixed = scene
     out_words, out_masks, out_strengths, out_labels = found
     one = np.uint64(1)
-    masks = np.zeros(256, np.uint64)
-    rank = 0
+    masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
+    rank, filled = 0, 0
     for w in range(len(words)):
         rest = words[w]
         if not rest:
             continue
         low_class, high_class = 255, 0
-        g0 = 64 * w
-        lead = np.int64(_lowest(rest))
-        levels, mixed = first[g0 + lead] * 16 + last[g0 + lead], False
         while rest:
-            low = np.int64(_lowest(rest))
-            kind = np.int64(classes[rank])
-            rank += 1
-            masks[kind] |= one << np.uint64(low)
-            low_class, high_class = min(low_class, kind), max(high_class, kind)
-            mixed |= first[g0 + low] * 16 + last[g0 + low] != levels
+            low = _lowest(rest)
             rest &= rest - one
+            kind, g = np.int64(classes[rank]), 64 * w + np.int64(low)
+            rank += 1
+            masks[kind] |= one << low
+            sums[kind, 0] += strengths[g, 0]
+            sums[kind, 1] += strengths[g, 1]
+            low_class, high_class = min(low_class, kind), max(high_class, kind)
         for kind in range(low_class, high_class + 1):
-            whole = masks[kind]
-            masks[kind] = 0
+            whole, area, pixel = masks[kind], sums[kind, 0], sums[kind, 1]
+            masks[kind], sums[kind, 0], sums[kind, 1] = 0, 0.0, 0.0
             while whole:
-                lead = np.int64(_lowest(whole))
-                enters, ends = first[g0 + lead], last[g0 + lead]
-                mask, area, pixel, count = np.uint64(0), 0.0, 0.0, 0
-                rest = whole
-                while rest:
-                    low = np.int64(_lowest(rest))
-                    rest &= rest - one
-                    if not mixed or (first[g0 + low] == enters and last[g0 + low] == ends):
-                        mask |= one << np.uint64(low)
-                        area += strengths[g0 + low, 0]
-                        pixel += strengths[g0 + low, 1]
-                        count += 1
+                lead, mask = 64 * w + np.int64(_lowest(whole)), whole
+                if mixed[w]:
+                    rest, mask, area, pixel = whole, np.uint64(0), 0.0, 0.0
+                    while rest:
+                        low = _lowest(rest)
+                        rest &= rest - one
+                        g = 64 * w + np.int64(low)
+                        if first[g] == first[lead] and last[g] == last[lead]:
+                            mask |= one << low
+                            area += strengths[g, 0]
+                            pixel += strengths[g, 1]
                 whole &= ~mask
+                count = np.float64(_ones(mask))
                 out_words[filled], out_masks[filled] = w, mask
                 out_strengths[filled, 0] = class_weights[kind] * area / count
                 out_strengths[filled, 1] = class_weights[kind] * pixel / count
-                out_labels[filled, 0], out_labels[filled, 1], out_labels[filled, 2] = ring, enters, ends
+                out_labels[filled, 0], out_labels[filled, 1], out_labels[filled, 2] = 0, first[lead], last[lead]
                 filled += 1
     return filled
 
@@ -188,160 +185,263 @@ def in_view(planes, means, radii, out):
         out[g] = _touches(planes, means[g, 0], means[g, 1], means[g, 2], radii[g]) > 0
 
 
-@njit(inline="always")
-def _count_left(active, held, start, stop):
-    """Bits in [start, stop) that are in `active` and not in `held`."""
-    if start >= stop:
-        return 0
-    total = 0
-    ones = ~np.uint64(0)
-    first, final = start >> 6, (stop - 1) >> 6
-    for w in range(first, final + 1):
-        word = active[w] & ~held[w]
-        if w == first:
-            word &= ones << np.uint64(start & 63)
-        if w == final:
-            word &= ones >> np.uint64(63 - ((stop - 1) & 63))
-        total += np.int64(_ones(word))
-    return total
+@njit(**_OPTIONS)
+def active_words(ids, owners, active, owing):
+    """Mark active terms (ids), and the Gaussians that have them (owners: (T,))."""
+    one = np.uint64(1)
+    for k in range(len(ids)):
+        t = ids[k]
+        active[t >> 6] |= one << np.uint64(t & 63)
+        g = owners[t]
+        owing[g >> 6] |= one << np.uint64(g & 63)
 
 
 @njit(**_OPTIONS)
-def rank(units, active, held, scene, view, offsets, limits, work):
+def forget_paid(words, active, held, term_offsets, owed):
+    """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
+    count = len(term_offsets) - 1
+    for s in range(len(words)):
+        if owed[s]:
+            w = np.int64(words[s])
+            if not _left(active, held, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)]):
+                owed[s] = 0
+
+
+@njit(inline="always")
+def _left(active, held, start, stop):
+    """Whether a bit in [start, stop) is in `active` and not in `held`."""
+    if start >= stop:
+        return False
+    ones = ~np.uint64(0)
+    low, high = start >> 6, (stop - 1) >> 6
+    for k in range(low, high + 1):
+        word = active[k] & ~held[k]
+        if k == low:
+            word &= ones << np.uint64(start & 63)
+        if k == high:
+            word &= ones >> np.uint64(63 - ((stop - 1) & 63))
+        if word:
+            return True
+    return False
+
+
+@njit(inline="always")
+def _touching(view, bodies, g0, bits):
+    """Which of the 64 Gaussians from g0 on touch a frustum (5, 4) that their sphere straddles; `bits` is room for 64."""
+    x, y, z, radii = bodies
+    for i in range(64):
+        bits[i] = 0.0
+    for k in range(5):
+        a, b, c, d = view[k, 0], view[k, 1], view[k, 2], view[k, 3]
+        for i in range(64):
+            far = a * x[g0 + i] + b * y[g0 + i] + c * z[g0 + i] + d + radii[g0 + i]
+            bits[i] = far if far < bits[i] else bits[i]
+    out = np.uint64(0)
+    for i in range(64):
+        out |= np.uint64(bits[i] >= 0.0) << np.uint64(i)
+    return out
+
+
+@njit(**_OPTIONS)
+def look(spheres, words, wanted, bodies, planes, inside, room):
+    """Which Gaussians of some words are in view.
+
+    Args:
+        spheres: (x, y, z, radius), each (S,), around the Gaussians of each word.
+        words: (S,) numbers of the words.
+        wanted: (S,) of which Gaussians this is asked.
+        bodies: (x, y, z, radius), each (64 W,), of the Gaussians.
+        planes: (F, 5, 4) frusta.
+        inside: (S,) receives the Gaussians that touch one of them.
+        room: (S,) float32.
+    """
+    x, y, z, radii = spheres
+    bits = np.empty(64, np.float32)
+    inside[:] = 0
+    for f in range(len(planes)):
+        p = planes[f]
+        _depths(x, y, z, p, room)
+        for s in range(len(words)):
+            if room[s] >= radii[s]:
+                inside[s] = ~np.uint64(0)
+            elif room[s] + radii[s] >= 0.0 and wanted[s] & ~inside[s]:
+                inside[s] |= _touching(p, bodies, 64 * np.int64(words[s]), bits)
+
+
+@njit(**_OPTIONS)
+def _depths(x, y, z, p, out):
+    """Least distance of points (S,) from the planes of a frustum (5, 4), inwards."""
+    a0, b0, c0, d0 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+    a1, b1, c1, d1 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+    a2, b2, c2, d2 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+    a3, b3, c3, d3 = p[3, 0], p[3, 1], p[3, 2], p[3, 3]
+    a4, b4, c4, d4 = p[4, 0], p[4, 1], p[4, 2], p[4, 3]
+    for s in range(len(out)):
+        u, v, w = x[s], y[s], z[s]
+        far = a0 * u + b0 * v + c0 * w + d0
+        other = a1 * u + b1 * v + c1 * w + d1
+        far = other if other < far else far
+        other = a2 * u + b2 * v + c2 * w + d2
+        far = other if other < far else far
+        other = a3 * u + b3 * v + c3 * w + d3
+        far = other if other < far else far
+        other = a4 * u + b4 * v + c4 * w + d4
+        out[s] = other if other < far else far
+
+
+@njit(**_OPTIONS)
+def gather(words, owed, held, free, due):
+    """What is neither held nor gone (`free`), and owed and not gone (`due`), for the words (S,) of a cell."""
+    gaussians, _, gone = held
+    for s in range(len(words)):
+        w = words[s]
+        free[s] = ~(gaussians[w] | gone[w])
+        due[s] = owed[s] & ~gone[w]
+
+
+@njit(inline="always")
+def _enter(entry, key, size, filled, least, work):
+    """One more entry for the plan, unless its key is too small."""
+    keys, entries, counts, sizes = work
+    if key >= least:
+        keys[filled], entries[filled] = key, entry
+        counts[key] += 1
+        sizes[key] += size
+        filled += 1
+    return filled
+
+
+@njit(**_OPTIONS)
+def rank(units, live, state, scene, eye, offsets, limits, work):
     """The units that are left, by key: what their class, level and kind add, and the bucket of their gain.
 
     Args:
-        units: (words, masks, strengths, labels).
-        active: words of the active terms; empty where there are none.
-        held: (Gaussians, terms, gone) as words.
-        scene: (spheres, spreads, word_bytes, term_offsets, mean bytes of a term).
-        view: (eye (3,) float32, planes (F, 5, 4) float32).
+        units: (slots, masks, strengths, labels).
+        live: (U,) int32 units that may have something left; those that have move to its front.
+        state: (free, due, inside), each (S,): see `gather` and `look`.
+        scene: (x, y, z, spread, bytes of a Gaussian), each (S,), and bytes of the terms of a Gaussian.
+        eye: (3,) float32.
         offsets: (5, L, 2) int64: in view, out of view, rings 1 to 3; level; geometry or terms.
         limits: (lowest last level that is sent, bytes that suffice, least key).
-        work: (keys (4 U,) int32, counts (K + 1,) int64 zeros, sizes (K,) float64 zeros, plan (4 U,) int32); an entry of
-            the plan is a unit times 4, plus 2 for terms, plus 1 for what is out of view.
+        work: (keys (4 U,) int32, entries (4 U,) int32, counts (K,) int64 zeros, sizes (K,) float64 zeros); an entry is
+            a unit times 4, plus 2 for terms, plus 1 for what is out of view.
 
     Returns:
-        Length of the plan, the largest key in it, and whether it has all that is left.
+        How many units are live, the plan (its entries), the largest key in it, and whether it has all that is left.
     """
-    words, masks, strengths, labels = units
-    gaussians, held_terms, gone = held
-    spheres, spreads, word_bytes, term_offsets, term_size = scene
-    eye, planes = view
+    slots, masks, strengths, labels = units
+    free, due, inside = state
+    x, y, z, spreads, word_bytes, term_bytes = scene
     top, enough, least = limits
-    keys, counts, sizes, plan = work
-    count = len(term_offsets) - 1
-    for u in range(len(words)):
-        for k in range(4):
-            keys[4 * u + k] = -1
-        w = np.int64(words[u])
-        alive = masks[u] & ~gone[w]
-        if labels[u, 2] < top or not alive:
-            continue
-        fresh = np.float64(_ones(alive & ~gaussians[w]))
+    kept, filled = 0, 0
+    for j in range(len(live)):
+        u = np.int64(live[j])
+        s = np.int64(slots[u])
+        fresh, terms = masks[u] & free[s], masks[u] & due[s]
         ring = np.int64(labels[u, 0])
-        left = 0
-        if ring == 0 and len(active):
-            left = _count_left(active, held_terms, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)])
-        if fresh == 0.0 and left == 0:
+        if ring > 0:
+            terms = np.uint64(0)
+        if not fresh | terms:
             continue
-        x, y, z = spheres[w, 0] - eye[0], spheres[w, 1] - eye[1], spheres[w, 2] - eye[2]
-        square = x * x + y * y + z * z + spreads[w] + np.float32(1e-12)
+        live[kept] = u
+        kept += 1
+        if labels[u, 2] < top:
+            continue
+        a, b, c = x[s] - eye[0], y[s] - eye[1], z[s] - eye[2]
+        square = a * a + b * b + c * c + spreads[s] + np.float32(1e-12)
         bucket = bucket_of(strengths[u, 0] / square + strengths[u, 1])
-        level = labels[u, 1]
-        place = 0
-        if ring == 0:
-            place = _touches(planes, spheres[w, 0], spheres[w, 1], spheres[w, 2], spheres[w, 3])
+        level = np.int64(labels[u, 1])
+        if ring > 0:
+            size = np.float64(_ones(fresh)) * word_bytes[s]
+            filled = _enter(4 * u + 1, offsets[1 + ring, level, GEOMETRY] + bucket, size, filled, least, work)
+            continue
         for part in range(2):
-            if ring == 0 and place == (0 if part == INSIDE else 2):
-                continue
-            if ring > 0 and part == INSIDE:
-                continue
-            group = part if ring == 0 else 1 + ring
-            if fresh > 0.0:
-                key = offsets[group, level, GEOMETRY] + bucket
-                if key >= least:
-                    keys[4 * u + part] = key
-                    counts[key + 1] += 1
-                    sizes[key] += fresh * word_bytes[w]
-            if left > 0:
-                key = offsets[group, level, TERMS] + bucket
-                if key >= least:
-                    keys[4 * u + 2 + part] = key
-                    counts[key + 1] += 1
-                    sizes[key] += left * term_size
-    total, last = 0.0, len(sizes) - 1
-    for key in range(len(sizes)):
-        total += sizes[key]
-        if total >= enough:
-            last = key
-            break
-    for key in range(len(sizes)):
-        counts[key + 1] += counts[key]
-    length, whole = counts[last + 1], counts[len(sizes)]
-    for entry in range(4 * len(words)):
-        key = keys[entry]
-        if 0 <= key <= last:
-            plan[counts[key]] = entry
+            seen = inside[s] if part == INSIDE else ~inside[s]
+            if fresh & seen:
+                size = np.float64(_ones(fresh & seen)) * word_bytes[s]
+                filled = _enter(4 * u + part, offsets[part, level, GEOMETRY] + bucket, size, filled, least, work)
+            if terms & seen:
+                size = np.float64(_ones(terms & seen)) * term_bytes
+                filled = _enter(4 * u + 2 + part, offsets[part, level, TERMS] + bucket, size, filled, least, work)
+    keys, entries, counts, sizes = work
+    total, last, length = 0.0, -1, 0
+    while length < filled and total < enough:
+        last += 1
+        total += sizes[last]
+        counts[last], length = length, length + counts[last]
+    plan = np.empty(length, np.int32)
+    for k in range(filled):
+        key = keys[k]
+        if key <= last:
+            plan[counts[key]] = entries[k]
             counts[key] += 1
-    return length, last, length == whole
+    return kept, plan, last, length == filled
 
 
 @njit(**_OPTIONS)
-def take(plan, place, units, active, held, scene, links, view, budget, out):
+def take(plan, place, units, cell, held, scene, links, budget, out):
     """The next records of a plan, as long as they fit; they count as held from then on.
 
     Args:
         plan: (P,) entries.
         place: where to go on in it.
-        units: (words, masks, strengths, labels).
-        active: words of the active terms.
+        units: (slots, masks, strengths, labels).
+        cell: (words (S,), inside (S,), owed (S,), active terms as words); of owed, what is paid is cleared.
         held: (Gaussians, terms, gone) as words; changed.
-        scene: (means, radii, gaussian_bytes, term_offsets, term_bytes).
+        scene: (gaussian_bytes, term_offsets, term_bytes, words of those that take the place of others).
         links: (words of all candidates, offsets and ids of replacements, offsets and ids of replaced).
-        view: (eye, planes).
         budget: bytes.
         out: (Gaussians, terms, dropped) receive ids; and room for as many as can be dropped.
 
     Returns:
         Where to go on, numbers of Gaussians, terms, and dropped Gaussians, and bytes.
     """
-    words, masks, _, labels = units
+    slots, masks, _, labels = units
+    words, inside, owed, active = cell
     gaussians, held_terms, gone = held
-    means, radii, sizes, term_offsets, term_sizes = scene
-    planes = view[1]
+    sizes, term_offsets, term_sizes, replacing = scene
     out_gaussians, out_terms, out_dropped, queue = out
     found, found_terms, dropped, total = 0, 0, 0, 0.0
-    one = np.uint64(1)
+    one, ones = np.uint64(1), ~np.uint64(0)
     while place < len(plan):
         u, terms, part = plan[place] >> 2, plan[place] & 2 != 0, plan[place] & 1
-        w = np.int64(words[u])
-        rest = masks[u] & ~gone[w] & (gaussians[w] if terms else ~gaussians[w])
-        sided = labels[u, 0] == 0
+        s = np.int64(slots[u])
+        w = np.int64(words[s])
+        rest = masks[u] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
+        if labels[u, 0] == 0:
+            rest &= inside[s] if part == INSIDE else ~inside[s]
         while rest:
-            g = 64 * w + np.int64(_lowest(rest))
+            low = _lowest(rest)
             rest &= rest - one
-            if sided and (_touches(planes, means[g, 0], means[g, 1], means[g, 2], radii[g]) > 0) != (part == INSIDE):
-                continue
+            g = 64 * w + np.int64(low)
             if not terms:
-                if gone[w] >> np.uint64(g & 63) & one:
-                    continue  # replaced by one before it in this word
                 if total + sizes[g] > budget:
                     return place, found, found_terms, dropped, total
                 total += sizes[g]
                 out_gaussians[found] = g
                 found += 1
-                _put(gaussians, g)
-                dropped = _let_go(g, held, links, queue, out_dropped, dropped)
-            else:
-                for t in range(term_offsets[g], term_offsets[g + 1]):
-                    if _has(active, t) and not _has(held_terms, t):
-                        if total + term_sizes[t] > budget:
-                            return place, found, found_terms, dropped, total
-                        total += term_sizes[t]
-                        out_terms[found_terms] = t
-                        found_terms += 1
-                        _put(held_terms, t)
+                gaussians[w] |= one << low
+                if replacing[w] >> low & one:
+                    dropped = _let_go(g, held, links, queue, out_dropped, dropped)
+                    rest &= ~gone[w]
+                continue
+            start, stop = term_offsets[g], term_offsets[g + 1]
+            for k in range(start >> 6, (stop + 63) >> 6):
+                left = active[k] & ~held_terms[k]
+                if 64 * k < start:
+                    left &= ones << np.uint64(start & 63)
+                if 64 * k + 64 > stop:
+                    left &= ones >> np.uint64(64 * k + 64 - stop)
+                while left:
+                    t = 64 * k + np.int64(_lowest(left))
+                    if total + term_sizes[t] > budget:
+                        return place, found, found_terms, dropped, total
+                    total += term_sizes[t]
+                    out_terms[found_terms] = t
+                    found_terms += 1
+                    held_terms[k] |= left & (~left + one)
+                    left &= left - one
+            owed[s] &= ~(one << low)
         place += 1
     return place, found, found_terms, dropped, total
 

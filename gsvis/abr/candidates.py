@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr import _kernels as kernels
 from gsvis.abr.index import CellMembers, SceneIndex
-from gsvis.visibility._codec import word_count
-from gsvis.visibility._kernels_store import mark
+from gsvis.visibility._codec import pack, word_count
+from gsvis.visibility._kernels_store import count as ones
 from gsvis.visibility.cells import CellGrid
 
 __all__ = ["RINGS", "CandidateStore", "Candidates", "ring_cells"]
@@ -33,40 +33,51 @@ RINGS = 4
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """U units of a cell and its neighbours.
+    """U units of a cell and its neighbours, in S words.
 
     Attributes:
         cell: Its number.
-        words: (U,) int32, the word of each: Gaussians 64 w to 64 w + 63.
-        masks: (U,) uint64, which of them.
+        words: (S,) int32 rising, the words that have candidates: Gaussians 64 w to 64 w + 63.
+        places: (6, S) float32 of each word: middle (x, y, z) and radius of a sphere around its Gaussians, mean square
+            of their distance from its middle, mean bytes of their records.
+        own: (S,) uint64, which the cell itself sees.
+        owing: (S,) uint64, which of them have active terms.
+        slots: (U,) int32, number of the word of each unit, in [0, S).
+        masks: (U,) uint64, which Gaussians of it.
         strengths: (U, 2) float32, mean weight times area and weight times pixel, for each byte.
         labels: (U, 3) uint8: ring, first and last level.
         union: (W,) uint64, all candidates.
         active: (X,) uint64, active terms of the cell as a packed set; empty where the scene has no terms.
+        term_bytes: Mean bytes of the active terms of a Gaussian that has some.
         level_bytes: (L,) bytes of what the cell itself sees of each level, with its active terms.
     """
 
     cell: int
     words: NDArray[np.int32]
+    places: F32
+    own: Words
+    owing: Words
+    slots: NDArray[np.int32]
     masks: Words
     strengths: F32
     labels: NDArray[np.uint8]
     union: Words
     active: Words
+    term_bytes: float
     level_bytes: F64
 
     def __len__(self) -> int:
-        return len(self.words)
+        return len(self.slots)
 
     @property
     def units(self) -> tuple[Any, ...]:
         """What the kernels take."""
-        return self.words, self.masks, self.strengths, self.labels
+        return self.slots, self.masks, self.strengths, self.labels
 
     @property
     def nbytes(self) -> int:
         """Bytes in memory."""
-        return sum(array.nbytes for array in (*self.units, self.union, self.active))
+        return sum(array.nbytes for array in (*self.units, self.words, self.places, self.own, self.union, self.active))
 
 
 class CandidateStore:
@@ -83,6 +94,9 @@ class CandidateStore:
         spheres: (W, 4) float32 middle and radius of a sphere around the Gaussians of each word.
         spreads: (W,) float32 mean square of their distance from its middle.
         word_bytes: (W,) float32 mean bytes of their records.
+        bodies: (4, 64 W) float32 middle and radius of each Gaussian, coordinate by coordinate; where there is none, a
+            radius of -inf.
+        replacing: (W,) uint64 words of the Gaussians that take the place of others.
         term_size: Mean bytes of a term.
         least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
         ending: Gaussians that are replaced by others.
@@ -102,8 +116,15 @@ class CandidateStore:
         self.word_bytes[: len(starts)] = sums / np.minimum(64, len(index) - starts)
         self.term_size = float(index.term_bytes.mean()) if index.num_terms else 0.0
         self.least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
+        self.bodies = np.zeros((4, 64 * count), np.float32)
+        self.bodies[:3, : len(index)], self.bodies[3, : len(index)] = index.means.T, index.radii
+        self.bodies[3, len(index) :] = -np.inf
+        self.replacing = pack(np.flatnonzero(np.diff(index.replaced[0])), len(index))
         self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
         self._strengths = strengths(index, pixel)
+        self._mixed = _mixed(index, count)
+        self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
+        self._scratch = threading.local()
         every = CellMembers.of(np.arange(len(index)), len(index))
         units = self._units(every, np.full(1, np.mean(index.class_weights), np.float32))
         self._every = tuple(array.copy() for array in units)
@@ -148,21 +169,38 @@ class CandidateStore:
             found = _empty(len(self._every[0]))
             count = kernels.ring_units(fresh, ring, self._every, found, 0)
             parts.append(tuple(array[:count] for array in found))
-        words, masks, strong, labels = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        active, terms = np.zeros(0, np.uint64), 0
+        held, masks, strong, labels = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        words = np.flatnonzero(seen).astype(np.int32)
+        slot_of = np.empty(len(seen), np.int32)
+        slot_of[words] = np.arange(len(words), dtype=np.int32)
+        active, owing, terms = np.zeros(0, np.uint64), np.zeros_like(seen), 0
         if index.num_terms:
             ids = index.cells.terms(cell)
             active, terms = np.zeros(word_count(index.num_terms), np.uint64), len(ids)
-            mark(np.ascontiguousarray(ids), active)
-        needs = np.cumsum(sums)[:levels] + terms * self.term_size
-        return Candidates(cell, words, masks, strong, labels, seen, active, needs)
+            kernels.active_words(ids, self._owners, active, owing)
+        places = np.concatenate([self.spheres[words].T, self.spreads[words][None], self.word_bytes[words][None]])
+        return Candidates(
+            cell, words, places, own.words[words], owing[words], slot_of[held], masks, strong, labels, seen, active,
+            terms * self.term_size / max(ones(owing), 1), np.cumsum(sums)[:levels] + terms * self.term_size,
+        )  # fmt: skip
+
+    def room(self, units: int, slots: int, keys: int) -> tuple[Any, ...]:
+        """Room to rank in, one for each thread: keys, entries, counts, sizes; free, due; depths. What is in it is old."""
+        local = self._scratch
+        if not hasattr(local, "units") or len(local.units[0]) < 4 * units:
+            local.units = np.empty(4 * units, np.int32), np.empty(4 * units, np.int32)
+        if not hasattr(local, "slots") or len(local.slots[0]) < slots:
+            local.slots = np.empty(slots, np.uint64), np.empty(slots, np.uint64), np.empty(slots, np.float32)
+        if not hasattr(local, "keys") or len(local.keys[0]) < keys:
+            local.keys = np.empty(keys, np.int64), np.empty(keys)
+        return *local.units, *local.keys, *local.slots
 
     def _units(self, members: CellMembers, weights: F32) -> tuple[Any, ...]:
         """Units of what one cell sees, ring 0."""
         index = self.index
         found = _empty(len(members.classes))
-        scene = self._strengths, index.first, index.last
-        count = kernels.cell_units((members.words, members.classes), 0, scene, weights, found, 0)
+        scene = self._strengths, index.first, index.last, self._mixed
+        count = kernels.cell_units((members.words, members.classes), scene, weights, found)
         return tuple(array[:count] for array in found)
 
 
@@ -179,6 +217,14 @@ def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
     for other in grid.neighbours(cell).tolist():
         rings[int(np.abs(grid.coords[other] - grid.coords[cell]).sum())].append(other)
     return rings
+
+
+def _mixed(index: SceneIndex, words: int) -> NDArray[np.bool_]:
+    """(W,) whether the Gaussians of a word have more than one pair of levels."""
+    pair = index.first * np.uint8(16) + index.last
+    out = np.zeros(words, np.bool_)
+    out[np.flatnonzero(pair[1:] != pair[:-1]) + 1 >> 6] = True
+    return out
 
 
 def _empty(count: int) -> tuple[Any, ...]:

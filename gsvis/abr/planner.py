@@ -65,19 +65,19 @@ class Planner:
     ) -> None:
         index = store.index
         self.store, self.policy, self.utility, self.reach = store, policy, utility, reach
-        offsets(policy, "high", index.num_levels, utility)  # refuses what it does not know
+        self._offsets = offsets(policy, "high", index.num_levels, utility)  # refuses what it does not know
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self._candidates: Candidates | None = None
-        self._view = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
-        self._offsets = np.zeros((5, index.num_levels, 2), np.int64)
-        self._top = 0
+        self._eye, self._planes = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
+        self._top, self._seen = 0, False
+        self._live, self._owed = np.zeros(0, np.int32), np.zeros(0, np.uint64)
+        self._inside = np.zeros(0, np.uint64)
         self._plan, self._place = np.zeros(0, np.int32), 0
         self._least, self._whole = 0, True
         self._links = index.replacement_offsets, index.replacement_ids, *index.replaced
-        self._scene = store.spheres, store.spreads, store.word_bytes, index.term_offsets, store.term_size
-        self._records = index.means, index.radii, index.gaussian_bytes, index.term_offsets, index.term_bytes
+        self._records = index.gaussian_bytes, index.term_offsets, index.term_bytes, store.replacing
 
     @property
     def done(self) -> bool:
@@ -96,8 +96,11 @@ class Planner:
         levels = self.store.index.num_levels
         view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
         self._offsets, self._top = offsets(self.policy, regime, levels, self.utility), lowest_last(regime, levels)
-        self._candidates, self._view = self.store.of(cell), view
-        self._plan, self._place, self._least, self._whole = np.zeros(0, np.int32), 0, 0, False
+        candidates = self.store.of(cell)
+        if self._candidates is None or self._candidates.cell != cell:
+            self._enter(candidates)
+        self._candidates, self._eye, self._planes = candidates, *view
+        self._plan, self._place, self._least, self._whole, self._seen = np.zeros(0, np.int32), 0, 0, False, False
 
     def take(self, budget: float) -> Batch:
         """The next records, of at most so many bytes; from now on they count as held.
@@ -107,19 +110,22 @@ class Planner:
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
         candidates = self._candidates
+        if candidates is None or self.done:
+            return Batch(np.zeros(0, np.int32), np.zeros(0, np.uint32), np.zeros(0, np.int32), 0.0)
         counts, sizes = (self.holdings.gaussians, self.holdings.terms), self.store.least_sizes
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(self.store.ending, np.int32)
         queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
-        while candidates is not None and not self.done:
+        cell = candidates.words, self._inside, self._owed, candidates.active
+        while not self.done:
             if self._place == len(self._plan):
                 self._rank(candidates, max(self.reach, budget - total))
             rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
             links = candidates.union, *self._links
             self._place, *found, size = kernels.take(
-                self._plan, self._place, candidates.units, candidates.active, self.holdings.words, self._records, links,
-                self._view, budget - total, (*rest, queue),
+                self._plan, self._place, candidates.units, cell, self.holdings.words, self._records, links,
+                budget - total, (*rest, queue),
             )  # fmt: skip
             taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
             if self._place < len(self._plan):
@@ -127,13 +133,29 @@ class Planner:
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
         return Batch(gaussians, terms, dropped, total)
 
+    def _enter(self, candidates: Candidates) -> None:
+        """Begin with the units of another cell."""
+        self._live = np.arange(len(candidates), dtype=np.int32)
+        self._owed, self._inside = candidates.owing.copy(), np.empty_like(candidates.owing)
+        if len(candidates.active):
+            kernels.forget_paid(
+                candidates.words, candidates.active, self.holdings.sent_terms, self.store.index.term_offsets, self._owed
+            )
+
     def _rank(self, candidates: Candidates, enough: float) -> None:
-        count = len(candidates)
-        keys = int(self._offsets.max()) + kernels.BUCKETS
-        plan = np.empty(4 * count, np.int32)
-        work = np.empty(4 * count, np.int32), np.zeros(keys + 1, np.int64), np.zeros(keys), plan
-        length, last, self._whole = kernels.rank(
-            candidates.units, candidates.active, self.holdings.words, self._scene, self._view, self._offsets,
-            (self._top, float(enough), self._least), work,
+        store, words = self.store, candidates.words
+        x, y, z, radii, spreads, sizes = candidates.places
+        most = int(self._offsets.max()) + kernels.BUCKETS
+        *work, free, due, depths = store.room(len(candidates), len(words), most)
+        free, due, depths = free[: len(words)], due[: len(words)], depths[: len(words)]
+        work[2][:most], work[3][:most] = 0, 0.0
+        kernels.gather(words, self._owed, self.holdings.words, free, due)
+        if not self._seen:
+            wanted = candidates.own & (free | due)
+            kernels.look((x, y, z, radii), words, wanted, store.bodies, self._planes, self._inside, depths)
+        scene = x, y, z, spreads, sizes, candidates.term_bytes
+        kept, self._plan, last, self._whole = kernels.rank(
+            candidates.units, self._live, (free, due, self._inside), scene, self._eye, self._offsets,
+            (self._top, float(enough), self._least), tuple(work),
         )  # fmt: skip
-        self._plan, self._place, self._least = plan[:length], 0, last + 1
+        self._live, self._place, self._least, self._seen = self._live[:kept], 0, last + 1, True

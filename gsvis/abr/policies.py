@@ -9,6 +9,7 @@ smaller the sum, the sooner. The two orders of the paper add whole ranks, so tha
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +118,7 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
     return [pair for pair in order if pair not in beyond] + beyond
 
 
+@lru_cache(maxsize=256)
 def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> I64:
     """(5, L, 2) what is added to the bucket of a record: by group, level at which it enters, geometry or terms.
 
