@@ -1,0 +1,146 @@
+"""Pictures of what clients hold, many of one pose: the view is projected and sorted once, then drawn for each subset.
+
+Exactly what `gsvis.render.rasterize` draws of the same Gaussians on the CPU, black behind them, values clipped to what
+a display shows. Scene frame and units.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.evaluate import Evaluator
+from gsvis.package.contents import Contents
+from gsvis.render import _kernels_tiles as tiles
+from gsvis.render import rasterize
+from gsvis.render.cpu import View, project
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import SH_C0
+from gsvis.simulate import _kernels as kernels
+
+__all__ = ["Frame", "Stage", "psnr_of"]
+
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A scene as clients draw it, and the full scene that they are compared with.
+
+    Args:
+        contents: The package: what is drawn are its records, decoded.
+        reference: The scene before it became a package; None: the highest level of the package with all terms.
+    """
+
+    contents: Contents
+    reference: Gaussians | None = None
+
+    @cached_property
+    def drawn(self) -> Gaussians:
+        """All Gaussians of all levels, with base colours."""
+        return self.contents.gaussians()
+
+    @cached_property
+    def highest(self) -> Mask:
+        """(N,) members of the highest level."""
+        return np.asarray(self.contents.last == len(self.contents.names) - 1)
+
+    @cached_property
+    def evaluator(self) -> Evaluator | None:
+        """Colours with terms; None where there are none."""
+        return Evaluator(self.contents.colors().dequantised()) if len(self.contents.term_records) else None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """N and T."""
+        return len(self.contents), len(self.contents.term_records)
+
+    @property
+    def compared_with(self) -> str:
+        """What the full scene is, in words."""
+        if self.reference is not None:
+            return "the scene before it became a package, unquantised, with its spherical harmonics"
+        return "the highest level of the package, as decoded, with all its terms"
+
+
+class Frame:
+    """One pose, ready to be drawn for any client.
+
+    Args:
+        stage: The scene.
+        camera: One camera.
+
+    Attributes:
+        ids: (M,) Gaussians that reach a pixel, rising.
+        reference: (H, W, 3) the full scene, in [0, 1].
+        drawings: How many pictures were drawn.
+    """
+
+    def __init__(self, stage: Stage, camera: Cameras) -> None:
+        g = stage.drawn
+        self._stage = stage
+        self._view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
+        self._projected = project(g, self._view, antialiased=False, pairs=False)
+        self.ids = self._projected.ids
+        self._features = np.empty((len(self.ids), 4), np.float32)
+        self._features[:, :3] = np.maximum(SH_C0 * g.sh0[self.ids, 0] + np.float32(0.5), 0.0)
+        self._features[:, 3] = self._projected.depths
+        self._kept: dict[bytes, float] = {}
+        self.drawings = 0
+        if stage.reference is not None:
+            self.reference: F32 = np.clip(rasterize(stage.reference, camera, backend="cpu").images[0].numpy(), 0.0, 1.0)
+        else:
+            self.reference = self.image(stage.highest[self.ids], np.ones(stage.size[1], bool))
+
+    def image(self, shown: Mask, terms: Mask) -> F32:
+        """(H, W, 3) in [0, 1].
+
+        Args:
+            shown: (M,) which of `ids` the client shows.
+            terms: (T,) which terms it has.
+        """
+        p, v = self._projected, self._view
+        offsets, members = np.empty_like(p.offsets), np.empty_like(p.members)
+        count = kernels.keep_shown(p.offsets, p.members, shown, offsets, members)
+        features = self._features
+        evaluator = self._stage.evaluator
+        if evaluator is not None and terms.any():
+            features = features.copy()
+            some = np.flatnonzero(shown)
+            means = self._stage.drawn.means
+            features[some, :3] = evaluator.colors(means, v.eye, active=terms, ids=self.ids[some])
+        image = np.empty((v.height, v.width, 3), np.float32)
+        planes = (np.empty((v.height, v.width), np.float32) for _ in range(4))
+        tiles.blend_tiles(
+            p.splats, features, offsets, members[:count], v.tiles[0], np.zeros(3, np.float32), image, *planes
+        )
+        self.drawings += 1
+        return np.clip(image, 0.0, 1.0)
+
+    def psnr(self, shown: Mask, terms: Mask) -> float:
+        """PSNR against the full scene, dB.
+
+        Args:
+            shown: (M,) which of `ids` the client shows.
+            terms: (T,) which terms it has.
+        """
+        key = hashlib.blake2b(np.packbits(shown).tobytes(), digest_size=16)
+        if len(terms):
+            key.update(np.packbits(terms).tobytes())
+        found = self._kept.get(key.digest())
+        if found is None:
+            found = self._kept[key.digest()] = psnr_of(self.image(shown, terms), self.reference)
+        return found
+
+
+def psnr_of(image: F32, target: F32) -> float:
+    """PSNR of images with values in [0, 1], dB; inf where they are equal."""
+    apart = (image - target).ravel()
+    error = float(np.dot(apart, apart)) / len(apart)
+    return float(-10.0 * np.log10(error)) if error > 0.0 else np.inf

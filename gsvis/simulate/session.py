@@ -1,0 +1,249 @@
+"""What a viewer sees of a playback: PSNR against the full scene, latency, bytes and shares over time, and QoE.
+
+A step is a tick of the path, 100 ms. PSNR is measured at every tick in the first seconds and now and then later, and
+stands for the ticks until the next measurement. What is drawn is what has arrived, from where the head is then; before
+the first Gaussian there is no image, which counts as 0 dB. Seconds, bytes, dB.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.qoe import Qoe, QoeConfig, first_frame, quality_of_experience, stall
+from gsvis.progress import Progress, silent
+from gsvis.scene.paths import HeadPath
+from gsvis.simulate.frames import Frame, Stage
+from gsvis.simulate.playback import Playback
+
+__all__ = ["Session", "SessionConfig", "watch"]
+
+F64 = NDArray[np.float64]
+
+FIRST_DB, GOOD_DB = 20.0, 35.0
+
+
+@dataclass(frozen=True)
+class SessionConfig:
+    """How a session is watched.
+
+    Attributes:
+        seconds: How long the viewer stays.
+        tick: Seconds from pose to pose.
+        fine: For so many seconds PSNR is measured at every tick,
+        every: then every so many seconds.
+        width: Pixels of the images that are compared.
+        height: Pixels.
+        fov: Horizontal field of view, degrees.
+        margin: Degrees by which a server takes the view to be wider on each side.
+        qoe: Constants of equation 8.
+    """
+
+    seconds: float = 30.0
+    tick: float = 0.1
+    fine: float = 3.0
+    every: float = 0.5
+    width: int = 320
+    height: int = 240
+    fov: float = 90.0
+    margin: float = 8.0
+    qoe: QoeConfig = field(default_factory=QoeConfig)
+
+    def __post_init__(self) -> None:
+        for name, most in (("seconds", 3600.0), ("tick", self.seconds), ("every", self.seconds)):
+            if not 0.0 < getattr(self, name) <= most:
+                raise ValueError(f"{name}: expected seconds in (0, {most:g}], got {getattr(self, name)!r}")
+        if not 0.0 <= self.fine <= 3600.0:
+            raise ValueError(f"fine: expected seconds in [0, 3600], got {self.fine!r}")
+        if not 0.0 <= self.margin < 90.0:
+            raise ValueError(f"margin: expected degrees in [0, 90), got {self.margin!r}")
+        for name in ("width", "height"):
+            _check.positive_int(name, getattr(self, name))
+        if not 0.0 < self.fov < 180.0:
+            raise ValueError(f"fov: expected degrees in (0, 180), got {self.fov!r}")
+
+    @property
+    def view(self) -> FieldOfView:
+        """What the client shows, as a server is told."""
+        x = np.tan(np.radians(self.fov) / 2.0)
+        y = x * self.height / self.width
+        return FieldOfView(float(x), float(x), float(y), float(y), float(np.radians(self.margin)))
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """(S,) ticks at which images are compared."""
+        count = round(self.seconds / self.tick)
+        fine = min(round(self.fine / self.tick), count)
+        step = max(round(self.every / self.tick), 1)
+        return np.concatenate([np.arange(fine), np.arange(fine, count, step)])
+
+    @property
+    def watched(self) -> float:
+        """Seconds that a playback has to cover: after the last step a pose may still become visible."""
+        return self.seconds + self.qoe.latency_scale
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """What one viewer saw of one system.
+
+    Attributes:
+        playback: What arrived when.
+        config: How it was watched.
+        times: (S,) seconds of the steps that were measured.
+        psnr: (S,) dB at each, at most `qoe.psnr_scale`: what exceeds it counts no more.
+        latency: (S,) seconds from the pose of each until it was shown at `qoe.shown_db`, at most the time-out.
+        needed: (N,) Gaussians that reached a pixel of one of the steps.
+    """
+
+    playback: Playback
+    config: SessionConfig
+    times: F64
+    psnr: F64
+    latency: F64
+    needed: NDArray[np.bool_]
+
+    @property
+    def weights(self) -> NDArray[np.int64]:
+        """(S,) ticks for which each step stands."""
+        ticks = np.rint(np.append(self.times, self.config.seconds) / self.config.tick).astype(np.int64)
+        return np.diff(ticks)
+
+    @property
+    def qoe(self) -> Qoe:
+        """Equation 8, mean over all ticks."""
+        psnr, latency = (np.repeat(values, self.weights) for values in (self.psnr, self.latency))
+        return quality_of_experience(psnr, latency, self.config.qoe)
+
+    def seconds_to(self, least: float) -> float:
+        """Seconds until the first step of at least that many dB; inf if there is none."""
+        return first_frame(self.times, self.psnr, least)
+
+    def figures(self) -> dict[str, float | int | None]:
+        """What is said of the session in numbers; None where something never happened."""
+        p, end, qoe = self.playback, self.config.seconds, self.qoe
+        arrived, gone = p.gaussian_at <= end, p.gone_at <= end
+        count = int(np.count_nonzero(arrived))
+        return {
+            **qoe.as_dict(),
+            "seconds_to_first_image": _or_none(self.seconds_to(FIRST_DB)),
+            "seconds_to_good_image": _or_none(self.seconds_to(GOOD_DB)),
+            "stall": stall(self.times, self.psnr, self.config.qoe.shown_db, end),
+            "bytes": float(p.bytes_at(end)),
+            "records_twice": p.twice,
+            "gaussians": count,
+            "gaussian_share": count / max(len(arrived), 1),
+            "replaced_share": int(np.count_nonzero(arrived & gone)) / max(count, 1),
+            "unseen_share": int(np.count_nonzero(arrived & ~self.needed)) / max(count, 1),
+            "terms": int(p.terms_at(end)),
+            "term_share": int(p.terms_at(end)) / max(len(p.term_at), 1),
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Figures and curves, ready for JSON."""
+        p, n, terms = self.playback, len(self.playback.gaussian_at), len(self.playback.term_at)
+        curves = {
+            "times": self.times,
+            "psnr": self.psnr,
+            "latency": self.latency,
+            "qoe": self.score,
+            "bytes": p.bytes_at(self.times),
+            "gaussian_share": p.gaussians_at(self.times) / max(n, 1),
+            "term_share": p.terms_at(self.times) / max(terms, 1),
+        }
+        return {
+            "system": p.name,
+            "about": p.about,
+            "figures": self.figures(),
+            "curves": {name: np.round(values, 5).tolist() for name, values in curves.items()},
+        }
+
+    @property
+    def score(self) -> F64:
+        """(S,) QoE of each step alone."""
+        c = self.config.qoe
+        delay = np.clip(self.latency / c.latency_scale, 0.0, 1.0)
+        return np.asarray(np.clip(self.psnr / c.psnr_scale, 0.0, 1.0) - c.delay_weight * delay)
+
+
+def watch(
+    stage: Stage,
+    playbacks: Sequence[Playback],
+    path: HeadPath,
+    config: SessionConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> list[Session]:
+    """Look at playbacks of one path, step by step, each pose made ready once for all of them.
+
+    Latency is found by halving the time from the pose to the time-out, since more of a scene rarely shows less.
+
+    Args:
+        stage: The scene.
+        playbacks: Of this scene, each at least `config.watched` seconds long.
+        path: The path that they were played along.
+        config: None means `SessionConfig()`.
+        progress: Called with stage "watching", in steps.
+
+    Raises:
+        ValueError: If a playback is too short or of another scene.
+    """
+    config = config or SessionConfig()
+    for p in playbacks:
+        if p.seconds < config.watched - 1e-9:
+            raise ValueError(f"playbacks: expected at least {config.watched:g} seconds, got {p.seconds:g}")
+        if (len(p.gaussian_at), len(p.term_at)) != stage.size:
+            raise ValueError(f"playbacks: expected those of {stage.contents!r}, got {p.name} of another scene")
+    times: F64 = config.ticks.astype(np.float64) * config.tick
+    positions, quats = path.at(times)
+    cameras = HeadPath(times, positions, quats).cameras(config.width, config.height, config.fov)
+    psnr, latency = np.zeros((2, len(playbacks), len(times)))
+    needed = np.zeros(stage.size[0], bool)
+    progress("watching", 0, len(times))
+    for k, t in enumerate(times.tolist()):
+        frame = Frame(stage, cameras[k])
+        needed[frame.ids] = True
+        for m, p in enumerate(playbacks):
+            seen = _Sight(frame, p)
+            psnr[m, k] = min(seen.psnr(t), config.qoe.psnr_scale)
+            latency[m, k] = _latency(seen, t, config)
+        progress("watching", k + 1, len(times))
+    return [Session(p, config, times, psnr[m], latency[m], needed) for m, p in enumerate(playbacks)]
+
+
+class _Sight:
+    """One pose and one playback: how good the picture of the pose is with what has arrived by any time."""
+
+    def __init__(self, frame: Frame, playback: Playback) -> None:
+        self._frame, self._playback = frame, playback
+        self._here, self._gone = playback.gaussian_at[frame.ids], playback.gone_at[frame.ids]
+
+    def psnr(self, t: float) -> float:
+        p, now = self._playback, np.float32(t + 1e-6)
+        if now < p.first:
+            return 0.0
+        return np.inf if p.exact else self._frame.psnr((self._here <= now) & (self._gone > now), p.term_at <= now)
+
+
+def _latency(seen: _Sight, t: float, config: SessionConfig) -> float:
+    """Seconds until the pose of time t is shown well enough, in ticks; the time-out if it is not by then."""
+    enough, last = config.qoe.shown_db, round(config.qoe.latency_scale / config.tick)
+    if seen.psnr(t) >= enough:
+        return 0.0
+    if seen.psnr(t + last * config.tick) < enough:
+        return config.qoe.latency_scale
+    low, high = 0, last  # not yet; by then
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if seen.psnr(t + middle * config.tick) >= enough else (middle, high)
+    return high * config.tick
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
