@@ -30,8 +30,9 @@ demo: .venv/.gsvis
 	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT)
 	@echo "The report with its pictures: $(OUT)/report.html"
 
+# A file stays with one worker: what a module prepares for its tests is prepared once.
 test: .venv/.gsvis-dev
-	@$(BIN)/pytest
+	@$(BIN)/pytest --numprocesses auto --dist loadfile
 
 format: .venv/.gsvis-dev
 	@$(BIN)/ruff format --quiet

@@ -87,7 +87,7 @@ def test_a_builtin_scene_as_a_folder_and_as_tables(tmp_path: Path, capsys: Captu
     out = tmp_path / "new" / "levels"
     assert main(["levels", BUILTIN, "-o", str(out), *QUICK]) == 0
     text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= 80
+    assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
     assert "…" not in text
     for told in ("reuse", "PSNR", "brightness", "going up level by level", "held out", "levels.arrow"):
         assert told in text
@@ -143,7 +143,7 @@ def test_photographs_names_and_another_number_of_levels(
     assert main(["levels", *map(str, words), "--iterations", "2"]) == 0
     text = capsys.readouterr().out
     assert "photos" in text
-    assert max(map(len, text.splitlines())) <= 80
+    assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
 
 
 def test_photographs_of_something_else_are_told(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
