@@ -1,0 +1,39 @@
+"""A server of packages and a client over real sockets: the scheduler of the simulator behind WebSockets.
+
+    scenes = open_scenes(["scene.gsvis"])
+    with Server(scenes).running() as url:
+        client = fetch(url, FieldOfView.of_degrees(90, 70), path.at, seconds=5.0)
+    gaussians, colors = client.receiver.scene()
+
+Needs the extra 'serve'. docs/serving.md tells how to operate it.
+"""
+
+try:
+    import starlette  # noqa: F401
+    import uvicorn  # noqa: F401
+    import websockets  # noqa: F401
+except ImportError as error:
+    from gsvis.errors import BackendError
+
+    raise BackendError(f"serving needs {error.name}: pip install 'gsvis[serve]'") from error
+
+from gsvis.serve.app import AppConfig, build_app
+from gsvis.serve.client import ClientConfig, StreamClient, fetch
+from gsvis.serve.limits import Limits
+from gsvis.serve.metrics import Metrics
+from gsvis.serve.scenes import ServedScene, open_scenes
+from gsvis.serve.server import Address, Server
+
+__all__ = [
+    "Address",
+    "AppConfig",
+    "ClientConfig",
+    "Limits",
+    "Metrics",
+    "ServedScene",
+    "Server",
+    "StreamClient",
+    "build_app",
+    "fetch",
+    "open_scenes",
+]

@@ -1,0 +1,60 @@
+"""Log lines that say what happened: an event and its facts as key=value, one line each whatever a client sends.
+
+The logger is "gsvis.serve". Tokens, queries and headers are never given to it.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import time
+from collections.abc import Callable
+
+from gsvis.serve.limits import RateBucket
+
+__all__ = ["LOGGER", "EventLog", "line_of"]
+
+LOGGER = logging.getLogger("gsvis.serve")
+
+_PLAIN = re.compile(r"[A-Za-z0-9_.:,/+@%\[\]()-]+")
+_LONGEST = 300
+
+
+def line_of(event: str, **facts: object) -> str:
+    """One line of text.
+
+    Examples:
+        >>> line_of("closed", client=3, reason="no answer", seconds=1.23456)
+        'closed client=3 reason="no answer" seconds=1.235'
+    """
+    return " ".join([event, *(f"{key}={_value(value)}" for key, value in facts.items() if value is not None)])
+
+
+def _value(value: object) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    if len(text) > _LONGEST:
+        text = f"{text[:_LONGEST]}..."
+    return text if _PLAIN.fullmatch(text) else json.dumps(text)
+
+
+class EventLog:
+    """Writes lines, of each event at most so many a second; those left out are counted in the next.
+
+    Args:
+        per_s: Lines a second of one event; as many may come at once for ten seconds.
+        clock: Seconds.
+    """
+
+    def __init__(self, per_s: float = 20.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._per_s, self._clock = per_s, clock
+        self._buckets: dict[str, RateBucket] = {}
+        self._left_out: dict[str, int] = {}
+
+    def __call__(self, event: str, level: int = logging.INFO, /, **facts: object) -> None:
+        """Write a line, unless there are too many."""
+        bucket = self._buckets.setdefault(event, RateBucket(self._per_s, 10.0 * self._per_s))
+        if not bucket.take(self._clock()):
+            self._left_out[event] = self._left_out.get(event, 0) + 1
+            return
+        LOGGER.log(level, "%s", line_of(event, **facts, left_out=self._left_out.pop(event, None)))

@@ -1,0 +1,253 @@
+"""A client in Python: says where it is, takes what comes, and comes back with what it holds when the connection breaks.
+
+    client = StreamClient("ws://127.0.0.1:8765/stream", FieldOfView.of_degrees(90, 70))
+    await client.run(path.at, seconds=5.0)
+    gaussians, colors = client.receiver.scene()
+
+Scene frame and units, seconds, bytes of messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+import ssl
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.errors import ProtocolError
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Received, Receiver
+from gsvis.stream.wire import ERROR, FAULTS, ServerFault
+
+__all__ = ["ClientConfig", "Pose", "StreamClient", "fetch"]
+
+Pose = Callable[[float], tuple[ArrayLike, ArrayLike]]
+"""Position (3,) and quaternion (4,) wxyz, world from camera, at seconds since the start; `HeadPath.at` is one."""
+
+_AGAIN = {FAULTS[name] for name in ("too-many", "late", "internal", "ending")}
+
+
+@dataclass(frozen=True)
+class ClientConfig:
+    """How a client behaves.
+
+    Attributes:
+        token: To show; None shows none.
+        poses_per_s: Poses a second. The server plans ten times a second; more than 20 serve little.
+        give_up_s: Seconds without any connection after which the server counts as gone.
+        first_wait_s: Seconds before it is tried again; twice as long each further time, up to `longest_wait_s`.
+        longest_wait_s: See there.
+        message_bytes: Bytes of a message of the server at most.
+        tls: For wss://; None checks certificates as usual.
+    """
+
+    token: str | None = field(default=None, repr=False)
+    poses_per_s: float = 20.0
+    give_up_s: float = 30.0
+    first_wait_s: float = 0.1
+    longest_wait_s: float = 5.0
+    message_bytes: int = 64 << 20
+    tls: ssl.SSLContext | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("poses_per_s", "give_up_s", "first_wait_s", "longest_wait_s", "message_bytes"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
+
+
+class StreamClient:
+    """One viewer of one scene.
+
+    Args:
+        url: Of the stream, ws:// or wss://.
+        view: What it shows.
+        config: None means `ClientConfig()`.
+        receiver: What an earlier client has received; None is nothing.
+
+    Attributes:
+        receiver: What has come; None before the first WELCOME.
+        connections: How often a stream was opened.
+        nbytes: Bytes of batches.
+        restarts: How often the server had another scene, so that everything began anew.
+    """
+
+    def __init__(
+        self, url: str, view: FieldOfView, config: ClientConfig | None = None, *, receiver: Receiver | None = None
+    ) -> None:
+        self.url, self.view, self.config, self.receiver = url, view, config or ClientConfig(), receiver
+        self.connections, self.nbytes, self.restarts = 0, 0, 0
+        self._stopped = asyncio.Event()
+        self._began = 0.0
+
+    def stop(self) -> None:
+        """Let `run` end; from its own thread, in `on_batch` for example."""
+        self._stopped.set()
+
+    async def run(
+        self, pose: Pose, *, seconds: float = np.inf, on_batch: Callable[[Received], None] | None = None
+    ) -> None:
+        """Stream for a while; whatever breaks is tried again.
+
+        Args:
+            pose: Where the viewer is.
+            seconds: How long; inf until `stop`.
+            on_batch: Called with each batch once it has been taken in.
+
+        Raises:
+            ProtocolError: If the server refuses this client, or does not speak the protocol.
+            ConnectionError: If there is no server for too long.
+        """
+        self._stopped.clear()
+        self._began = time.monotonic()
+        work = asyncio.create_task(self._keep_on(pose, on_batch))
+        ended = asyncio.create_task(self._stopped.wait())
+        try:
+            timeout = None if np.isinf(seconds) else seconds
+            done, _ = await asyncio.wait({work, ended}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
+            if work in done:
+                work.result()
+        finally:
+            for task in (work, ended):
+                task.cancel()
+            await asyncio.gather(work, ended, return_exceptions=True)
+
+    async def _keep_on(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
+        wait, lost = self.config.first_wait_s, time.monotonic()
+        while True:
+            before = self.connections
+            try:
+                await self._stream(pose, on_batch)
+                why = "the connection was closed"
+            except ProtocolError as error:
+                if error.code not in _AGAIN:
+                    raise
+                why = str(error)
+            except InvalidStatus as error:
+                answer, status = (
+                    (error.response.body or b"").decode("utf-8", "replace").strip(),
+                    error.response.status_code,
+                )
+                if status < 500:
+                    raise ProtocolError(f"{self.url}: {status} {answer[:200]}", FAULTS["refused"]) from None
+                why = f"{status} {answer[:200]}"
+            except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
+                why = str(error) or type(error).__name__
+            if self.connections > before:
+                wait, lost = self.config.first_wait_s, time.monotonic()
+            if time.monotonic() - lost > self.config.give_up_s:
+                raise ConnectionError(f"{self.url}: no stream for {self.config.give_up_s:g} s; {why}")
+            await asyncio.sleep(wait * random.uniform(0.5, 1.0))
+            wait = min(2.0 * wait, self.config.longest_wait_s)
+
+    async def _stream(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
+        """One connection, to its end."""
+        config = self.config
+        options: dict[str, Any] = {} if config.tls is None else {"ssl": config.tls}
+        if config.token is not None:
+            options["additional_headers"] = {"Authorization": f"Bearer {config.token}"}
+        async with connect(
+            self.url, compression=None, max_size=config.message_bytes, open_timeout=10, close_timeout=1, proxy=None,
+            **options,
+        ) as socket:  # fmt: skip
+            hello = Hello(self.view) if self.receiver is None else self.receiver.hello(self.view)
+            await socket.send(hello.to_bytes())
+            welcome = await _next(socket)
+            if self.receiver is None:
+                self.receiver = Receiver(welcome)
+            elif not self.receiver.resume(welcome):
+                self.receiver = Receiver(welcome)
+                self.restarts += 1
+            self.connections += 1
+            await socket.send(Ack(0).to_bytes())
+            telling = asyncio.create_task(self._tell(socket, pose))
+            try:
+                while True:
+                    data = await _next(socket)
+                    received = self.receiver.receive(data)
+                    await socket.send(Ack(received.sequence).to_bytes())
+                    self.nbytes += received.nbytes
+                    if on_batch is not None:
+                        on_batch(received)
+            except asyncio.CancelledError:
+                await _leave(socket)
+                raise
+            finally:
+                telling.cancel()
+                await asyncio.gather(telling, return_exceptions=True)
+
+    async def _tell(self, socket: ClientConnection, pose: Pose) -> None:
+        """Say where the viewer is, at a steady pace."""
+        start, step = time.monotonic(), 1.0 / self.config.poses_per_s
+        for k in itertools.count():
+            now = time.monotonic() - self._began
+            position, quat = (np.asarray(values, np.float64) for values in pose(now))
+            x, y, z = position.tolist()
+            w, i, j, k_ = quat.tolist()
+            await socket.send(PoseAt(int(1e3 * now), (x, y, z), (w, i, j, k_)).to_bytes())
+            await asyncio.sleep(max(start + (k + 1) * step - time.monotonic(), 0.1 * step))
+
+
+async def _next(socket: ClientConnection) -> bytes:
+    """A message of the server.
+
+    Raises:
+        ProtocolError: If the server says why it ends the connection, or sends text.
+    """
+    data = await socket.recv()
+    if isinstance(data, str):
+        raise ProtocolError("message: expected bytes, got text")
+    if data[:1] == bytes([ERROR]):
+        fault = ServerFault.parse(data)
+        raise ProtocolError(fault.line, fault.code)
+    return data
+
+
+async def _leave(socket: ClientConnection) -> None:
+    with suppress(ConnectionClosed, asyncio.TimeoutError):
+        await asyncio.wait_for(socket.send(Bye().to_bytes()), 0.5)
+
+
+def fetch(
+    url: str,
+    view: FieldOfView,
+    pose: Pose,
+    seconds: float,
+    config: ClientConfig | None = None,
+    *,
+    receiver: Receiver | None = None,
+) -> StreamClient:
+    """Stream for a while, from a program without an event loop.
+
+    Args:
+        url: Of the stream.
+        view: What is shown.
+        pose: Where the viewer is.
+        seconds: How long.
+        config: None means `ClientConfig()`.
+        receiver: What an earlier client has received.
+
+    Returns:
+        The client, with what has come in `receiver`.
+
+    Raises:
+        ProtocolError: As `StreamClient.run`.
+        ConnectionError: The same.
+    """
+
+    async def stream() -> StreamClient:
+        client = StreamClient(url, view, config, receiver=receiver)
+        await client.run(pose, seconds=seconds)
+        return client
+
+    return asyncio.run(stream())

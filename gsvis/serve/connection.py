@@ -1,0 +1,343 @@
+"""One client of the server: two loops over its socket around one `Sender`, which decides what goes out.
+
+One loop listens and keeps what it hears in a short list; the other takes it from there, plans and sends, so a sender is
+never used by two at once. Nothing here grows with what a client does: what is under way is bounded by the sender's
+allowance, what waits to be looked at by counts. Seconds of a clock that does not fall, bytes of messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol, TypeVar
+
+from gsvis.abr.scheduler import SchedulerConfig
+from gsvis.errors import FormatError, ProtocolError
+from gsvis.serve._log import EventLog
+from gsvis.serve.limits import Limits, RateBucket
+from gsvis.serve.metrics import Metrics
+from gsvis.serve.scenes import ServedScene
+from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Sender, parse_client
+from gsvis.stream.wire import FAULTS, ServerFault
+
+__all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
+
+_LEAST_BUDGET = 4096.0  # bytes that may go out when nothing is under way, however slow the link seems
+_MOST_HEARD = 256  # poses and acknowledgements that wait to be looked at
+_SOON = 0.1  # of a tick: how soon after a batch the next may follow when the link runs dry
+_ROUND = 1.0  # seconds after which a client is looked after even if nothing happens
+_FAREWELL = 1.0  # seconds that the last words may take
+
+
+_T = TypeVar("_T")
+
+
+class GoneError(Exception):
+    """The client has closed the connection, or it broke."""
+
+
+class Peer(Protocol):
+    """The socket of a client."""
+
+    async def receive(self) -> bytes:
+        """The next message; raises `GoneError`, or ProtocolError for text."""
+        ...
+
+    async def send(self, data: bytes) -> None:
+        """Send, once there is room in the buffer of the socket; raises `GoneError`."""
+        ...
+
+    async def close(self, reason: str) -> None:
+        """Say farewell."""
+        ...
+
+    def abort(self) -> None:
+        """Cut, with what waits to be sent."""
+        ...
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all connections of a server share.
+
+    Attributes:
+        limits: Bounds.
+        metrics: Counts.
+        log: Lines.
+        config: Of the schedulers.
+        clock: Seconds that do not fall.
+        planners: Where batches are planned; None is the thread of the event loop.
+    """
+
+    limits: Limits
+    metrics: Metrics
+    log: EventLog
+    config: SchedulerConfig
+    clock: Callable[[], float]
+    planners: Executor | None = None
+
+
+class PoseClock:
+    """Brings the clock of a client to that of the server, by the smallest delay of late.
+
+    After a stall many poses arrive at once, and what predicts has to know that they were not made at once.
+    """
+
+    _CREEP = 1e-3  # seconds a second by which the delay is forgotten: clocks differ in pace
+
+    def __init__(self) -> None:
+        self._offset: float | None = None
+        self._ms, self._turns, self._arrived = 0, 0, 0.0
+
+    def at(self, arrived: float, time_ms: int) -> float:
+        """Server's seconds at which a pose was taken, never later than it arrived.
+
+        Args:
+            arrived: Server's seconds.
+            time_ms: Client's milliseconds; they start again after 2^32.
+        """
+        if self._offset is not None and self._ms - time_ms > 1 << 31:
+            self._turns += 1
+        seconds = (time_ms + (self._turns << 32)) / 1e3
+        offset = arrived - seconds
+        if self._offset is not None:
+            offset = min(offset, self._offset + self._CREEP * (arrived - self._arrived))
+        self._offset, self._ms, self._arrived = offset, time_ms, arrived
+        return seconds + offset
+
+
+class Connection:
+    """Serves one client until it goes or is sent away.
+
+    Args:
+        peer: Its socket.
+        served: The scene.
+        setting: What all share.
+        number: For the log.
+
+    Attributes:
+        sender: What decides; None before HELLO.
+        reason: Why it ended: "left", "lost", or a limit or fault.
+    """
+
+    def __init__(self, peer: Peer, served: ServedScene, setting: Setting, number: int) -> None:
+        self._peer, self._served, self._setting, self.number = peer, served, setting, number
+        self.sender: Sender | None = None
+        self.reason = ""
+        self._heard: list[tuple[float, PoseAt | Ack]] = []
+        self._bell: asyncio.Future[None] | None = None
+        limits = setting.limits
+        self._messages = RateBucket(limits.messages_per_s, limits.messages_per_s * limits.burst_s)
+        self._poses = RateBucket(limits.poses_per_s, limits.poses_per_s)
+        self._pose_clock = PoseClock()
+        self._alive = self._moved = self._planned = setting.clock()
+        self._has_pose, self._fresh, self._dry = False, False, False  # a pose; one not planned for; nothing to send
+
+    async def run(self) -> None:
+        """All of it; raises nothing but cancellation."""
+        began, fault = self._setting.clock(), None
+        loops: list[asyncio.Task[None]] = []
+        try:
+            await self._greet()
+            loops = [asyncio.create_task(self._listen()), asyncio.create_task(self._talk())]
+            done, _ = await asyncio.wait(loops, return_when=asyncio.FIRST_COMPLETED)
+            for task in sorted(done, key=loops.index):
+                task.result()
+        except GoneError as gone:
+            self.reason = str(gone) or "lost"
+        except Exception as error:
+            fault = self._judge(error)
+        finally:
+            for task in loops:
+                task.cancel()
+            await asyncio.gather(*loops, return_exceptions=True)
+            self._account(began)
+        if self.reason not in ("left", "lost", "ending"):
+            await self._farewell(fault)
+
+    async def _greet(self) -> None:
+        """HELLO in, WELCOME out."""
+        limits, clock = self._setting.limits, self._setting.clock
+        try:
+            data = await asyncio.wait_for(self._peer.receive(), limits.handshake_s)
+        except asyncio.TimeoutError:
+            raise ProtocolError("HELLO: expected it at once, got silence", FAULTS["late"]) from None
+        said = parse_client(data, most_hello=limits.message_bytes or self._served.scene.most_hello)
+        if not isinstance(said, Hello):
+            raise ProtocolError(f"message: expected HELLO first, got {type(said).__name__}")
+        try:
+            self.sender = await self._apart(partial(Sender.greeted, self._served.scene, said, self._setting.config))
+        except ValueError as error:
+            raise ProtocolError(f"HELLO: {error}") from error
+        self._alive = self._moved = clock()
+        await self._peer.send(self.sender.welcome(self._alive).data)
+        self._setting.metrics.opened.add(of=self._served.name)
+        self._setting.log(
+            "opened", client=self.number, scene=self._served.name, held=len(self.sender.holdings.received) or None
+        )
+
+    async def _listen(self) -> None:
+        """Hear the client until it goes."""
+        clock, metrics = self._setting.clock, self._setting.metrics
+        while True:
+            data = await self._peer.receive()
+            now = self._alive = clock()
+            if not self._messages.take(now):
+                raise ProtocolError("messages: expected fewer, got a flood", FAULTS["flood"])
+            said = parse_client(data, most_hello=64)
+            metrics.received.add(of=type(said).__name__)
+            if isinstance(said, Bye):
+                raise GoneError("left")
+            if isinstance(said, Hello):
+                raise ProtocolError("HELLO: expected it once, got another")
+            if isinstance(said, PoseAt) and not self._poses.take(now):
+                metrics.skipped.add()
+                continue
+            if len(self._heard) >= _MOST_HEARD:  # the other loop waits for room in the socket
+                self._heard = [entry for entry in self._heard if isinstance(entry[1], Ack)]
+                if len(self._heard) >= _MOST_HEARD:
+                    raise ProtocolError("ACK: expected one a message, got more", FAULTS["flood"])
+            self._heard.append((now, said))
+            if isinstance(said, Ack) or not self._has_pose:
+                self._ring()
+
+    async def _talk(self) -> None:
+        """Plan and send until something ends it."""
+        tick = self._setting.limits.tick_s
+        while True:
+            now = self._setting.clock()
+            self._look_after(now)
+            self._take_in()
+            if now - self._planned < _SOON * tick or not self._wants(now):
+                due = self._planned + tick if self._has_pose else now + _ROUND
+                await self._wait(min(max(due - now, _SOON * tick), _ROUND))
+                continue
+            if now - self._planned < 2 * tick + _ROUND:
+                self._setting.metrics.late.observe(max(0.0, now - self._planned - tick))
+            self._planned, self._fresh = now, False
+            message, seconds = await self._apart(self._plan)
+            self._dry = message is None
+            self._setting.metrics.planning.observe(seconds)
+            if message is not None:
+                await self._peer.send(message.data)
+                self._count(message)
+
+    def _wants(self, now: float) -> bool:
+        """Whether it is time for a batch: a tick has passed, or the link runs dry."""
+        sender = self._sender
+        if not self._has_pose or (sender.done and not self._fresh):
+            return False
+        if now - self._planned >= self._setting.limits.tick_s:
+            return True
+        return not self._dry and 2 * sender.outstanding <= sender.allowance()
+
+    def _plan(self) -> tuple[Message | None, float]:
+        """The next batch, and how long it took; perhaps in another thread."""
+        sender, began = self._sender, self._setting.clock()
+        budget = sender.allowance()
+        if sender.outstanding == 0:
+            budget = max(budget, _LEAST_BUDGET)
+        message = sender.next_message(began, min(budget, float(self._setting.limits.batch_bytes)))
+        return message, self._setting.clock() - began
+
+    def _count(self, message: Message) -> None:
+        metrics = self._setting.metrics
+        metrics.batches.add()
+        metrics.sent_bytes.add(len(message.data))
+        metrics.gaussians.add(len(message.batch.gaussians))
+        metrics.terms.add(len(message.batch.terms))
+
+    def _take_in(self) -> None:
+        """Give the sender what has been heard."""
+        heard, self._heard, sender = self._heard, [], self._sender
+        for t, said in heard:
+            try:
+                if isinstance(said, Ack):
+                    before = sender.outstanding
+                    sender.on_ack(t, said.sequence)
+                    if sender.outstanding < before:
+                        self._moved = t
+                else:
+                    sender.on_pose(self._pose_clock.at(t, said.time_ms), said.position, said.quat)
+                    self._has_pose = self._fresh = True
+            except ValueError as error:
+                raise ProtocolError(f"{type(said).__name__}: {error}") from error
+
+    def _look_after(self, now: float) -> None:
+        """End what is silent or does not read."""
+        limits = self._setting.limits
+        if now - self._alive > limits.idle_s:
+            raise ProtocolError(f"messages: expected one in {limits.idle_s:g} s, got none", FAULTS["late"])
+        if self._sender.outstanding == 0:
+            self._moved = now
+        if now - self._moved > limits.stall_s:
+            raise ProtocolError(f"ACK: expected one in {limits.stall_s:g} s, got none", FAULTS["late"])
+
+    async def _apart(self, work: Callable[[], _T]) -> _T:
+        executor = self._setting.planners
+        return work() if executor is None else await asyncio.get_running_loop().run_in_executor(executor, work)
+
+    async def _wait(self, seconds: float) -> None:
+        """Until the bell rings, at most so long."""
+        loop = asyncio.get_running_loop()
+        self._bell = loop.create_future()
+        timer = loop.call_later(seconds, self._ring)
+        try:
+            await self._bell
+        finally:
+            timer.cancel()
+            self._bell = None
+
+    def _ring(self) -> None:
+        if self._bell is not None and not self._bell.done():
+            self._bell.set_result(None)
+
+    @property
+    def _sender(self) -> Sender:
+        assert self.sender is not None
+        return self.sender
+
+    def _judge(self, error: Exception) -> ServerFault:
+        """What to tell the client and the log of an error."""
+        fault = ServerFault.of(error)
+        if isinstance(error, ProtocolError):
+            self.reason = next((name for name, code in FAULTS.items() if code == error.code), "malformed")
+            self._setting.log("refused", logging.WARNING, client=self.number, reason=self.reason, why=str(error))
+        elif isinstance(error, FormatError):
+            self.reason = "damaged"
+            self._served.refuse(str(error))
+            self._setting.metrics.faults.add(of=self._served.name)
+            self._setting.log("damaged", logging.ERROR, scene=self._served.name, client=self.number, why=str(error))
+            return ServerFault(FAULTS["internal"], "the scene is damaged on the server")
+        else:
+            self.reason = "internal"
+            self._setting.log("failed", logging.ERROR, client=self.number, why=f"{type(error).__name__}: {error}")
+            logging.getLogger("gsvis.serve").debug("client %d", self.number, exc_info=error)
+        return fault
+
+    def _account(self, began: float) -> None:
+        if self.sender is None:
+            self._setting.metrics.refused.add(of=self.reason or "ending")
+            return
+        self._setting.metrics.closed.add(of=self.reason or "ending")
+        self._setting.log(
+            "closed", client=self.number, reason=self.reason or "ending", seconds=self._setting.clock() - began,
+            sent_bytes=self.sender.wire_bytes, unacknowledged=self.sender.outstanding, rate=self.sender.rate,
+        )  # fmt: skip
+
+    async def _farewell(self, fault: ServerFault | None) -> None:
+        """Tell the client why, if it listens; cut otherwise."""
+
+        async def say() -> None:
+            if fault is not None:
+                await self._peer.send(fault.to_bytes())
+            await self._peer.close(self.reason)
+
+        try:
+            await asyncio.wait_for(say(), _FAREWELL)
+        except (asyncio.TimeoutError, GoneError):
+            self._peer.abort()

@@ -1,0 +1,82 @@
+"""What a client may ask of the server, and how long it may take: numbers, and the bucket that counts rates.
+
+Seconds, bytes, and counts. Whoever goes beyond a limit is sent away; the others notice nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gsvis import _check
+
+__all__ = ["Limits", "RateBucket"]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of one server; the defaults are safe for one that strangers can reach.
+
+    Attributes:
+        connections: Streaming clients at once. As many plain requests and half-open connections may stand beside them.
+        message_bytes: Bytes of one message of a client. None: what the holdings of the largest scene can take.
+        messages_per_s: Messages of a client a second, in the mean over `burst_s`; one that sends more is sent away.
+        burst_s: Seconds of messages that may come at once, as they do after a link has stalled.
+        poses_per_s: Poses of a client a second that are looked at; further ones are passed over.
+        handshake_s: Seconds from a connection to a request, and from there to the first message.
+        idle_s: Seconds of silence after which a client is gone.
+        stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
+            client does not read.
+        tick_s: Least seconds between two batches of one client while the link is busy.
+        batch_bytes: Most bytes of one batch.
+    """
+
+    connections: int = 100
+    message_bytes: int | None = None
+    messages_per_s: float = 200.0
+    burst_s: float = 10.0
+    poses_per_s: float = 60.0
+    handshake_s: float = 10.0
+    idle_s: float = 60.0
+    stall_s: float = 30.0
+    tick_s: float = 0.1
+    batch_bytes: int = 256 * 1024
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in ("connections", "batch_bytes"):
+                _check.positive_int(entry.name, value)
+            elif entry.name == "message_bytes":
+                if value is not None:
+                    _check.positive_int(entry.name, value, at_least=64)
+            elif not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{entry.name}: expected a finite number > 0, got {value!r}")
+
+
+class RateBucket:
+    """Counts events against a rate: `take` says whether one more is within it.
+
+    Args:
+        rate: Events a second.
+        burst: Events that may come at once.
+
+    Examples:
+        >>> bucket = RateBucket(10.0, burst=2)
+        >>> [bucket.take(0.0), bucket.take(0.0), bucket.take(0.0), bucket.take(0.1)]
+        [True, True, False, True]
+    """
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate, self._burst = rate, max(burst, 1.0)
+        self._left, self._time = self._burst, -np.inf
+
+    def take(self, t: float) -> bool:
+        """Whether an event at time t, in seconds that do not fall, is within the rate; it counts if so."""
+        self._left = min(self._burst, self._left + (t - self._time) * self._rate)
+        self._time = t
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True

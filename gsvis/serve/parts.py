@@ -1,0 +1,128 @@
+"""Files of a package over HTTP, whole or in ranges: what a static file server does, and each checked before it goes.
+
+Only `manifest.json` and parts, whose names are hashes, can be named; nothing that a client sends becomes a path.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import os
+import re
+from pathlib import Path
+
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+
+from gsvis.errors import FormatError
+from gsvis.package.manifest import MANIFEST
+from gsvis.package.package import PARTS
+from gsvis.package.parts import MOST_BYTES
+
+__all__ = ["byte_range", "read_part", "respond"]
+
+_MOST_MANIFEST = 64 << 20  # bytes that are held in memory to be sent
+_MOST_PART = 2 * MOST_BYTES
+_PART = re.compile(r"([0-9a-f]{64})\.(?:arrow|bin)")
+_RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
+_FOREVER = "public, max-age=31536000, immutable"
+
+
+def byte_range(header: str, size: int) -> tuple[int, int] | None:
+    """First byte and the one after the last that a Range header asks for.
+
+    Args:
+        header: Its value.
+        size: Bytes of the file.
+
+    Returns:
+        (start, stop); (0, 0) where nothing of the file is asked for; None where the header is to be passed over: it
+        is malformed, or asks for several ranges.
+
+    Examples:
+        >>> byte_range("bytes=2-4", 10), byte_range("bytes=-3", 10), byte_range("bytes=10-", 10)
+        ((2, 5), (7, 10), (0, 0))
+    """
+    found = _RANGE.fullmatch(header.strip())
+    if found is None or found.group(0) == "bytes=-":
+        return None
+    first, last = found.groups()
+    if not first:
+        length = min(int(last), size)
+        return (size - length, size) if length else (0, 0)
+    start = int(first)
+    if last and int(last) < start:
+        return None
+    stop = min(int(last) + 1, size) if last else size
+    return (start, stop) if start < stop else (0, 0)
+
+
+def read_part(package: Path, name: str) -> bytes:
+    """A part, checked against its name.
+
+    Args:
+        package: The folder.
+        name: Of the part.
+
+    Raises:
+        FileNotFoundError: If there is none, or this is no name of a part.
+        FormatError: If it is damaged, a link, or no file.
+    """
+    found = _PART.fullmatch(name)
+    if found is None:
+        raise FileNotFoundError(name)
+    path = package / PARTS / name
+    data = _read(path, _MOST_PART)
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != found.group(1):
+        raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", "copy it again")
+    return data
+
+
+def _read(path: Path, most: int) -> bytes:
+    if path.is_symlink():
+        raise FormatError(path, "", "a file of the package", "a link", "links are not followed; copy the file itself")
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise FormatError(path, "", f"at most {most:,} bytes", f"{size:,}")
+        return file.read(most)
+
+
+async def respond(request: Request, package: Path, name: str, *, private: bool) -> Response:
+    """Answer a GET or HEAD for a file of a package.
+
+    Args:
+        request: The request.
+        package: The folder.
+        name: `manifest.json`, or the name of a part.
+        private: Whether caches that several people share have to leave it alone.
+
+    Raises:
+        FormatError: If the file is damaged.
+    """
+    try:
+        if name == MANIFEST:
+            data = await asyncio.to_thread(_read, package / MANIFEST, _MOST_MANIFEST)
+            tag, kind, keep = f'"{hashlib.sha256(data).hexdigest()}"', "application/json", "no-cache"
+        else:
+            data = await asyncio.to_thread(read_part, package, name)
+            tag, kind, keep = f'"{name[:64]}"', "application/octet-stream", _FOREVER
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return PlainTextResponse("no such file\n", 404)
+    headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
+    headers["cache-control"] = keep.replace("public", "private") if private else keep
+    if tag in [given.strip() for given in request.headers.get("if-none-match", "").split(",")]:
+        return Response(status_code=304, headers=headers)
+    asked = request.headers.get("range")
+    part = None if asked is None or request.headers.get("if-range", tag) != tag else byte_range(asked, len(data))
+    if part == (0, 0):
+        return Response(status_code=416, headers={**headers, "content-range": f"bytes */{len(data)}"})
+    status, body = 200, data
+    if part is not None:
+        status, body = 206, data[part[0] : part[1]]
+        headers["content-range"] = f"bytes {part[0]}-{part[1] - 1}/{len(data)}"
+    if request.method == "HEAD":
+        headers["content-length"] = str(len(body))
+        body = b""
+    return Response(body, status, headers, kind)

@@ -1,0 +1,90 @@
+"""The scenes of a server: packages by name, opened once, and refused from then on when one turns out to be damaged."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from gsvis.errors import GsvisError
+from gsvis.serve._log import EventLog
+from gsvis.stream import StreamedScene
+
+__all__ = ["ServedScene", "open_scenes"]
+
+
+@dataclass(eq=False)
+class ServedScene:
+    """A package under the name that clients ask for.
+
+    Attributes:
+        name: In addresses.
+        path: Its folder.
+        opened: Ready to be sent; None where it could not be opened.
+        fault: Why it is refused; "" while it is served. For the log: it may name files.
+    """
+
+    name: str
+    path: Path
+    opened: StreamedScene | None
+    fault: str = ""
+
+    @property
+    def scene(self) -> StreamedScene:
+        """The scene.
+
+        Raises:
+            RuntimeError: If it could not be opened.
+        """
+        if self.opened is None:
+            raise RuntimeError(f"{self.name} is not open")
+        return self.opened
+
+    def refuse(self, line: str) -> None:
+        """Serve it to nobody else from now on."""
+        self.fault = line
+
+
+def open_scenes(
+    packages: Sequence[str | PathLike[str]], *, max_cache_bytes: int = 512 << 20, log: EventLog | None = None
+) -> Mapping[str, ServedScene]:
+    """Open packages; one that is damaged is kept as refused, so that the others can be served.
+
+    Args:
+        packages: Folders. The name of a scene is that of its folder without suffix.
+        max_cache_bytes: Most bytes of what is decoded for cells, all scenes together.
+        log: Where to say what happened.
+
+    Returns:
+        Scenes by name, in the order given.
+
+    Raises:
+        ValueError: If there is none, or two have one name.
+        GsvisError: If none of them can be opened.
+        OSError: The same.
+    """
+    if not packages:
+        raise ValueError("packages: expected at least one, got none")
+    log = log or EventLog()
+    found: dict[str, ServedScene] = {}
+    first: Exception | None = None
+    for package in packages:
+        path = Path(package)
+        name = path.resolve().name.partition(".")[0] or "scene"
+        if name in found:
+            raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
+        try:
+            opened = StreamedScene.open(path, max_cache_bytes=max_cache_bytes // len(packages))
+        except (GsvisError, OSError) as error:
+            first = first or error
+            log("damaged", logging.ERROR, scene=name, why=str(error))
+            found[name] = ServedScene(name, path, None, str(error))
+            continue
+        found[name] = ServedScene(name, path, opened)
+        about = opened.about
+        log("ready", scene=name, gaussians=about.gaussians, terms=about.terms, cells=len(opened.index.grid))
+    if first is not None and all(served.opened is None for served in found.values()):
+        raise first
+    return found
