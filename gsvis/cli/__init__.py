@@ -31,6 +31,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis convert scene.ply small.spz --min-opacity 0.02
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
+  gsvis serve scene.gsvis                    to viewers, over WebSockets
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
 
@@ -153,6 +154,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.package import run_unpack
 
         run_unpack(command)
+    elif isinstance(command, arguments.Serve):
+        from gsvis.cli.serve import run_serve
+
+        run_serve(command)
     else:
         from gsvis.cli.convert import run_convert
 

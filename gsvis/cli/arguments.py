@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.readers import (
     BOX,
     BYTES,
@@ -54,6 +55,7 @@ __all__ = [
     "Pvs",
     "PvsReport",
     "Render",
+    "Serve",
     "Train",
     "Unpack",
     "Verify",
@@ -437,4 +439,4 @@ class Levels:
     """Show the traceback of an error."""
 
 
-Command = Inspect | Analyze | Render | Pvs | PvsReport | Color | Train | Levels | Convert | Verify | Unpack
+Command = Inspect | Analyze | Render | Pvs | PvsReport | Color | Train | Levels | Convert | Verify | Unpack | Serve

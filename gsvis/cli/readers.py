@@ -29,11 +29,15 @@ __all__ = [
     "MEAN_TERMS",
     "NAMES",
     "OPACITY",
+    "ORIGINS",
+    "PACKAGES",
     "PIXEL",
     "PIXELS",
     "PLAIN",
     "POINT",
+    "PORT",
     "RATE",
+    "SECONDS",
     "SHARE",
     "SHARES",
     "SH_DEGREE",
@@ -119,6 +123,12 @@ def _read_names(words: list[str]) -> tuple[str, ...]:
     return tuple(words)
 
 
+def _read_packages(words: list[str]) -> tuple[str, ...]:
+    if not words:
+        raise ValueError("expected the folder of a package, got none")
+    return tuple(words)
+
+
 def _read_pixel(words: list[str]) -> tuple[int, int]:
     column, _, row = words[0].partition(",")
     if not (column.isdecimal() and row.isdecimal()):
@@ -189,6 +199,10 @@ TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
 SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
 SHARES = _spec("*", "S [S ...]", _read_shares)
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)
+PACKAGES = _spec("*", "PACKAGE [PACKAGE ...]", _read_packages)
+ORIGINS = _spec("*", "ORIGIN [ORIGIN ...]", tuple)
+PORT = _number("N", int, 0, 65535, "a port of 0 to 65535")
+SECONDS = _number("S", float, 0.01, 86400.0, "seconds in [0.01, 86400]")
 CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)

@@ -1,0 +1,60 @@
+"""`gsvis serve`: packages to viewers, until it is stopped. Log lines go to stderr, the address to stdout if asked for."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+
+from gsvis.cli.arguments_serve import Serve
+from gsvis.cli.terminal import print_json
+from gsvis.errors import BackendError
+
+__all__ = ["run_serve"]
+
+
+def run_serve(command: Serve) -> None:
+    """Open the packages and serve them.
+
+    Raises:
+        FormatError: If no package can be opened, since they are damaged.
+        OSError: If the address is taken.
+        ValueError: If an argument is wrong.
+    """
+    _log_to_stderr(debug=command.debug)
+    from gsvis.abr.scheduler import SchedulerConfig
+    from gsvis.serve import Address, AppConfig, Limits, Server, open_scenes
+
+    limits = Limits(
+        connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
+        poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
+    )  # fmt: skip
+    token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
+    config = AppConfig(token, command.origins, limits, SchedulerConfig(policy=command.policy))
+    address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
+    scenes = open_scenes(command.package, max_cache_bytes=command.cache)
+    try:
+        server = Server(scenes, config, address, planners=command.planners)
+    except OSError as error:
+        if error.filename is None:  # a certificate that OpenSSL does not like has no name in its error
+            raise BackendError(f"TLS: {error}; check --ssl-certfile and --ssl-keyfile") from error
+        raise
+    if command.json:
+        print_json({"format": "gsvis-serving", "version": 1, "url": server.url, "scenes": list(scenes)})
+        sys.stdout.flush()
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        pass  # how a server ends
+
+
+def _log_to_stderr(*, debug: bool) -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    form = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
+    form.converter = time.gmtime
+    handler.setFormatter(form)
+    for name, level in (("gsvis", logging.DEBUG if debug else logging.INFO), ("uvicorn", logging.WARNING)):
+        logger = logging.getLogger(name)
+        logger.handlers, logger.propagate = [handler], False
+        logger.setLevel(level)
