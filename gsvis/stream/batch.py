@@ -1,24 +1,27 @@
-"""BATCH: what is sent at once, as one Arrow record batch whose rows are sections.
+"""BATCH: what is sent at once, as one Arrow record batch of five rows: ids, rows of chunks, records, terms, axes.
 
-Records travel as they are; ids rise and travel as their distances. A batch can be read on its own by whoever has the
-rows of the chunks that came before.
+Records travel as they are. Ids rise and travel as their distances, a few bits each. A batch can be read on its own by
+whoever has the rows of the chunks that came before. The bytes around the rows are the same in every batch but for two
+numbers, so they are written and compared here, without an Arrow library, which can read them all the same.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NoReturn
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from gsvis.errors import ProtocolError
 from gsvis.package.layout import RECORD_BYTES
-from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
-from gsvis.stream.wire import BATCH
+from gsvis.stream import _kernels as kernels
+from gsvis.stream.header import HEAD, SceneHeader
+from gsvis.stream.wire import BATCH, FAULTS
 
-__all__ = ["CHUNK_ROW", "Sections"]
+__all__ = ["CHUNK_ROW", "FIXED_BYTES", "Sections"]
 
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
@@ -31,7 +34,24 @@ CHUNK_ROW = np.dtype(
 )  # fmt: skip
 """Row of a chunk, 31 bytes."""
 
-_MOST_BYTES = 1 << 28
+MOST_BYTES = 1 << 28
+"""Of a batch."""
+
+_ARROW = bytes.fromhex(
+    "ffffffff9800000014000000000000000c0016000600050008000c000c000000"
+    "0003040018000000000000000000000000000a0018000c00040008000a000000"
+    "4c00000010000000050000000000000000000000030000000000000000000000"
+    "0000000000000000000000000000000018000000000000001800000000000000"
+    "0000000000000000000000000100000005000000000000000000000000000000"
+)  # marker, length, and metadata of a record batch of five rows of bytes, without the two numbers below
+_BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
+_NUMBER = struct.Struct("<q")
+_ENDS = struct.Struct("<6i")  # where the rows begin and end
+_IDS = struct.Struct("<I5B")  # how many are gone; orders of the codes of chunks, Gaussians, terms, owners, gone
+_ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
+
+FIXED_BYTES = _ROWS_AT + _IDS.size + 8
+"""Of a batch with nothing in it, and what fills it up to a multiple of eight, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,23 +72,46 @@ class Sections:
     """
 
     sequence: int
-    chunks: I64
+    chunks: NDArray[Any]
     rows: NDArray[Any]
-    gaussians: I64
+    gaussians: NDArray[Any]
     records: U8
-    terms: I64
-    owners: I64
+    terms: NDArray[Any]
+    owners: NDArray[Any]
     term_records: U8
     axes: U8
-    gone: I64
+    gone: NDArray[Any]
 
-    def to_message(self) -> bytes:
-        """BATCH."""
-        ids = (self.chunks, self.gaussians, self.terms, self.owners, self.gone)
-        sections = [array.astype("<u4").tobytes() for array in ids]
-        sections += [array.tobytes() for array in (self.rows, self.records, self.term_records, self.axes)]
-        batch = pa.record_batch([pa.array(sections, pa.binary())], schema=SCHEMA)
-        return HEAD.pack(BATCH, 0, 0, self.sequence) + bytes(batch.serialize())
+    def to_message(self, about: SceneHeader) -> bytes:
+        """BATCH.
+
+        Args:
+            about: Of the scene.
+        """
+        pieces = self._ids(about), self.rows, self.records, self.term_records, self.axes
+        rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
+        ends = [0]
+        for row in rows:
+            ends.append(ends[-1] + len(row))
+        filled = -ends[-1] % 8
+        head = bytearray(HEAD.pack(BATCH, 0, 0, self.sequence) + _ARROW + _ENDS.pack(*ends))
+        _NUMBER.pack_into(head, HEAD.size + _BODY_AT, _ENDS.size + ends[-1] + filled)
+        _NUMBER.pack_into(head, HEAD.size + _DATA_AT, ends[-1])
+        return b"".join([head, *rows, bytes(filled)])  # type: ignore[list-item]
+
+    def _ids(self, about: SceneHeader) -> U8:
+        lists = self.chunks, self.gaussians, self.terms, self.owners, self.gone
+        values = [np.empty(len(ids), np.int64) for ids in lists]
+        for k in (0, 1, 2, 4):
+            kernels.distances(lists[k], values[k])
+        kernels.owner_distances(self.terms, self.owners, about.gaussians, max(about.terms, 1), values[3])
+        orders = [int(kernels.best_order(some)) for some in values]
+        most = sum(len(some) for some in values) * kernels.MOST_BITS // 8
+        out, bit = np.zeros(_IDS.size + most + 8, np.uint8), 8 * _IDS.size
+        for some, order in zip(values, orders, strict=True):
+            bit = kernels.write(some, order, out, bit)
+        out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.gone), *orders), np.uint8)
+        return out[: -(-bit // 8)]
 
     @classmethod
     def parse(cls, data: bytes, about: SceneHeader) -> Sections:
@@ -81,25 +124,65 @@ class Sections:
         Raises:
             ProtocolError: If it is none, or does not fit the scene.
         """
-        if len(data) < HEAD.size or len(data) > _MOST_BYTES or data[0] != BATCH:
+        if len(data) < _ROWS_AT or data[0] != BATCH:
             raise ProtocolError(f"message: expected BATCH, got {len(data):,} bytes of another kind")
+        if len(data) > MOST_BYTES:
+            raise ProtocolError(f"BATCH: expected at most {MOST_BYTES:,} bytes, got {len(data):,}", FAULTS["too-large"])
         sequence = HEAD.unpack_from(data)[3]
-        try:
-            batch = pa.ipc.read_record_batch(pa.py_buffer(data[HEAD.size :]), SCHEMA)
-            batch.validate(full=True)
-            parts = batch.column(0).to_pylist()
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise ProtocolError(f"BATCH {sequence}: {str(error)[:200]}") from error
-        if len(parts) != 9 or None in parts:
-            raise ProtocolError(f"BATCH {sequence}: expected 9 sections, got {len(parts)}")
-        widths = 4, 4, 4, 4, 4, CHUNK_ROW.itemsize, RECORD_BYTES, about.term_bytes, max(about.axis_bytes, 1)
-        for part, width in zip(parts, widths, strict=True):
-            if len(part) % width:
-                raise ProtocolError(f"BATCH {sequence}: expected a multiple of {width} bytes, got {len(part)}")
-        chunks, gaussians, terms, owners, gone = (np.frombuffer(p, "<u4").astype(np.int64) for p in parts[:5])
-        rows = np.frombuffer(parts[5], CHUNK_ROW)
-        records, term_records = (
-            np.frombuffer(p, np.uint8).reshape(-1, w) for p, w in zip(parts[6:8], widths[6:8], strict=True)
+        ends = _ENDS.unpack_from(data, HEAD.size + len(_ARROW))
+        head = bytearray(HEAD.pack(BATCH, 0, 0, sequence) + _ARROW)
+        _NUMBER.pack_into(head, HEAD.size + _BODY_AT, len(data) - HEAD.size - len(_ARROW))
+        _NUMBER.pack_into(head, HEAD.size + _DATA_AT, ends[-1])
+        whole = _ROWS_AT + ends[-1] + -ends[-1] % 8 == len(data)
+        if data[: len(head)] != head or ends[0] != 0 or any(b < a for a, b in pairwise(ends)) or not whole:
+            _refuse(sequence, "five rows that fill the message", "others")
+        rows = [np.frombuffer(data, np.uint8, stop - start, _ROWS_AT + start) for start, stop in pairwise(ends)]
+        widths = CHUNK_ROW.itemsize, RECORD_BYTES, about.term_bytes, max(about.axis_bytes, 1)
+        for row, width in zip(rows[1:], widths, strict=True):
+            if len(row) % width:
+                _refuse(sequence, f"a multiple of {width} bytes", f"{len(row)}")
+        counts = [len(row) // width for row, width in zip(rows[1:], widths, strict=True)]
+        chunks, gaussians, terms, owners, gone = _ids_of(sequence, rows[0], counts, about)
+        if counts[3] > (counts[2] if about.axis_bytes else 0):
+            _refuse(sequence, f"axes of at most {counts[2]} Gaussians", f"{counts[3]}")
+        axes = rows[4].reshape(counts[3], -1) if counts[3] else np.zeros((0, about.axis_bytes), np.uint8)
+        records, term_records = (rows[k + 1].reshape(counts[k], widths[k]) for k in (1, 2))
+        return cls(
+            sequence, chunks, rows[1].view(CHUNK_ROW), gaussians, records, terms, owners, term_records, axes, gone
         )
-        axes = np.frombuffer(parts[8], np.uint8).reshape(-1, widths[8])[:, : about.axis_bytes]
-        return cls(sequence, chunks, rows, gaussians, records, terms, owners, term_records, axes, gone)
+
+
+def _ids_of(sequence: int, data: U8, counts: list[int], about: SceneHeader) -> list[I64]:
+    """Ids of chunks, Gaussians, terms, owners, and those that are gone."""
+    if len(data) < _IDS.size:
+        _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
+    gone, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
+    n, t = about.gaussians, about.terms
+    lengths = [counts[0], counts[1], counts[2], counts[2], gone]
+    limits = [n, n, t, n, n]
+    if max(orders) > kernels.MOST_ORDER or sum(lengths) > 8 * len(data):
+        _refuse(sequence, f"{sum(lengths):,} ids", f"{len(data):,} bytes")
+    found: list[I64] = []
+    bit = 8 * _IDS.size
+    for k in range(5):
+        if k != 3 and lengths[k] > limits[k]:
+            _refuse(sequence, f"at most {limits[k]:,} ids", f"{lengths[k]:,}")
+        values, ids = np.empty(lengths[k], np.int64), np.empty(lengths[k], np.int64)
+        bit = kernels.read(data, bit, orders[k], values)
+        if bit < 0:
+            _refuse(sequence, f"{lengths[k]:,} ids", "another string of bits")
+        good = (
+            kernels.owners_from(values, found[2], n, max(t, 1), ids)
+            if k == 3
+            else kernels.ids_from(values, limits[k], ids)
+        )
+        if not good:
+            _refuse(sequence, f"ids below {limits[k]:,}", "others")
+        found.append(ids)
+    if -(-bit // 8) != len(data):
+        _refuse(sequence, f"{-(-bit // 8)} bytes of ids", f"{len(data)}")
+    return found
+
+
+def _refuse(sequence: int, expected: str, got: str) -> NoReturn:
+    raise ProtocolError(f"BATCH {sequence}: expected {expected}, got {got}")

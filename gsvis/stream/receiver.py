@@ -1,4 +1,8 @@
-"""The client's side: messages in, Gaussians and colours to draw out. No socket, no clock."""
+"""The client's side: messages in, Gaussians and colours to draw out. No socket, no clock.
+
+What is drawn stands in arrays in the order in which it came. What a batch brings is appended, and what it replaces is
+taken out, so that a frame costs nothing that a batch has not paid for. Scene frame and units.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,12 @@ from numpy.typing import NDArray
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
-from gsvis.color.records import QuantisedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import ProtocolError
-from gsvis.package.codec import ChunkTable, base_colors, decode_records
-from gsvis.package.contents import base_rgb
-from gsvis.package.layout import RECORD_BYTES, RecordLayout
-from gsvis.package.terms import decode_terms
+from gsvis.package.codec import ChunkTable
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.sh import SH_C0
-from gsvis.stream.batch import CHUNK_ROW, Sections
+from gsvis.stream.batch import Sections
+from gsvis.stream.drawn import Drawn
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import Hello
 
@@ -35,7 +35,7 @@ class Received:
         sequence: Its number, to be acknowledged.
         gaussians: (G,) rising ids.
         terms: (M,) rising ids.
-        dropped: (D,) rising ids of those that are not shown any more.
+        dropped: (D,) rising ids of those that were held and are not shown any more.
         nbytes: Bytes of the message.
     """
 
@@ -54,7 +54,7 @@ class Receiver:
 
     Attributes:
         about: What WELCOME says of the scene.
-        holdings: What has come.
+        holdings: What has come, and what has been replaced.
 
     Raises:
         ProtocolError: If it is no WELCOME.
@@ -63,28 +63,34 @@ class Receiver:
     def __init__(self, welcome: bytes) -> None:
         self.about = SceneHeader.parse(welcome)
         self.holdings = Holdings(self.about.gaussians, self.about.terms)
-        self._rows = np.zeros(0, CHUNK_ROW)
-        self._starts = np.zeros(0, np.int64)
-        self._ids, self._records = np.zeros(0, np.int64), np.zeros((0, RECORD_BYTES), np.uint8)
-        self._terms, self._owners = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self._term_records = np.zeros((0, self.about.term_bytes), np.uint8)
-        self._axes = np.zeros((self.about.gaussians, self.about.axis_bytes), np.uint8)
-        self._has_axes = np.zeros(self.about.gaussians, bool)
+        self._drawn = Drawn(self.about)
+        self._table = ChunkTable.concatenate([])
+        self._starts, self._rows = np.zeros(0, np.int64), np.zeros(0, np.int32)
+        self._sequence = 0
+
+    def __repr__(self) -> str:
+        return f"Receiver({self.holdings!r}, {len(self._drawn):,} shown)"
 
     def hello(self, view: FieldOfView) -> Hello:
         """What to say to a server: the view, and what is held already."""
-        if not len(self._ids):
+        if not len(self._starts):
             return Hello(view)
         return Hello(view, bytes.fromhex(self.about.identity), self.holdings.to_bytes())
 
     def resume(self, welcome: bytes) -> bool:
-        """Take the WELCOME of a new connection.
+        """Take the WELCOME of a new connection, whose batches are counted from 1 again.
 
         Returns:
-            Whether it is the same scene, so that everything is kept; where it is another, nothing has changed and a
-            new receiver is needed.
+            Whether it is of the same scene, so that everything is kept. If not, nothing has changed, and a new
+            receiver is needed.
+
+        Raises:
+            ProtocolError: If it is no WELCOME.
         """
-        return SceneHeader.parse(welcome).identity == self.about.identity
+        if SceneHeader.parse(welcome).identity != self.about.identity:
+            return False
+        self._sequence = 0
+        return True
 
     def receive(self, data: bytes) -> Received:
         """Take a BATCH.
@@ -93,59 +99,75 @@ class Receiver:
             ProtocolError: If it does not fit the scene or what came before; nothing has changed then.
         """
         s = Sections.parse(data, self.about)
-        starts = np.concatenate([self._starts, s.chunks])
-        order = np.argsort(starts, kind="stable")
-        rows = np.concatenate([self._rows, s.rows])[order]
-        starts = starts[order]
-        if len(np.unique(starts)) != len(starts) or len(s.chunks) != len(s.rows):
-            raise ProtocolError(f"BATCH {s.sequence}: expected chunks that are new, got one again")
-        place = np.searchsorted(starts, s.gaussians, side="right") - 1
-        if len(place) and (place.min() < 0 or (s.gaussians - starts[place] >= rows["count"][place]).any()):
-            raise ProtocolError(f"BATCH {s.sequence}: expected the row of each Gaussian's chunk, got none")
+        if s.sequence != self._sequence + 1:
+            raise ProtocolError(f"BATCH {s.sequence}: expected number {self._sequence + 1}")
         try:
-            held = set(self.holdings.shown.tolist())
-            self.holdings.add(s.gaussians, s.terms, s.gone)
+            starts, rows, table = self._with_chunks(s)
+            chunks = _chunks_of(s.gaussians, starts, rows, table)
+            dropped = self._enter(s)
         except ValueError as error:
             raise ProtocolError(f"BATCH {s.sequence}: {error}") from error
-        self._rows, self._starts = rows, starts
-        fresh = np.unique(s.owners)
-        fresh = fresh[~self._has_axes[fresh]]
-        self._has_axes[fresh] = True
-        if self.about.axis_bytes:
-            self._axes[fresh] = s.axes
-        self._ids, self._records = np.append(self._ids, s.gaussians), np.concatenate([self._records, s.records])
-        self._terms, self._owners = np.append(self._terms, s.terms), np.append(self._owners, s.owners)
-        self._term_records = np.concatenate([self._term_records, s.term_records])
-        dropped = np.array([k for k in s.gone.tolist() if k in held or k in set(s.gaussians.tolist())], np.int64)
+        self._starts, self._rows, self._table, self._sequence = starts, rows, table, s.sequence
+        self._drawn.add(s, chunks, table)
+        if len(dropped):
+            self._drawn.drop(dropped)
         return Received(s.sequence, s.gaussians, s.terms, dropped, len(data))
 
     def shown(self) -> I64:
         """(M,) ids of the Gaussians that are drawn, in the order of `scene`."""
-        return self.holdings.shown
+        return self._drawn.ids.astype(np.int64)
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
-        """What is drawn: Gaussians in SH degree 0 with their base colours, and colours with the terms that came.
+        """What is drawn: M Gaussians in SH degree 0 with their base colours, and colours with the terms that came.
 
-        An eye sees `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)`.
+        An eye sees `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)`. What was given before is not changed.
         """
-        grids, shown = self.about.grids, self.shown()
-        layout = RecordLayout.of(grids.variant)
-        order = np.argsort(self._ids)
-        records = self._records[order[np.searchsorted(self._ids[order], shown)]]
-        chunks = np.searchsorted(self._starts, shown, side="right") - 1
-        rows = self._rows
-        table = ChunkTable(
-            rows["origin"].copy(), rows["step"].copy(), rows["low"].copy(), rows["stride"].copy(), rows["count"].copy()
-        )
-        geometry = decode_records(records, table, layout, chunks=chunks)
-        sh0 = ((base_rgb(records, grids).astype(np.float64) - 0.5) / SH_C0)[:, None]
-        base = base_colors(records, layout).astype(np.uint16)
-        kept = np.flatnonzero(np.isin(self._owners, shown))
-        kept = kept[np.argsort(self._terms[kept])]
-        counts = np.bincount(np.searchsorted(shown, self._owners[kept]), minlength=len(shown))
-        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        axes = self._axes[shown].astype(np.uint16).reshape(len(shown), grids.kind.num_axes, 2)
-        scales = base[:, 3] if layout.color_scale else np.zeros(0, np.uint16)
-        terms = decode_terms(self._term_records[kept], grids)
-        colors = QuantisedColors(grids, base[:, :3], scales, axes, offsets, *terms)
-        return Gaussians(*geometry, sh0), colors.dequantised()
+        return self._drawn.scene()
+
+    def _with_chunks(self, s: Sections) -> tuple[I64, NDArray[np.int32], ChunkTable]:
+        """First ids of chunks, rising, the row of each, and all rows, with those of a batch."""
+        if not len(s.chunks):
+            return self._starts, self._rows, self._table
+        r = s.rows
+        columns = (np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count"))
+        table = ChunkTable.concatenate([self._table, ChunkTable(*columns)])
+        places = np.searchsorted(self._starts, s.chunks)
+        starts = np.insert(self._starts, places, s.chunks)
+        rows = np.insert(self._rows, places, np.arange(len(self._table), len(table), dtype=np.int32))
+        ends = starts + table.counts[rows]
+        if (ends[:-1] > starts[1:]).any() or ends[-1] > self.about.gaussians:
+            raise ValueError("chunks: expected such as do not overlap, got others")
+        levels = len(self.about.names)
+        if (r["first_level"] > r["last_level"]).any() or int(r["last_level"].max()) >= levels:
+            raise ValueError(f"chunks: expected levels in order and below {levels}, got others")
+        return starts, rows, table
+
+    def _enter(self, s: Sections) -> I64:
+        """Take in what is held from now on; gives those that are not shown any more."""
+        held = self.holdings.copy()
+        held.add(s.gaussians, s.terms, s.gone)
+        if len(s.terms) and not _are_in(held.sent, s.owners).all():
+            raise ValueError("terms: expected those of Gaussians that have come, got others")
+        if np.any(_are_in(self.holdings.gone, s.gone)):
+            raise ValueError("gone: expected each once, got one again")
+        axes = self._drawn.without_axes(s.owners)
+        if len(axes) != len(s.axes):
+            raise ValueError(f"axes: expected those of {len(axes)} Gaussians, got {len(s.axes)}")
+        self.holdings = held
+        return s.gone[_are_in(held.sent, s.gone)]
+
+
+def _chunks_of(ids: I64, starts: I64, rows: NDArray[np.int32], table: ChunkTable) -> NDArray[np.int32]:
+    """(G,) the row of the chunk of each."""
+    if not len(ids):
+        return np.zeros(0, np.int32)
+    places = np.searchsorted(starts, ids, side="right") - 1
+    found = rows[places] if len(rows) else rows
+    if places[0] < 0 or np.any(ids - starts[places] >= table.counts[found]):
+        raise ValueError("chunks: expected the row of each Gaussian's chunk, got none")
+    return found
+
+
+def _are_in(words: NDArray[np.uint64], ids: I64) -> NDArray[np.bool_]:
+    """Which ids are in a packed set."""
+    return np.asarray((words[ids >> 6] >> (ids & 63).astype(np.uint64)) & np.uint64(1), np.bool_)

@@ -14,6 +14,7 @@ from gsvis.abr.index import CellMembers, CellSets, SceneIndex
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
 from gsvis.package.package import Package
+from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.header import SceneHeader
 from gsvis.visibility.cells import CellGrid
 
@@ -30,11 +31,16 @@ class StreamedScene:
         header: WELCOME, for every client.
         index: What a scheduler knows of it.
         store: Candidates of its cells, shared by all schedulers.
+        owners: (T,) int32, the Gaussian of each term.
+        chunk_rows: (C,) rows of chunks as they travel.
     """
 
     def __init__(self, package: Package, *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3) -> None:
         """See `open`."""
         self.package, self.contents = package, package.contents
+        counts = self.contents.term_counts
+        self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+        self.chunk_rows = _rows_of(self.contents)
         self.about = SceneHeader.of(package.manifest)
         self.header = self.about.to_message()
         self.index = _index_of(package, max_cache_bytes // 2)
@@ -93,6 +99,17 @@ class EveryCell:
     def terms(self, cell: int) -> NDArray[np.uint32]:
         """All."""
         return self._terms
+
+
+def _rows_of(contents: Contents) -> NDArray[np.void]:
+    table, rows = contents.table, np.zeros(len(contents.table), CHUNK_ROW)
+    for name, values in (
+        ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
+        ("stride", table.strides), ("first_level", contents.chunk_levels[:, 0]),
+        ("last_level", contents.chunk_levels[:, 1]),
+    ):  # fmt: skip
+        rows[name] = values
+    return rows
 
 
 def _index_of(package: Package, max_bytes: int) -> SceneIndex:

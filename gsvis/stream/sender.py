@@ -10,24 +10,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch
 from gsvis.abr.scheduler import Scheduler, SchedulerConfig
-from gsvis.stream.batch import CHUNK_ROW, Sections
+from gsvis.stream import _kernels as kernels
+from gsvis.stream.batch import FIXED_BYTES, Sections
 from gsvis.stream.meter import LinkMeter
 from gsvis.stream.scene import StreamedScene
 from gsvis.stream.wire import Hello
-from gsvis.visibility._codec import ids_of
 
 __all__ = ["Message", "Sender"]
 
 LEAST = 1024
 """Bytes below which no message is begun."""
 
-_FIXED = 256  # bytes of a message without records
+_FIRST = 1.2  # bytes of a message for each byte of records, before there was one
+_LEARNT = 0.3  # how much of what the last one had is believed
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +73,14 @@ class Sender:
         self.scene = scene
         self.scheduler = Scheduler(scene.store, view, config, holdings=holdings)
         self.meter = LinkMeter()
-        self.wire_bytes, self._record_bytes, self._sequence = 0, 0.0, 0
-        table, contents = scene.contents.table, scene.contents
-        self._has_row = np.zeros(len(table), bool)
-        self._has_axes = np.zeros(len(contents), bool)
-        self._gone = self.holdings.gone.copy()
-        self._has_row[contents.chunks[self.holdings.received]] = True
-        owners = np.searchsorted(contents.term_offsets, self.holdings.received_terms, side="right") - 1
-        self._has_axes[owners] = True
+        self.wire_bytes, self._sequence, self._added = 0, 0, _FIRST
+        self._starts = scene.contents.table.starts
+        self._has_row = np.zeros(len(scene.chunk_rows), bool)
+        self._has_row[scene.contents.chunks[self.holdings.received]] = True
+        self._has_axes = np.zeros(len(scene) if scene.about.axis_bytes else 0, bool)
+        if scene.about.axis_bytes:
+            self._has_axes[scene.owners[self.holdings.received_terms]] = True
+        self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.store.ending, np.int32)
 
     @classmethod
     def greeted(cls, scene: StreamedScene, hello: Hello, config: SchedulerConfig | None = None) -> Sender:
@@ -146,19 +147,21 @@ class Sender:
 
         Args:
             t: Seconds.
-            budget: Bytes of the message at most; None means `allowance`.
+            budget: Bytes that the message should have; None means `allowance`. What chunks and ids add is known only
+                when records have been chosen, so it may have some percent more; what is under way says so.
 
         Returns:
             None where the budget is too small to begin, nothing is left for the view, or no pose has come.
         """
-        room = self.allowance() if budget is None else budget
-        if room < LEAST:
+        room = (self.allowance() if budget is None else budget) - FIXED_BYTES
+        if room < LEAST - FIXED_BYTES:
             return None
-        batch = self.scheduler.next_batch(t, (room - _FIXED) / 1.4)
+        batch = self.scheduler.next_batch(t, room / self._added)
         if len(batch) == 0:
             return None
-        data = self._sections(batch).to_message()
-        self._record_bytes += batch.bytes
+        self._sequence += 1
+        data = self._encoded(batch)
+        self._added += _LEARNT * ((len(data) - FIXED_BYTES) / batch.bytes - self._added)
         self._count(t, self._sequence, len(data))
         return Message(self._sequence, data, batch)
 
@@ -167,27 +170,18 @@ class Sender:
         self.meter.on_sent(t, sequence, nbytes)
         self.scheduler.on_sent(t, nbytes)
 
-    def _sections(self, batch: Batch) -> Sections:
-        contents, table = self.scene.contents, self.scene.contents.table
-        self._sequence += 1
-        gaussians, terms = (np.sort(ids).astype(np.int64) for ids in (batch.gaussians, batch.terms))
-        gone = ids_of(self.holdings.gone & ~self._gone)
-        self._gone[:] = self.holdings.gone
-        chunks = np.unique(contents.chunks[gaussians])
-        chunks = chunks[~self._has_row[chunks]]
-        self._has_row[chunks] = True
-        owners = np.searchsorted(contents.term_offsets, terms, side="right") - 1
-        fresh = np.unique(owners)
-        fresh = fresh[~self._has_axes[fresh]]
-        self._has_axes[fresh] = True
-        rows: NDArray[np.void] = np.zeros(len(chunks), CHUNK_ROW)
-        for name, values in (
-            ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
-            ("stride", table.strides), ("first_level", contents.chunk_levels[:, 0]),
-            ("last_level", contents.chunk_levels[:, 1]),
-        ):  # fmt: skip
-            rows[name] = values[chunks]
+    def _encoded(self, batch: Batch) -> bytes:
+        scene, contents = self.scene, self.scene.contents
+        gaussians, terms = np.sort(batch.gaussians), np.sort(batch.terms)
+        owners = scene.owners[terms]
+        fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
+        chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
+        axes = contents.axes[:0]
+        if scene.about.axis_bytes:
+            fresh = np.empty(len(terms), np.int32)
+            axes = contents.axes[fresh[: kernels.first_times(terms, scene.owners, self._has_axes, fresh)]]
+        gone = self._room[: kernels.added(self.holdings.gone, self._gone, self._room)]
         return Sections(
-            self._sequence, table.starts[chunks], rows, gaussians, contents.records[gaussians], terms, owners,
-            contents.term_records[terms], contents.axes[fresh], gone,
-        )  # fmt: skip
+            self._sequence, self._starts[chunks], scene.chunk_rows[chunks], gaussians, contents.records[gaussians],
+            terms, owners, contents.term_records[terms], axes, gone,
+        ).to_message(scene.about)  # fmt: skip

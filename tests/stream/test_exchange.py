@@ -48,6 +48,7 @@ def test_what_comes_is_what_the_package_holds(tmp_path: Path, variant: str, stor
         half = Receiver(scene.header)
         assert receiver.holdings.to_bytes() == sender.holdings.to_bytes() != half.holdings.to_bytes()
         shown = receiver.shown()
+        assert np.array_equal(np.sort(shown), receiver.holdings.shown)
         g, colors = receiver.scene()
         whole = package.contents.gaussians(shown)
         for name in ("means", "quats", "scales", "opacities"):

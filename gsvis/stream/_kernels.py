@@ -1,0 +1,189 @@
+"""Kernels of the wire: rising ids as distances in exponential Golomb codes, what is new to a client, terms by owner.
+
+Arrays are checked and contiguous, sets are packed words. Bits are written from the lowest of each byte up. A value v
+in a code of order k: w = v + 2^k has n bits; n - k - 1 zeros and a one, then the lower n - 1 bits of w, lowest first.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+MOST_ORDER = 24
+MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
+
+
+@njit(inline="always")
+def _length(value):
+    """Bits of an integer in [1, 2^52)."""
+    return (np.float64(value).view(np.int64) >> 52) - 1022
+
+
+@njit(**_OPTIONS)
+def distances(ids, out):
+    """Of rising ids from each other, less one; of the first, the id itself."""
+    before = np.int64(-1)
+    for i in range(len(ids)):
+        out[i] = np.int64(ids[i]) - before - 1
+        before = np.int64(ids[i])
+
+
+@njit(**_OPTIONS)
+def owner_distances(terms, owners, gaussians, count, out):
+    """By how much each owner is further than the distance of the terms tells, signs in the lowest bit."""
+    term, owner = np.int64(0), np.int64(0)
+    for i in range(len(terms)):
+        expected = (np.int64(terms[i]) - term) * gaussians // count
+        rest = np.int64(owners[i]) - owner - expected
+        out[i] = 2 * rest if rest >= 0 else -2 * rest - 1
+        term, owner = np.int64(terms[i]), np.int64(owners[i])
+
+
+@njit(**_OPTIONS)
+def best_order(values):
+    """The order in which values take about the fewest bits."""
+    lengths = np.zeros(64, np.int64)
+    for i in range(len(values)):
+        lengths[_length(values[i] + 1)] += 1
+    best, least = 0, np.int64(1) << 62
+    for k in range(MOST_ORDER + 1):
+        total = np.int64(0)
+        for n in range(64):
+            total += lengths[n] * (k + 1 + 2 * max(n - 1 - k, 0))
+        if total < least:
+            best, least = k, total
+    return best
+
+
+@njit(**_OPTIONS)
+def write(values, order, out, bit):
+    """Append values to a string of bits; `out` is zero from `bit` on and long enough. Gives the bit after the last."""
+    for i in range(len(values)):
+        w = np.uint64(values[i]) + (np.uint64(1) << np.uint64(order))
+        n = _length(np.int64(w))
+        bit += n - order - 1
+        word = ((w & ((np.uint64(1) << np.uint64(n - 1)) - np.uint64(1))) << np.uint64(1)) | np.uint64(1)
+        byte, shift, left = bit >> 3, np.uint64(bit & 7), n
+        out[byte] |= np.uint8((word << shift) & np.uint64(255))
+        word >>= np.uint64(8) - shift
+        left -= 8 - np.int64(shift)
+        while left > 0:
+            byte += 1
+            out[byte] |= np.uint8(word & np.uint64(255))
+            word >>= np.uint64(8)
+            left -= 8
+        bit += n
+    return bit
+
+
+@njit(**_OPTIONS)
+def read(data, bit, order, values):
+    """Read as many values as there is room for. Gives the bit after the last; -1 where the bits are no such values."""
+    end = 8 * len(data)
+    for i in range(len(values)):
+        zeros = 0
+        while bit < end and not (data[bit >> 3] >> np.uint8(bit & 7)) & 1:
+            zeros += 1
+            bit += 1
+        count = order + zeros
+        bit += 1
+        if zeros > 32 or count > 33 or bit + count > end:
+            return np.int64(-1)
+        w, got = np.uint64(0), 0
+        while got < count:
+            take = min(8 - (bit & 7), count - got)
+            part = (np.uint64(data[bit >> 3]) >> np.uint64(bit & 7)) & (
+                (np.uint64(1) << np.uint64(take)) - np.uint64(1)
+            )
+            w |= part << np.uint64(got)
+            got += take
+            bit += take
+        values[i] = np.int64(w | (np.uint64(1) << np.uint64(count))) - (np.int64(1) << order)
+    return np.int64(bit)
+
+
+@njit(**_OPTIONS)
+def ids_from(values, limit, out):
+    """The other way from `distances`; whether all ids are below the limit."""
+    at = np.int64(-1)
+    for i in range(len(values)):
+        at += values[i] + 1
+        if at >= limit:
+            return False
+        out[i] = at
+    return True
+
+
+@njit(**_OPTIONS)
+def owners_from(values, terms, gaussians, count, out):
+    """The other way from `owner_distances`; whether all owners are Gaussians and none falls."""
+    term, owner = np.int64(0), np.int64(0)
+    for i in range(len(values)):
+        rest = values[i] >> 1 if values[i] & 1 == 0 else -((values[i] + 1) >> 1)
+        found = owner + (terms[i] - term) * gaussians // count + rest
+        if found < owner or found >= gaussians:
+            return False
+        term, owner = terms[i], found
+        out[i] = found
+    return True
+
+
+@njit(**_OPTIONS)
+def first_times(places, of, known, out):
+    """Those of `of[places]`, which never fall, that are not known yet; from now on they are. Gives their number."""
+    count = 0
+    for i in range(len(places)):
+        found = of[places[i]]
+        if not known[found]:
+            known[found] = True
+            out[count] = found
+            count += 1
+    return count
+
+
+@njit(**_OPTIONS)
+def added(words, before, out):
+    """Rising ids of what has come to a set, `before`, which becomes `words`; those there is room for."""
+    count, one = 0, np.uint64(1)
+    for w in range(len(words)):
+        fresh = words[w] & ~before[w]
+        if not fresh:
+            continue
+        before[w] = words[w]
+        for b in range(64):
+            if fresh >> np.uint64(b) & one:
+                out[count] = 64 * w + b
+                count += 1
+    return count
+
+
+@njit(**_OPTIONS)
+def sort_terms(slots, offsets, order):
+    """Where terms stand when they are put together by the slot of their Gaussian, in the order in which they came.
+
+    Args:
+        slots: (M,) of each term; -1 for those that are left out.
+        offsets: (n + 1,) int64 zeros, receives where those of each slot begin.
+        order: (M,) int64, receives the terms that are kept.
+
+    Returns:
+        How many are kept.
+    """
+    n = len(offsets) - 1
+    for i in range(len(slots)):
+        if slots[i] >= 0:
+            offsets[slots[i] + 1] += 1
+    for k in range(n):
+        offsets[k + 1] += offsets[k]
+    total = offsets[n]
+    for i in range(len(slots)):
+        if slots[i] >= 0:
+            order[offsets[slots[i]]] = i
+            offsets[slots[i]] += 1
+    for k in range(n, 0, -1):
+        offsets[k] = offsets[k - 1]
+    offsets[0] = 0
+    return total

@@ -1,0 +1,178 @@
+"""What a client draws, in arrays with room to grow: Gaussians in the order in which they came, terms likewise.
+
+Arrays that were given away are never changed: what comes is written behind them, and what goes leaves new ones.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color import _grids
+from gsvis.color.records import has_scales
+from gsvis.color.srbf import SrbfColors
+from gsvis.package.codec import ChunkTable, base_colors, decode_records
+from gsvis.package.contents import base_rgb
+from gsvis.package.layout import RecordLayout
+from gsvis.package.terms import decode_terms
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import SH_C0
+from gsvis.stream import _kernels as kernels
+from gsvis.stream.batch import Sections
+from gsvis.stream.header import SceneHeader
+
+__all__ = ["Drawn", "Rows"]
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+
+
+class Rows:
+    """Arrays of one length that grow together.
+
+    Args:
+        **like: An empty array of each, with the shape and type of its rows.
+    """
+
+    def __init__(self, **like: NDArray[Any]) -> None:
+        self._arrays = {name: array[:0] for name, array in like.items()}
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """The rows that there are."""
+        return self._arrays[name][: self._count]
+
+    def append(self, **rows: NDArray[Any]) -> None:
+        """Write rows behind those that there are."""
+        count = self._count + len(next(iter(rows.values())))
+        for name, array in self._arrays.items():
+            if count > len(array):
+                grown = np.empty((max(count, len(array) * 3 // 2, 1024), *array.shape[1:]), array.dtype)
+                grown[: self._count] = array[: self._count]
+                self._arrays[name] = array = grown
+            array[self._count : count] = rows[name]
+        self._count = count
+
+    def keep(self, places: I64) -> None:
+        """Keep these rows, in this order, in new arrays."""
+        self._arrays = {name: np.ascontiguousarray(array[places]) for name, array in self._arrays.items()}
+        self._count = len(places)
+
+
+class Drawn:
+    """What is drawn.
+
+    Args:
+        about: Of the scene.
+    """
+
+    def __init__(self, about: SceneHeader) -> None:
+        grids, kind = about.grids, about.grids.kind
+        self._grids, self._layout = grids, RecordLayout.of(grids.variant)
+        self._tables = [grids.base_table(k) for k in range(3)]
+        self._scale_table = grids.scale_table() if has_scales(kind) else np.ones(1, np.float32)
+        self._term_tables = grids.theta_table(), grids.phi_table(), grids.decay_table(), grids.intensity_table()
+
+        def none(*shape: int) -> F32:
+            return np.zeros((0, *shape), np.float32)
+
+        self._gaussians = Rows(
+            ids=np.zeros(0, np.int32), means=none(3), quats=none(4), scales=none(3), opacities=none(), sh0=none(1, 3),
+            base=none(3), color_scales=none(),
+        )  # fmt: skip
+        self._terms = Rows(
+            owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2), decays=none(),
+            intensities=none(kind.intensities),
+        )  # fmt: skip
+        self._slots = np.full(about.gaussians, -1, np.int32)
+        self._axes = Rows(axes=none(kind.num_axes, 3))  # the first is of those whose axes have not come
+        self._axes.append(axes=_grids.unoctahedral(np.zeros((1, kind.num_axes, 2), np.uint16), grids.precision.axis))
+        self._axis_rows = np.zeros(about.gaussians if kind.num_axes else 0, np.int32)
+        self._made: tuple[Gaussians, SrbfColors] | None = None
+
+    def __len__(self) -> int:
+        return len(self._gaussians)
+
+    @property
+    def ids(self) -> I32:
+        """(M,) of what is drawn."""
+        return self._gaussians["ids"]
+
+    def without_axes(self, owners: I64) -> I64:
+        """Those of the owners, which never fall, whose axes have not come yet; none in variants without axes."""
+        if not len(self._axis_rows) or not len(owners):
+            return owners[:0]
+        first = owners[np.append(True, np.diff(owners) > 0)]
+        return np.asarray(first[self._axis_rows[first] == 0])
+
+    def add(self, s: Sections, chunks: I32, table: ChunkTable) -> None:
+        """Take what a batch has, which has been checked.
+
+        Args:
+            s: The batch.
+            chunks: (G,) the row of each of its Gaussians in the table.
+            table: Rows of chunks.
+        """
+        self._made = None
+        if len(s.gaussians):
+            self._add_gaussians(s, chunks, table)
+        fresh = self.without_axes(s.owners)
+        if len(fresh):
+            self._axis_rows[fresh] = len(self._axes) + np.arange(len(fresh), dtype=np.int32)
+            cells = s.axes.reshape(len(fresh), -1, 2).astype(np.uint16)
+            self._axes.append(axes=_grids.unoctahedral(cells, self._grids.precision.axis))
+        if len(s.terms):
+            found, (theta, phi, decay, intensity) = decode_terms(s.term_records, self._grids), self._term_tables
+            centers = np.stack([theta[found.centers[:, 0]], phi[found.centers[:, 1]]], axis=1)
+            self._terms.append(
+                owners=s.owners, functions=found.functions, centers=centers, decays=decay[found.decays],
+                intensities=intensity[found.intensities],
+            )  # fmt: skip
+
+    def drop(self, ids: I64) -> None:
+        """Take out Gaussians, and their terms."""
+        self._made = None
+        slots = self._slots[ids]
+        if (slots < 0).any():
+            raise ValueError("ids: expected Gaussians that are drawn, got others")
+        kept = np.ones(len(self), bool)
+        kept[slots] = False
+        self._slots[ids] = -1
+        places = np.flatnonzero(kept)
+        self._gaussians.keep(places)
+        self._slots[self.ids] = np.arange(len(places), dtype=np.int32)
+        with_terms = self._slots[self._terms["owners"]] >= 0
+        if not with_terms.all():
+            self._terms.keep(np.flatnonzero(with_terms))
+
+    def scene(self) -> tuple[Gaussians, SrbfColors]:
+        """See `Receiver.scene`."""
+        if self._made is None:
+            g, t = self._gaussians, self._terms
+            n = len(g)
+            offsets, order = np.zeros(n + 1, np.int64), np.empty(len(t), np.int64)
+            order = order[: kernels.sort_terms(self._slots[t["owners"]], offsets, order)]
+            terms = (t[name][order] for name in ("functions", "centers", "decays", "intensities"))
+            rows = self._axis_rows[self.ids] if len(self._axis_rows) else np.zeros(n, np.int32)
+            axes = self._axes["axes"][rows]
+            colors = SrbfColors(self._grids.variant, g["base"], g["color_scales"], axes, offsets, *terms)
+            self._made = Gaussians(*(g[name] for name in ("means", "quats", "scales", "opacities", "sh0"))), colors
+        return self._made
+
+    def _add_gaussians(self, s: Sections, chunks: I32, table: ChunkTable) -> None:
+        means, quats, scales, opacities = decode_records(s.records, table, self._layout, chunks=chunks)
+        sh0 = ((base_rgb(s.records, self._grids) - np.float32(0.5)) / np.float32(SH_C0))[:, None]
+        places = base_colors(s.records, self._layout)
+        base = np.stack([self._tables[k][places[:, k]] for k in range(3)], axis=1)
+        factors = self._scale_table[places[:, 3]] if self._layout.color_scale else np.ones(len(base), np.float32)
+        self._slots[s.gaussians] = len(self) + np.arange(len(base), dtype=np.int32)
+        self._gaussians.append(
+            ids=s.gaussians, means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0, base=base,
+            color_scales=factors,
+        )  # fmt: skip
