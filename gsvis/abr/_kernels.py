@@ -1,7 +1,7 @@
 """Kernels of planning: sets of 64 Gaussians that travel together, ranked by what they give, and the next that fit.
 
 Sets are packed words (see `gsvis.visibility._kernels_store`). A unit is a word with a mask: members of one weight class
-and one pair of levels. A bucket is a gain rounded to 32 steps for each halving, 0 the largest.
+and one code, (ring L + first level) L + last level. A bucket is a gain rounded to 32 steps for each halving, 0 the largest.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from numba import njit
 
 from gsvis.visibility._kernels_store import _lowest, _ones
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 BUCKETS = 1024
 _BASE = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits
 GEOMETRY, TERMS = 0, 1
 INSIDE, OUTSIDE = 0, 1
+_SAMPLE, _SPARE = 16, 1.5
+NEVER = 1 << 30  # a key that is none
 
 
 @njit(inline="always")
@@ -30,7 +32,7 @@ def _put(words, i):
     words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
 
 
-@njit(**_OPTIONS)
+@njit(inline="always")
 def bucket_of(gain):
     """Bucket of a gain >= 0: weighted solid angle for each byte."""
     place = np.int64(np.float32(gain).view(np.int32) >> 18) - _BASE
@@ -76,16 +78,16 @@ def cell_units(members, scene, class_weights, found):
 
     Args:
         members: (words, classes), classes of the members in rising order.
-        scene: (strengths (N, 2), first, last, mixed (W,): whether a word has more than one pair of levels).
+        scene: (strengths (N, 2), pairs (N,) of levels, mixed (W,): whether a word has more than one of them).
         class_weights: (K,).
-        found: (words, masks, strengths (U, 2), labels (U, 3)) receive the units, labels: ring, first, last.
+        found: (words, masks, areas, pixels, codes) receive the units.
 
     Returns:
         How many there are.
     """
     words, classes = members
-    strengths, first, last, mixed = scene
-    out_words, out_masks, out_strengths, out_labels = found
+    strengths, pairs, mixed = scene
+    out_words, out_masks, out_areas, out_pixels, out_codes = found
     one = np.uint64(1)
     masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
     rank, filled = 0, 0
@@ -114,16 +116,15 @@ def cell_units(members, scene, class_weights, found):
                         low = _lowest(rest)
                         rest &= rest - one
                         g = 64 * w + np.int64(low)
-                        if first[g] == first[lead] and last[g] == last[lead]:
+                        if pairs[g] == pairs[lead]:
                             mask |= one << low
                             area += strengths[g, 0]
                             pixel += strengths[g, 1]
                 whole &= ~mask
                 count = np.float64(_ones(mask))
-                out_words[filled], out_masks[filled] = w, mask
-                out_strengths[filled, 0] = class_weights[kind] * area / count
-                out_strengths[filled, 1] = class_weights[kind] * pixel / count
-                out_labels[filled, 0], out_labels[filled, 1], out_labels[filled, 2] = 0, first[lead], last[lead]
+                out_words[filled], out_masks[filled], out_codes[filled] = w, mask, pairs[lead]
+                out_areas[filled] = class_weights[kind] * area / count
+                out_pixels[filled] = class_weights[kind] * pixel / count
                 filled += 1
     return filled
 
@@ -136,29 +137,25 @@ def add_words(words, seen, fresh):
 
 
 @njit(**_OPTIONS)
-def ring_units(fresh, ring, every, found, filled):
-    """Append what of the units of all Gaussians (`every`) is in a ring; other arguments as those of `cell_units`."""
-    words, masks, strengths, labels = every
-    out_words, out_masks, out_strengths, out_labels = found
+def ring_units(fresh, every, found):
+    """The units of neighbours: what of those of all Gaussians (`every`) is `fresh`. Found, and gives, as `cell_units`."""
+    words, masks, areas, pixels, codes = every
+    out_words, out_masks, out_areas, out_pixels, out_codes = found
+    filled = 0
     for u in range(len(words)):
         mask = masks[u] & fresh[words[u]]
         if mask:
-            out_words[filled], out_masks[filled] = words[u], mask
-            out_strengths[filled, 0], out_strengths[filled, 1] = strengths[u, 0], strengths[u, 1]
-            out_labels[filled, 0], out_labels[filled, 1], out_labels[filled, 2] = ring, labels[u, 1], labels[u, 2]
+            out_words[filled], out_masks[filled], out_codes[filled] = words[u], mask, codes[u]
+            out_areas[filled], out_pixels[filled] = areas[u], pixels[u]
             filled += 1
     return filled
 
 
 @njit(**_OPTIONS)
-def level_bytes(units, word_bytes, sums):
-    """Add to sums (L + 1,), as differences from level to level, the bytes of the units of ring 0."""
-    words, masks, _, labels = units
+def pair_bytes(words, masks, codes, word_bytes, sums):
+    """Add to sums (L * L,) the bytes of units by pair of levels."""
     for u in range(len(words)):
-        if labels[u, 0] == 0:
-            size = np.float64(_ones(masks[u])) * word_bytes[words[u]]
-            sums[labels[u, 1]] += size
-            sums[labels[u, 2] + 1] -= size
+        sums[codes[u]] += np.float64(_ones(masks[u])) * word_bytes[words[u]]
 
 
 @njit(inline="always")
@@ -225,59 +222,16 @@ def _left(active, held, start, stop):
     return False
 
 
-@njit(inline="always")
-def _touching(view, bodies, g0, bits):
-    """Which of the 64 Gaussians from g0 on touch a frustum (5, 4) that their sphere straddles; `bits` is room for 64."""
-    x, y, z, radii = bodies
-    for i in range(64):
-        bits[i] = 0.0
-    for k in range(5):
-        a, b, c, d = view[k, 0], view[k, 1], view[k, 2], view[k, 3]
-        for i in range(64):
-            far = a * x[g0 + i] + b * y[g0 + i] + c * z[g0 + i] + d + radii[g0 + i]
-            bits[i] = far if far < bits[i] else bits[i]
-    out = np.uint64(0)
-    for i in range(64):
-        out |= np.uint64(bits[i] >= 0.0) << np.uint64(i)
-    return out
-
-
 @njit(**_OPTIONS)
-def look(spheres, words, wanted, bodies, planes, inside, room):
-    """Which Gaussians of some words are in view.
-
-    Args:
-        spheres: (x, y, z, radius), each (S,), around the Gaussians of each word.
-        words: (S,) numbers of the words.
-        wanted: (S,) of which Gaussians this is asked.
-        bodies: (x, y, z, radius), each (64 W,), of the Gaussians.
-        planes: (F, 5, 4) frusta.
-        inside: (S,) receives the Gaussians that touch one of them.
-        room: (S,) float32.
-    """
-    x, y, z, radii = spheres
-    bits = np.empty(64, np.float32)
-    inside[:] = 0
-    for f in range(len(planes)):
-        p = planes[f]
-        _depths(x, y, z, p, room)
-        for s in range(len(words)):
-            if room[s] >= radii[s]:
-                inside[s] = ~np.uint64(0)
-            elif room[s] + radii[s] >= 0.0 and wanted[s] & ~inside[s]:
-                inside[s] |= _touching(p, bodies, 64 * np.int64(words[s]), bits)
-
-
-@njit(**_OPTIONS)
-def _depths(x, y, z, p, out):
-    """Least distance of points (S,) from the planes of a frustum (5, 4), inwards."""
+def _look(x, y, z, radii, p, sides):
+    """Raise `sides` (S,) to 1 where a sphere touches a frustum (5, 4), to 2 where it is inside."""
     a0, b0, c0, d0 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     a1, b1, c1, d1 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
     a2, b2, c2, d2 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
     a3, b3, c3, d3 = p[3, 0], p[3, 1], p[3, 2], p[3, 3]
     a4, b4, c4, d4 = p[4, 0], p[4, 1], p[4, 2], p[4, 3]
-    for s in range(len(out)):
-        u, v, w = x[s], y[s], z[s]
+    for s in range(len(x)):
+        u, v, w, r = x[s], y[s], z[s], radii[s]
         far = a0 * u + b0 * v + c0 * w + d0
         other = a1 * u + b1 * v + c1 * w + d1
         far = other if other < far else far
@@ -286,96 +240,200 @@ def _depths(x, y, z, p, out):
         other = a3 * u + b3 * v + c3 * w + d3
         far = other if other < far else far
         other = a4 * u + b4 * v + c4 * w + d4
-        out[s] = other if other < far else far
+        far = other if other < far else far
+        side = np.uint8(far + r >= np.float32(0.0)) + np.uint8(far >= r)
+        sides[s] = side if side > sides[s] else sides[s]
 
 
 @njit(**_OPTIONS)
-def gather(words, owed, held, free, due):
-    """What is neither held nor gone (`free`), and owed and not gone (`due`), for the words (S,) of a cell."""
-    gaussians, _, gone = held
+def _touching(words, places, xs, ys, zs, sizes, planes, sides, inside):
+    """Which Gaussians of words (S,) are in one of the frusta (F, 5, 4), asked one by one where the side is 3."""
+    near, depth = np.empty(64, np.float32), np.empty(64, np.float32)
+    for s in range(len(words)):
+        inside[s] = ~np.uint64(0) if sides[s] == 2 else np.uint64(0)
+        if sides[s] != 3:
+            continue
+        low = 64 * np.int64(words[s])
+        x, y, z, radii = xs[low : low + 64], ys[low : low + 64], zs[low : low + 64], sizes[low : low + 64]
+        near[:] = -1.0
+        for f in range(len(planes)):
+            depth[:] = 0.0
+            for k in range(5):
+                a, b, c, d = planes[f, k, 0], planes[f, k, 1], planes[f, k, 2], planes[f, k, 3]
+                far = a * places[0, s] + b * places[1, s] + c * places[2, s] + d
+                if far >= places[3, s]:
+                    continue  # the whole word is inside this plane
+                if far + places[3, s] < np.float32(0.0):
+                    depth[:] = -1.0
+                    break
+                for i in range(64):
+                    there = a * x[i] + b * y[i] + c * z[i] + d + radii[i]
+                    depth[i] = there if there < depth[i] else depth[i]
+            for i in range(64):
+                near[i] = depth[i] if depth[i] > near[i] else near[i]
+        bits = np.uint64(0)
+        for i in range(64):
+            bits |= np.uint64(near[i] >= np.float32(0.0)) << np.uint64(i)
+        inside[s] = bits
+
+
+@njit(**_OPTIONS)
+def _gather(words, owed, gaussians, gone, free, due, open_):
+    """What is neither held nor gone (`free`), what is owed and not gone (`due`), and either, for the words of a cell."""
     for s in range(len(words)):
         w = words[s]
-        free[s] = ~(gaussians[w] | gone[w])
-        due[s] = owed[s] & ~gone[w]
-
-
-@njit(inline="always")
-def _enter(entry, key, size, filled, least, work):
-    """One more entry for the plan, unless its key is too small."""
-    keys, entries, counts, sizes = work
-    if key >= least:
-        keys[filled], entries[filled] = key, entry
-        counts[key] += 1
-        sizes[key] += size
-        filled += 1
-    return filled
+        free[s], due[s] = ~(gaussians[w] | gone[w]), owed[s] & ~gone[w]
+        open_[s] = free[s] | due[s]
 
 
 @njit(**_OPTIONS)
-def rank(units, live, state, scene, eye, offsets, limits, work):
+def _squares(x, y, z, spreads, eye, out):
+    """Mean squares of the distances of the Gaussians of words from the eye."""
+    a, b, c = eye[0], eye[1], eye[2]
+    for s in range(len(x)):
+        u, v, w = x[s] - a, y[s] - b, z[s] - c
+        out[s] = u * u + v * v + w * w + spreads[s] + np.float32(1e-12)
+
+
+@njit(**_OPTIONS)
+def _gains(slots, areas, pixels, squares, out):
+    """Gains of units."""
+    for u in range(len(slots)):
+        out[u] = areas[u] / squares[slots[u]] + pixels[u]
+
+
+@njit(**_OPTIONS)
+def _buckets(bits, out):
+    """Buckets of gains whose bits are given; see `bucket_of`."""
+    for u in range(len(bits)):
+        place = (bits[u] >> 18) - _BASE
+        place = 0 if place < 0 else place
+        out[u] = BUCKETS - 1 - (place if place < BUCKETS - 1 else BUCKETS - 1)
+
+
+@njit(**_OPTIONS)
+def _limit(units, runs, state, table, limits, sizes):
+    """A key before which there is about as much as suffices, as told by some of the words; at most all keys."""
+    masks, codes, buckets = units
+    starts, run_slots = runs
+    open_, sides, word_bytes = state
+    enough, least = limits
+    sizes[:] = 0.0
+    for r in range(0, len(run_slots), _SAMPLE):
+        s = run_slots[r]
+        side = 0 if sides[s] else 1
+        for u in range(starts[r], starts[r + 1]):
+            key = table[codes[u], GEOMETRY, side] + buckets[u]
+            if key < NEVER:
+                sizes[key] += np.float64(_ones(masks[u] & open_[s])) * word_bytes[s]
+    total = 0.0
+    for key in range(least, len(sizes)):
+        total += _SAMPLE * sizes[key]
+        if total > _SPARE * enough:
+            return key + 1
+    return len(sizes)
+
+
+@njit(**_OPTIONS)
+def _choose(units, runs, state, table, limit, chosen):
+    """Units that may have a key below a limit; a closer look is wanted (3) at the words on a border that they are in.
+
+    Returns:
+        How many are chosen, and whether these are all that are to be sent.
+    """
+    masks, codes, buckets = units
+    starts, run_slots = runs
+    open_, sides, _ = state
+    filled, every = 0, True
+    for r in range(len(run_slots)):
+        s = run_slots[r]
+        rest = open_[s]
+        if not rest:
+            continue
+        side, before = 0 if sides[s] else 1, filled
+        for u in range(starts[r], starts[r + 1]):
+            key = table[codes[u], GEOMETRY, side] + buckets[u]
+            if key < limit:
+                chosen[filled] = u
+                filled += 1 if masks[u] & rest else 0
+            elif every and key < NEVER and masks[u] & rest:
+                every = False
+        if sides[s] == 1 and filled > before:
+            sides[s] = 3
+    return filled, every
+
+
+@njit(**_OPTIONS)
+def rank(units, runs, cell, owed, held, view, table, limits, work):
     """The units that are left, by key: what their class, level and kind add, and the bucket of their gain.
 
     Args:
-        units: (slots, masks, strengths, labels).
-        live: (U,) int32 units that may have something left; those that have move to its front.
-        state: (free, due, inside), each (S,): see `gather` and `look`.
-        scene: (x, y, z, spread, bytes of a Gaussian), each (S,), and bytes of the terms of a Gaussian.
-        eye: (3,) float32.
-        offsets: (5, L, 2) int64: in view, out of view, rings 1 to 3; level; geometry or terms.
-        limits: (lowest last level that is sent, bytes that suffice, least key).
-        work: (keys (4 U,) int32, entries (4 U,) int32, counts (K,) int64 zeros, sizes (K,) float64 zeros); an entry is
-            a unit times 4, plus 2 for terms, plus 1 for what is out of view.
+        units: (slots, masks, areas, pixels, codes).
+        runs: (starts (R + 1,), slots (R,)) where units of another ring or word begin.
+        cell: (words (S,), places (6, S), bytes of the terms of a Gaussian).
+        owed: (S,) Gaussians that may have active terms that are not held.
+        held: (Gaussians, terms, gone) as words.
+        view: (eye (3,) float32, planes (F, 5, 4) float32, bodies (4, 64 W)).
+        table: (4 L L, 2, 2) int32, what is added to a bucket: by code, geometry or terms, in view or out of view.
+        limits: (bytes that suffice, least key).
+        work: (inside (S,) uint64, which receives the Gaussians in view of the words in the plan; free, due, open (S,)
+            uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets, chosen (U,) int32; keys and
+            entries (4 U,) int32; counts (K,) int64, sizes (K,) float64).
 
     Returns:
-        How many units are live, the plan (its entries), the largest key in it, and whether it has all that is left.
+        The plan, the key up to which it goes, and whether it has all that is left. An entry is a unit times 4, plus 2
+        for terms, plus 1 for what is out of view.
     """
-    slots, masks, strengths, labels = units
-    free, due, inside = state
-    x, y, z, spreads, word_bytes, term_bytes = scene
-    top, enough, least = limits
-    kept, filled = 0, 0
-    for j in range(len(live)):
-        u = np.int64(live[j])
-        s = np.int64(slots[u])
-        fresh, terms = masks[u] & free[s], masks[u] & due[s]
-        ring = np.int64(labels[u, 0])
-        if ring > 0:
-            terms = np.uint64(0)
-        if not fresh | terms:
-            continue
-        live[kept] = u
-        kept += 1
-        if labels[u, 2] < top:
-            continue
-        a, b, c = x[s] - eye[0], y[s] - eye[1], z[s] - eye[2]
-        square = a * a + b * b + c * c + spreads[s] + np.float32(1e-12)
-        bucket = bucket_of(strengths[u, 0] / square + strengths[u, 1])
-        level = np.int64(labels[u, 1])
-        if ring > 0:
-            size = np.float64(_ones(fresh)) * word_bytes[s]
-            filled = _enter(4 * u + 1, offsets[1 + ring, level, GEOMETRY] + bucket, size, filled, least, work)
-            continue
-        for part in range(2):
-            seen = inside[s] if part == INSIDE else ~inside[s]
-            if fresh & seen:
-                size = np.float64(_ones(fresh & seen)) * word_bytes[s]
-                filled = _enter(4 * u + part, offsets[part, level, GEOMETRY] + bucket, size, filled, least, work)
-            if terms & seen:
-                size = np.float64(_ones(terms & seen)) * term_bytes
-                filled = _enter(4 * u + 2 + part, offsets[part, level, TERMS] + bucket, size, filled, least, work)
-    keys, entries, counts, sizes = work
-    total, last, length = 0.0, -1, 0
-    while length < filled and total < enough:
-        last += 1
-        total += sizes[last]
-        counts[last], length = length, length + counts[last]
+    slots, masks, areas, pixels, codes = units
+    words, places, term_bytes = cell
+    eye, planes, bodies = view
+    enough, least = limits
+    inside, free, due, open_, sides, squares, gains, buckets, chosen, keys, entries, counts, sizes = work
+    x, y, z, word_bytes = places[0], places[1], places[2], places[5]
+    _gather(words, owed, held[0], held[2], free, due, open_)
+    sides[:] = 0
+    for f in range(len(planes)):
+        _look(x, y, z, places[3], planes[f], sides)
+    _squares(x, y, z, places[4], eye, squares)
+    _gains(slots, areas, pixels, squares, gains)
+    _buckets(gains.view(np.int32), buckets)
+    state = (open_, sides, word_bytes)
+    limit = _limit((masks, codes, buckets), runs, state, table, limits, sizes)
+    count, whole = _choose((masks, codes, buckets), runs, state, table, limit, chosen)
+    _touching(words, places, bodies[0], bodies[1], bodies[2], bodies[3], planes, sides, inside)
+    own = len(table) // 4  # codes of ring 0
+    counts[:limit], sizes[:limit] = 0, 0.0
+    filled = 0
+    for j in range(count):
+        u = chosen[j]
+        s, code = slots[u], codes[u]
+        seen = inside[s] if code < own else np.uint64(0)
+        for kind in range(2):
+            left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
+            share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
+            for part in range(2):
+                bits, key = left & (seen if part == INSIDE else ~seen), table[code, kind, part] + buckets[u]
+                if not bits or key < least or key >= NEVER:
+                    continue
+                if key >= limit:
+                    whole = False
+                    continue
+                keys[filled], entries[filled] = key, 4 * u + 2 * kind + part
+                filled += 1
+                counts[key] += 1
+                sizes[key] += np.float64(_ones(bits)) * share
+    total, stop, length = 0.0, least, 0
+    while stop < limit and total < enough:
+        total += sizes[stop]
+        counts[stop], length = length, length + counts[stop]
+        stop += 1
     plan = np.empty(length, np.int32)
     for k in range(filled):
         key = keys[k]
-        if key <= last:
+        if key < stop:
             plan[counts[key]] = entries[k]
             counts[key] += 1
-    return kept, plan, last, length == filled
+    return plan, stop, whole and length == filled
 
 
 @njit(**_OPTIONS)
@@ -385,8 +443,9 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     Args:
         plan: (P,) entries.
         place: where to go on in it.
-        units: (slots, masks, strengths, labels).
-        cell: (words (S,), inside (S,), owed (S,), active terms as words); of owed, what is paid is cleared.
+        units: (slots, masks, areas, pixels, codes).
+        cell: (words (S,), inside (S,), owed (S,), active terms as words, number of codes of ring 0); of owed, what is
+            paid is cleared.
         held: (Gaussians, terms, gone) as words; changed.
         scene: (gaussian_bytes, term_offsets, term_bytes, words of those that take the place of others).
         links: (words of all candidates, offsets and ids of replacements, offsets and ids of replaced).
@@ -396,8 +455,8 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     Returns:
         Where to go on, numbers of Gaussians, terms, and dropped Gaussians, and bytes.
     """
-    slots, masks, _, labels = units
-    words, inside, owed, active = cell
+    slots, masks, _, _, codes = units
+    words, inside, owed, active, own = cell
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, replacing = scene
     out_gaussians, out_terms, out_dropped, queue = out
@@ -408,7 +467,7 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
         s = np.int64(slots[u])
         w = np.int64(words[s])
         rest = masks[u] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
-        if labels[u, 0] == 0:
+        if codes[u] < own:
             rest &= inside[s] if part == INSIDE else ~inside[s]
         while rest:
             low = _lowest(rest)

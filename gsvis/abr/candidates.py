@@ -44,8 +44,11 @@ class Candidates:
         owing: (S,) uint64, which of them have active terms.
         slots: (U,) int32, number of the word of each unit, in [0, S).
         masks: (U,) uint64, which Gaussians of it.
-        strengths: (U, 2) float32, mean weight times area and weight times pixel, for each byte.
-        labels: (U, 3) uint8: ring, first and last level.
+        areas: (U,) float32, mean weight times area, for each byte.
+        pixels: (U,) float32, mean weight times the area that a pixel adds at distance 1, for each byte.
+        codes: (U,) uint16: (ring L + first level) L + last level.
+        starts: (R + 1,) int32, where the units of another ring or word begin, and U.
+        run_slots: (R,) int32, number of that word.
         union: (W,) uint64, all candidates.
         active: (X,) uint64, active terms of the cell as a packed set; empty where the scene has no terms.
         term_bytes: Mean bytes of the active terms of a Gaussian that has some.
@@ -59,8 +62,11 @@ class Candidates:
     owing: Words
     slots: NDArray[np.int32]
     masks: Words
-    strengths: F32
-    labels: NDArray[np.uint8]
+    areas: F32
+    pixels: F32
+    codes: NDArray[np.uint16]
+    starts: NDArray[np.int32]
+    run_slots: NDArray[np.int32]
     union: Words
     active: Words
     term_bytes: float
@@ -72,12 +78,17 @@ class Candidates:
     @property
     def units(self) -> tuple[Any, ...]:
         """What the kernels take."""
-        return self.slots, self.masks, self.strengths, self.labels
+        return self.slots, self.masks, self.areas, self.pixels, self.codes
+
+    @property
+    def runs(self) -> tuple[Any, ...]:
+        """Where units of another ring or word begin, and the number of the word."""
+        return self.starts, self.run_slots
 
     @property
     def nbytes(self) -> int:
         """Bytes in memory."""
-        return sum(array.nbytes for array in (*self.units, self.words, self.places, self.own, self.union, self.active))
+        return sum(array.nbytes for array in (*self.units, *self.runs, self.words, self.places, self.own, self.union, self.active))
 
 
 class CandidateStore:
@@ -122,7 +133,9 @@ class CandidateStore:
         self.replacing = pack(np.flatnonzero(np.diff(index.replaced[0])), len(index))
         self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
         self._strengths = strengths(index, pixel)
-        self._mixed = _mixed(index, count)
+        self._pairs = index.first.astype(np.uint16) * index.num_levels + index.last
+        self._mixed = np.zeros(count, np.bool_)
+        self._mixed[(np.flatnonzero(np.diff(self._pairs)) + 1) >> 6] = True
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
         self._scratch = threading.local()
         every = CellMembers.of(np.arange(len(index)), len(index))
@@ -159,20 +172,24 @@ class CandidateStore:
         own = index.cells.members(cell)
         seen = own.words.copy()
         parts = [self._units(own, index.class_weights)]
-        sums = np.zeros(levels + 1)
-        kernels.level_bytes(parts[0], self.word_bytes, sums)
+        sums = np.zeros(levels * levels)
+        kernels.pair_bytes(*parts[0][:2], parts[0][4], self.word_bytes, sums)
         for ring in range(1, RINGS):
             fresh = np.zeros_like(seen)
             for other in rings[ring]:
                 kernels.add_words(index.cells.members(other).words, seen, fresh)
             seen |= fresh
             found = _empty(len(self._every[0]))
-            count = kernels.ring_units(fresh, ring, self._every, found, 0)
+            count = kernels.ring_units(fresh, self._every, found)
+            found[4][:count] += np.uint16(ring * levels * levels)
             parts.append(tuple(array[:count] for array in found))
-        held, masks, strong, labels = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        held, masks, areas, pixels, codes = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         words = np.flatnonzero(seen).astype(np.int32)
         slot_of = np.empty(len(seen), np.int32)
         slot_of[words] = np.arange(len(words), dtype=np.int32)
+        slots = slot_of[held]
+        new = np.diff(slots, prepend=-1) != 0
+        starts = np.append(np.flatnonzero(new), len(slots)).astype(np.int32)
         active, owing, terms = np.zeros(0, np.uint64), np.zeros_like(seen), 0
         if index.num_terms:
             ids = index.cells.terms(cell)
@@ -180,26 +197,28 @@ class CandidateStore:
             kernels.active_words(ids, self._owners, active, owing)
         places = np.concatenate([self.spheres[words].T, self.spreads[words][None], self.word_bytes[words][None]])
         return Candidates(
-            cell, words, places, own.words[words], owing[words], slot_of[held], masks, strong, labels, seen, active,
-            terms * self.term_size / max(ones(owing), 1), np.cumsum(sums)[:levels] + terms * self.term_size,
+            cell, words, places, own.words[words], owing[words], slots, masks, areas, pixels, codes, starts, slots[starts[:-1]], seen,
+            active, terms * self.term_size / max(ones(owing), 1), _level_bytes(sums, levels) + terms * self.term_size,
         )  # fmt: skip
 
-    def room(self, units: int, slots: int, keys: int) -> tuple[Any, ...]:
-        """Room to rank in, one for each thread: keys, entries, counts, sizes; free, due; depths. What is in it is old."""
+    def room(self, slots: int, units: int, keys: int) -> tuple[Any, ...]:
+        """Room to rank in, one for each thread, which stays what it is when asked for again; see `_kernels.rank`."""
         local = self._scratch
-        if not hasattr(local, "units") or len(local.units[0]) < 4 * units:
-            local.units = np.empty(4 * units, np.int32), np.empty(4 * units, np.int32)
-        if not hasattr(local, "slots") or len(local.slots[0]) < slots:
-            local.slots = np.empty(slots, np.uint64), np.empty(slots, np.uint64), np.empty(slots, np.float32)
-        if not hasattr(local, "keys") or len(local.keys[0]) < keys:
-            local.keys = np.empty(keys, np.int64), np.empty(keys)
-        return *local.units, *local.keys, *local.slots
+        for name, size, kinds in (
+            ("slots", slots, (np.uint64, np.uint64, np.uint64, np.uint8, np.float32)),
+            ("units", units, (np.float32, np.int32, np.int32)),
+            ("entries", 4 * units, (np.int32, np.int32)), ("keys", keys, (np.int64, np.float64)),
+        ):  # fmt: skip
+            if len(getattr(local, name, ((),))[0]) < size:
+                setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
+        parts = (local.slots, slots), (local.units, units), (local.entries, 4 * units), (local.keys, keys)
+        return tuple(array[:size] for arrays, size in parts for array in arrays)
 
     def _units(self, members: CellMembers, weights: F32) -> tuple[Any, ...]:
         """Units of what one cell sees, ring 0."""
         index = self.index
         found = _empty(len(members.classes))
-        scene = self._strengths, index.first, index.last, self._mixed
+        scene = self._strengths, self._pairs, self._mixed
         count = kernels.cell_units((members.words, members.classes), scene, weights, found)
         return tuple(array[:count] for array in found)
 
@@ -219,17 +238,15 @@ def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
     return rings
 
 
-def _mixed(index: SceneIndex, words: int) -> NDArray[np.bool_]:
-    """(W,) whether the Gaussians of a word have more than one pair of levels."""
-    pair = index.first * np.uint8(16) + index.last
-    out = np.zeros(words, np.bool_)
-    out[np.flatnonzero(pair[1:] != pair[:-1]) + 1 >> 6] = True
-    return out
+def _level_bytes(sums: F64, levels: int) -> F64:
+    """(L,) bytes of each level from those by first and last level."""
+    square = sums.reshape(levels, levels)
+    return np.array([square[: k + 1, k:].sum() for k in range(levels)])
 
 
 def _empty(count: int) -> tuple[Any, ...]:
-    strength, labels = np.empty((count, 2), np.float32), np.empty((count, 3), np.uint8)
-    return np.empty(count, np.int32), np.empty(count, np.uint64), strength, labels
+    one = np.empty(count, np.float32)
+    return np.empty(count, np.int32), np.empty(count, np.uint64), one, np.empty_like(one), np.empty(count, np.uint16)
 
 
 def _least(sizes: F32) -> float:

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr import _kernels as kernels
-from gsvis.abr.candidates import Candidates, CandidateStore
+from gsvis.abr.candidates import RINGS, Candidates, CandidateStore
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.policies import UtilityConfig, lowest_last, offsets
+from gsvis.abr.policies import UtilityConfig, table
 
 __all__ = ["Batch", "Planner"]
 
@@ -65,15 +65,13 @@ class Planner:
     ) -> None:
         index = store.index
         self.store, self.policy, self.utility, self.reach = store, policy, utility, reach
-        self._offsets = offsets(policy, "high", index.num_levels, utility)  # refuses what it does not know
+        self._table = table(policy, "high", index.num_levels, utility)  # refuses what it does not know
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self._candidates: Candidates | None = None
         self._eye, self._planes = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
-        self._top, self._seen = 0, False
-        self._live, self._owed = np.zeros(0, np.int32), np.zeros(0, np.uint64)
-        self._inside = np.zeros(0, np.uint64)
+        self._owed, self._inside = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
         self._plan, self._place = np.zeros(0, np.int32), 0
         self._least, self._whole = 0, True
         self._links = index.replacement_offsets, index.replacement_ids, *index.replaced
@@ -95,12 +93,13 @@ class Planner:
         """
         levels = self.store.index.num_levels
         view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
-        self._offsets, self._top = offsets(self.policy, regime, levels, self.utility), lowest_last(regime, levels)
+        self._table, self._keys = table(self.policy, regime, levels, self.utility), kernels.BUCKETS
+        self._keys += int(self._table[self._table < kernels.NEVER].max(initial=0))
         candidates = self.store.of(cell)
         if self._candidates is None or self._candidates.cell != cell:
             self._enter(candidates)
         self._candidates, self._eye, self._planes = candidates, *view
-        self._plan, self._place, self._least, self._whole, self._seen = np.zeros(0, np.int32), 0, 0, False, False
+        self._plan, self._place, self._least, self._whole = np.zeros(0, np.int32), 0, 0, False
 
     def take(self, budget: float) -> Batch:
         """The next records, of at most so many bytes; from now on they count as held.
@@ -117,7 +116,7 @@ class Planner:
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(self.store.ending, np.int32)
         queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
-        cell = candidates.words, self._inside, self._owed, candidates.active
+        cell = candidates.words, self._inside, self._owed, candidates.active, len(self._table) // RINGS
         while not self.done:
             if self._place == len(self._plan):
                 self._rank(candidates, max(self.reach, budget - total))
@@ -135,7 +134,6 @@ class Planner:
 
     def _enter(self, candidates: Candidates) -> None:
         """Begin with the units of another cell."""
-        self._live = np.arange(len(candidates), dtype=np.int32)
         self._owed, self._inside = candidates.owing.copy(), np.empty_like(candidates.owing)
         if len(candidates.active):
             kernels.forget_paid(
@@ -143,19 +141,10 @@ class Planner:
             )
 
     def _rank(self, candidates: Candidates, enough: float) -> None:
-        store, words = self.store, candidates.words
-        x, y, z, radii, spreads, sizes = candidates.places
-        most = int(self._offsets.max()) + kernels.BUCKETS
-        *work, free, due, depths = store.room(len(candidates), len(words), most)
-        free, due, depths = free[: len(words)], due[: len(words)], depths[: len(words)]
-        work[2][:most], work[3][:most] = 0, 0.0
-        kernels.gather(words, self._owed, self.holdings.words, free, due)
-        if not self._seen:
-            wanted = candidates.own & (free | due)
-            kernels.look((x, y, z, radii), words, wanted, store.bodies, self._planes, self._inside, depths)
-        scene = x, y, z, spreads, sizes, candidates.term_bytes
-        kept, self._plan, last, self._whole = kernels.rank(
-            candidates.units, self._live, (free, due, self._inside), scene, self._eye, self._offsets,
-            (self._top, float(enough), self._least), tuple(work),
+        store, c = self.store, candidates
+        room = store.room(len(c.words), len(c), self._keys)
+        self._plan, self._least, self._whole = kernels.rank(
+            c.units, c.runs, (c.words, c.places, c.term_bytes), self._owed, self.holdings.words,
+            (self._eye, self._planes, store.bodies), self._table, (float(enough), self._least), (self._inside, *room),
         )  # fmt: skip
-        self._live, self._place, self._least, self._seen = self._live[:kept], 0, last + 1, True
+        self._place = 0

@@ -145,3 +145,19 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
             for kind, factor in ((kernels.GEOMETRY, 1.0), (kernels.TERMS, config.terms)):
                 out[group, level, kind] = round(-_STEPS * np.log2(worth[group] * beyond * factor))
     return out
+
+
+@lru_cache(maxsize=256)
+def table(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> NDArray[np.int32]:
+    """(4 L L, 2, 2) `offsets` as the kernels want them: by code of a unit, geometry or terms, in view or out of view.
+
+    What is not sent, terms of what neighbours see and Gaussians that end below `lowest_last`, has a key that is none.
+    """
+    found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
+    out = np.full((RINGS, levels, levels, 2, 2), kernels.NEVER, np.int32)
+    for last in range(least, levels):
+        out[0, :, last] = found[:2].transpose(1, 2, 0)
+        out[1:, :, last, kernels.GEOMETRY] = found[2:, :, kernels.GEOMETRY, None]
+    out = out.reshape(-1, 2, 2)
+    out.flags.writeable = False
+    return out
