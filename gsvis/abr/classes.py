@@ -7,7 +7,9 @@ and units; cameras in OpenCV axes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +18,6 @@ from gsvis import _check
 from gsvis.abr import _kernels as kernels
 from gsvis.abr.candidates import RINGS, ring_cells
 from gsvis.abr.index import SceneIndex
-from gsvis.scene.gaussians import rotations_from_quats
 from gsvis.visibility._codec import ids_of
 
 __all__ = ["ADJACENT", "FOV", "NONE", "PERIPHERAL", "Classes", "FieldOfView", "classify"]
@@ -88,20 +89,31 @@ class FieldOfView:
             quat: (4,) wxyz, world from camera, any length but 0.
         """
         eye = _check.floats("position", position, (3,), np.float64)
-        unit = _check.floats("quat", quat, (4,), np.float64)
-        if not (length := float(np.linalg.norm(unit))) > 0:
+        w, x, y, z = _check.floats("quat", quat, (4,), np.float64).tolist()
+        if not (length := math.hypot(w, x, y, z)) > 0:
             raise ValueError("quat: expected a rotation, got a zero quaternion")
-        turn = rotations_from_quats(unit[None] / length)[0]
+        w, x, y, z = w / length, x / length, y / length, z / length
+        turn = np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ])  # fmt: skip
+        out = np.empty((5, 4), np.float32)
+        normals = self._normals @ turn.T
+        out[:, :3], out[:, 3] = normals, -normals @ eye
+        out[4, 3] -= self.near
+        return out
+
+    @cached_property
+    def _normals(self) -> F64:
+        """(5, 3) of the planes, in the frame of the camera."""
         angles = np.arctan([self.left, self.right, self.top, self.bottom]) + self.margin
         sines, cosines = np.sin(np.minimum(angles, _WIDEST)), np.cos(np.minimum(angles, _WIDEST))
         local = np.zeros((5, 3))
         local[[0, 1], 0], local[[2, 3], 1] = [cosines[0], -cosines[1]], [cosines[2], -cosines[3]]
         local[:4, 2] = sines
         local[4, 2] = 1.0
-        normals = local @ turn.T
-        offsets = -normals @ eye
-        offsets[4] -= self.near
-        return np.concatenate([normals, offsets[:, None]], axis=1).astype(np.float32)
+        return local
 
 
 @dataclass(frozen=True, eq=False)

@@ -226,6 +226,21 @@ class SceneIndex:
         order = np.argsort(self.replacement_ids, kind="stable")
         return _offsets(self.replacement_ids, n), owners[order]
 
+    def cell_of(self, position: NDArray[np.float64]) -> int:
+        """The cell that serves a position (3,): the one it is in, or the one with the nearest centre."""
+        grid = self.grid
+        with np.errstate(over="ignore"):
+            boxes = np.floor((position - grid.origin) / grid.cell_size).tolist()
+        found = self._boxes.get(tuple(boxes))
+        if found is not None:
+            return found
+        apart = np.clip(grid.centres - position, -1e100, 1e100)  # squares that do not overflow
+        return int(np.linalg.norm(apart, axis=1).argmin())
+
+    @cached_property
+    def _boxes(self) -> dict[tuple[float, ...], int]:
+        return {tuple(map(float, box)): cell for cell, box in enumerate(self.grid.coords.tolist())}
+
     def with_cells(self, cells: CellSets) -> SceneIndex:
         """The same scene with other sets."""
         return replace(self, cells=cells)

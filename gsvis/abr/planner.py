@@ -65,7 +65,7 @@ class Planner:
     ) -> None:
         index = store.index
         self.store, self.policy, self.utility, self.reach = store, policy, utility, reach
-        self._table = table(policy, "high", index.num_levels, utility)  # refuses what it does not know
+        self._table, self._keys = table(policy, "high", index.num_levels, utility)  # refuses what it does not know
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
@@ -93,8 +93,7 @@ class Planner:
         """
         levels = self.store.index.num_levels
         view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
-        self._table, self._keys = table(self.policy, regime, levels, self.utility), kernels.BUCKETS
-        self._keys += int(self._table[self._table < kernels.NEVER].max(initial=0))
+        self._table, self._keys = table(self.policy, regime, levels, self.utility)
         candidates = self.store.of(cell)
         if self._candidates is None or self._candidates.cell != cell:
             self._enter(candidates)
@@ -135,7 +134,7 @@ class Planner:
     def _enter(self, candidates: Candidates) -> None:
         """Begin with the units of another cell."""
         self._owed, self._inside = candidates.owing.copy(), np.empty_like(candidates.owing)
-        if len(candidates.active):
+        if self.holdings.sent_terms.any():
             kernels.forget_paid(
                 candidates.words, candidates.active, self.holdings.sent_terms, self.store.index.term_offsets, self._owed
             )

@@ -148,8 +148,12 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
 
 
 @lru_cache(maxsize=256)
-def table(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> NDArray[np.int32]:
+def table(
+    policy: str, regime: str, levels: int, config: UtilityConfig | None = None
+) -> tuple[NDArray[np.int32], int]:  # fmt: skip
     """(4 L L, 2, 2) `offsets` as the kernels want them: by code of a unit, geometry or terms, in view or out of view.
+
+    And how many keys there are.
 
     What is not sent, terms of what neighbours see and Gaussians that end below `lowest_last`, has a key that is none.
     """
@@ -160,4 +164,4 @@ def table(policy: str, regime: str, levels: int, config: UtilityConfig | None = 
         out[1:, :, last, kernels.GEOMETRY] = found[2:, :, kernels.GEOMETRY, None]
     out = out.reshape(-1, 2, 2)
     out.flags.writeable = False
-    return out
+    return out, int(found.max()) + kernels.BUCKETS

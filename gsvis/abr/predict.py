@@ -6,6 +6,7 @@ as time goes on, `predict` one for a time. Angular velocities are in the axes of
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,6 +18,8 @@ from gsvis import _check
 __all__ = ["PREDICTORS", "KalmanPose", "LastPose", "LinearPose", "Pose", "PosePredictor", "predictor"]
 
 F64 = NDArray[np.float64]
+
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +37,22 @@ class Pose:
             ValueError: If a shape is wrong, a value is not finite, or the quaternion is 0.
         """
         place = _check.floats("position", position, (3,), np.float64)
-        turn = _check.floats("quat", quat, (4,), np.float64)
-        most = np.abs(turn).max()
+        turn = _check.floats("quat", quat, (4,), np.float64).tolist()
+        most = max(abs(value) for value in turn)
         if not most > 0:
             raise ValueError("quat: expected a rotation, got a zero quaternion")
-        turn = turn / most
-        return cls(place, turn / np.linalg.norm(turn))
+        w, x, y, z = (value / most for value in turn)
+        return cls(place, np.array(_unit(w, x, y, z)))
+
+    def distance_to(self, other: Pose) -> float:
+        """Between the positions."""
+        return math.dist(self.position.tolist(), other.position.tolist())
+
+    def turn_to(self, other: Pose) -> float:
+        """Radians between the orientations, in [0, pi]."""
+        a, b = self.quat.tolist(), other.quat.tolist()
+        chord = min(math.dist(a, b), math.dist(a, [-value for value in b]))
+        return 4.0 * math.asin(min(1.0, 0.5 * chord))
 
 
 class PosePredictor(Protocol):
@@ -102,7 +115,7 @@ class LinearPose:
         then, before = self._seen[0]
         if now <= then:
             return pose
-        ahead = float(np.clip(t - now, 0.0, self._longest)) / (now - then)
+        ahead = min(max(t - now, 0.0), self._longest) / (now - then)
         turn = rotation_vector(product(conjugate(before.quat), pose.quat))
         position = pose.position + ahead * (pose.position - before.position)
         return Pose(position, product(pose.quat, exponential(ahead * turn)))
@@ -159,7 +172,7 @@ class KalmanPose:
         """The pose at time t."""
         if self._time == -np.inf:
             return self._pose
-        return self._ahead(float(np.clip(t - self._time, 0.0, self._longest)))
+        return self._ahead(min(max(t - self._time, 0.0), self._longest))
 
     def _ahead(self, step: float) -> Pose:
         turn = exponential(step * self._turn.velocity)
@@ -172,18 +185,18 @@ class _Filter:
     def __init__(self, density: float, noise: float) -> None:
         self.density, self.noise = density, noise
         self.velocity = np.zeros(3)
-        self.covariance = np.array([[noise, 0.0], [0.0, 1e3]])  # nothing is known of the velocity
+        self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity: nothing is known of it
 
     def update(self, step: float, innovation: F64) -> F64:
         """What is to be added to the predicted values; the velocity is changed here."""
-        f = np.array([[1.0, step], [0.0, 1.0]])
-        q = self.density * np.array([[step**3 / 3.0, step**2 / 2.0], [step**2 / 2.0, step]])
-        p = f @ self.covariance @ f.T + q
-        gain = p[:, 0] / (p[0, 0] + self.noise)
-        self.velocity = self.velocity + gain[1] * innovation
-        p = p - np.outer(gain, p[0])
-        self.covariance = 0.5 * (p + p.T)
-        return np.asarray(gain[0] * innovation)
+        value, both, speed = self.covariance
+        value += step * (2.0 * both + step * speed) + self.density * step**3 / 3.0
+        both += step * speed + self.density * step**2 / 2.0
+        speed += self.density * step
+        gain, push = value / (value + self.noise), both / (value + self.noise)
+        self.velocity = self.velocity + push * innovation
+        self.covariance = value - gain * value, both - gain * both, speed - push * both
+        return np.asarray(gain * innovation)
 
 
 PREDICTORS = ("last", "linear", "kalman")
@@ -197,39 +210,44 @@ def predictor(name: str) -> PosePredictor:
 
 def product(a: F64, b: F64) -> F64:
     """Product of two unit quaternions wxyz, at unit length."""
-    out = np.array(
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        ]
+    (p, q, r, s), (w, x, y, z) = a.tolist(), b.tolist()
+    out = _unit(
+        p * w - q * x - r * y - s * z,
+        p * x + q * w + r * z - s * y,
+        p * y - q * z + r * w + s * x,
+        p * z + q * y - r * x + s * w,
     )
-    return np.asarray(out / np.sqrt(out @ out))
+    return np.array(out)
 
 
 def conjugate(quat: F64) -> F64:
     """The inverse of a unit quaternion."""
-    return np.asarray(quat * np.array([1.0, -1.0, -1.0, -1.0]))
+    return quat * _CONJUGATE
 
 
 def exponential(vector: F64) -> F64:
     """The unit quaternion of a rotation vector (3,), radians."""
-    half = 0.5 * float(np.sqrt(vector @ vector))
-    scale = 0.5 * float(np.sinc(half / np.pi))
-    return np.array([np.cos(half), *(scale * vector)])
+    x, y, z = vector.tolist()
+    angle = math.hypot(x, y, z)
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
+    return np.array([math.cos(0.5 * angle), scale * x, scale * y, scale * z])
 
 
 def rotation_vector(quat: F64) -> F64:
     """The rotation vector (3,) of a unit quaternion, of at most pi radians."""
-    quat = quat if quat[0] >= 0 else -quat
-    sine = float(np.sqrt(quat[1:] @ quat[1:]))
-    if sine < 1e-12:
-        return np.asarray(2.0 * quat[1:])
-    return np.asarray(2.0 * np.arctan2(sine, quat[0]) / sine * quat[1:])
+    w, x, y, z = quat.tolist()
+    sine = math.hypot(x, y, z)
+    scale = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(w)) / sine
+    scale = scale if w >= 0 else -scale
+    return np.array([scale * x, scale * y, scale * z])
+
+
+def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    return w / length, x / length, y / length, z / length
 
 
 def _time(t: float) -> float:
-    if not np.isfinite(t):
+    if not math.isfinite(t):
         raise ValueError(f"t: expected finite seconds, got {t!r}")
     return float(t)

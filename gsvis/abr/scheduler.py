@@ -19,7 +19,7 @@ from gsvis.abr.estimate import ESTIMATORS, ThroughputEstimator, estimator
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch, Planner
 from gsvis.abr.policies import POLICIES, UtilityConfig, regime_of
-from gsvis.abr.predict import PREDICTORS, Pose, PosePredictor, conjugate, predictor, product, rotation_vector
+from gsvis.abr.predict import PREDICTORS, Pose, PosePredictor, predictor
 
 __all__ = ["Scheduler", "SchedulerConfig"]
 
@@ -147,7 +147,7 @@ class Scheduler:
         if t <= self._time:
             return
         self._poses.observe(t, pose.position, pose.quat)
-        self._now, self._time, self.cell = pose, t, self._cell_of(pose.position)
+        self._now, self._time, self.cell = pose, t, self.store.index.cell_of(pose.position)
 
     def on_sent(self, t: float, size: float) -> None:
         """A message is on its way.
@@ -207,16 +207,5 @@ class Scheduler:
         self.plans += 1
 
     def _near(self, a: Pose, b: Pose) -> bool:
-        step = a.position - b.position
-        if float(step @ step) > (self.config.move * self.store.index.grid.cell_size) ** 2:
-            return False
-        turn = rotation_vector(product(conjugate(a.quat), b.quat))
-        return float(turn @ turn) <= self.config.turn**2
-
-    def _cell_of(self, position: F64) -> int:
-        grid = self.store.index.grid
-        cell = int(grid.cell_at(position[None])[0])
-        if cell >= 0:
-            return cell
-        apart = np.clip(grid.centres - position, -1e100, 1e100)  # squares that do not overflow
-        return int(np.linalg.norm(apart, axis=1).argmin())
+        still = a.distance_to(b) <= self.config.move * self.store.index.grid.cell_size
+        return still and a.turn_to(b) <= self.config.turn
