@@ -44,6 +44,9 @@ class NearestCells:
     def members(self, cell: int) -> CellMembers:
         return self._members[cell]
 
+    def words(self, cell: int) -> np.ndarray:
+        return self._members[cell].words
+
     def terms(self, cell: int) -> np.ndarray:
         return self._terms
 

@@ -177,7 +177,7 @@ class CandidateStore:
         for ring in range(1, RINGS):
             fresh = np.zeros_like(seen)
             for other in rings[ring]:
-                kernels.add_words(index.cells.members(other).words, seen, fresh)
+                kernels.add_words(index.cells.words(other), seen, fresh)
             seen |= fresh
             found = _empty(len(self._every[0]))
             count = kernels.ring_units(fresh, self._every, found)
@@ -188,8 +188,7 @@ class CandidateStore:
         slot_of = np.empty(len(seen), np.int32)
         slot_of[words] = np.arange(len(words), dtype=np.int32)
         slots = slot_of[held]
-        new = np.diff(slots, prepend=-1) != 0
-        starts = np.append(np.flatnonzero(new), len(slots)).astype(np.int32)
+        starts = np.append(np.flatnonzero(np.diff(slots, prepend=-1)), len(slots)).astype(np.int32)
         active, owing, terms = np.zeros(0, np.uint64), np.zeros_like(seen), 0
         if index.num_terms:
             ids = index.cells.terms(cell)
@@ -233,8 +232,10 @@ def strengths(index: SceneIndex, pixel: float) -> F32:
 def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
     """The cell, and its neighbours by face, by edge and by corner: four lists."""
     rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
-    for other in grid.neighbours(cell).tolist():
-        rings[int(np.abs(grid.coords[other] - grid.coords[cell]).sum())].append(other)
+    others = grid.neighbours(cell)
+    steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)
+    for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
+        rings[ring].append(other)
     return rings
 
 

@@ -1,7 +1,7 @@
 """Cells as a scheduler wants them, from the store of visible sets and the store of active terms.
 
 A cell is decoded when it is first asked for and kept while there is room. Records may stand in another order than the
-scene of the stores (`streaming_order`); ids are then turned into places of records. Safe to share by threads.
+scene of the stores; ids are then turned into places of records. Safe to share by threads.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr.index import CellMembers
-from gsvis.visibility._codec import pack
+from gsvis.visibility._codec import ids_of, pack
 from gsvis.visibility.active_terms import ActiveTerms
 from gsvis.visibility.store import VisibilityStore
 
@@ -79,6 +79,18 @@ class StoreCells:
             return CellMembers(words, classes), words.nbytes + classes.nbytes
 
         found: CellMembers = self._held(("members", cell), read)
+        return found
+
+    def words(self, cell: int) -> NDArray[np.uint64]:
+        """What a cell sees as a packed set, without classes."""
+
+        def read() -> tuple[NDArray[np.uint64], int]:
+            words = self._sets.visible_words(cell)
+            if self._places is not None:
+                words = pack(self._places[ids_of(words)], self._sets.gaussians)
+            return words, words.nbytes
+
+        found: NDArray[np.uint64] = self._held(("words", cell), read)
         return found
 
     def terms(self, cell: int) -> U32:

@@ -73,6 +73,10 @@ class CellSets(Protocol):
         """What a cell sees."""
         ...
 
+    def words(self, cell: int, /) -> Words:
+        """The words of `members` alone: of neighbours no classes are asked for."""
+        ...
+
     def terms(self, cell: int, /) -> U32:
         """(A,) rising ids of the terms that are active in a cell, of Gaussians that it sees."""
         ...

@@ -96,6 +96,10 @@ class EveryCell:
         """All."""
         return self._members
 
+    def words(self, cell: int) -> NDArray[np.uint64]:
+        """All."""
+        return self._members.words
+
     def terms(self, cell: int) -> NDArray[np.uint32]:
         """All."""
         return self._terms

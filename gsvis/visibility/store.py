@@ -172,6 +172,10 @@ class VisibilityStore:
         """`visible` as (V,) rising ids."""
         return _codec.ids_of(self._in_scene_order(self._at_least(cell, least_class)))
 
+    def visible_words(self, cell: int) -> Words:
+        """`visible` as packed words: Gaussian i is bit i % 64 of word i // 64, whole roaring containers."""
+        return self._in_scene_order(self._words(self.check_cell(cell)))
+
     def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
         """The (V,) rising ids that a cell sees, and the (V,) weight class of each."""
         levels = self._levels(self.check_cell(cell))

@@ -19,6 +19,9 @@ class ArrayCells:
     def members(self, cell: int) -> CellMembers:
         return self._members[cell]
 
+    def words(self, cell: int) -> np.ndarray:
+        return self._members[cell].words
+
     def terms(self, cell: int) -> np.ndarray:
         return self._terms[cell]
 
