@@ -32,14 +32,21 @@ def distances(ids, out):
 
 
 @njit(**_OPTIONS)
-def owner_distances(terms, owners, gaussians, count, out):
-    """By how much each owner is further than the distance of the terms tells, signs in the lowest bit."""
+def owner_distances(terms, owners, share, out):
+    """By how much each owner is further than the distance of the terms tells, the sign in the lowest bit.
+
+    Args:
+        terms: (M,) rising.
+        owners: (M,) never falling.
+        share: Gaussians for each term of the scene, times 2^16.
+        out: (M,) int64.
+    """
     term, owner = np.int64(0), np.int64(0)
     for i in range(len(terms)):
-        expected = (np.int64(terms[i]) - term) * gaussians // count
-        rest = np.int64(owners[i]) - owner - expected
+        to, of = np.int64(terms[i]), np.int64(owners[i])
+        rest = of - owner - ((to - term) * share >> 16)
         out[i] = 2 * rest if rest >= 0 else -2 * rest - 1
-        term, owner = np.int64(terms[i]), np.int64(owners[i])
+        term, owner = to, of
 
 
 @njit(**_OPTIONS)
@@ -60,23 +67,33 @@ def best_order(values):
 
 @njit(**_OPTIONS)
 def write(values, order, out, bit):
-    """Append values to a string of bits; `out` is zero from `bit` on and long enough. Gives the bit after the last."""
+    """Append values to a string of bits, in which those from `bit` to the end of its byte are zero.
+
+    Returns:
+        The bit after the last; what follows in its byte is zero.
+    """
+    byte, filled = bit >> 3, bit & 7
+    word = np.uint64(out[byte]) if filled else np.uint64(0)
+    one, eight = np.uint64(1), np.uint64(8)
     for i in range(len(values)):
-        w = np.uint64(values[i]) + (np.uint64(1) << np.uint64(order))
+        w = np.uint64(values[i]) + (one << np.uint64(order))
         n = _length(np.int64(w))
-        bit += n - order - 1
-        word = ((w & ((np.uint64(1) << np.uint64(n - 1)) - np.uint64(1))) << np.uint64(1)) | np.uint64(1)
-        byte, shift, left = bit >> 3, np.uint64(bit & 7), n
-        out[byte] |= np.uint8((word << shift) & np.uint64(255))
-        word >>= np.uint64(8) - shift
-        left -= 8 - np.int64(shift)
-        while left > 0:
+        filled += n - order - 1
+        while filled >= 8:
+            out[byte] = np.uint8(word & np.uint64(255))
+            word >>= eight
             byte += 1
-            out[byte] |= np.uint8(word & np.uint64(255))
-            word >>= np.uint64(8)
-            left -= 8
-        bit += n
-    return bit
+            filled -= 8
+        word |= (((w & ((one << np.uint64(n - 1)) - one)) << one) | one) << np.uint64(filled)
+        filled += n
+        while filled >= 8:
+            out[byte] = np.uint8(word & np.uint64(255))
+            word >>= eight
+            byte += 1
+            filled -= 8
+    if filled:
+        out[byte] = np.uint8(word & np.uint64(255))
+    return 8 * byte + filled
 
 
 @njit(**_OPTIONS)
@@ -118,12 +135,12 @@ def ids_from(values, limit, out):
 
 
 @njit(**_OPTIONS)
-def owners_from(values, terms, gaussians, count, out):
-    """The other way from `owner_distances`; whether all owners are Gaussians and none falls."""
+def owners_from(values, terms, share, gaussians, out):
+    """The other way from `owner_distances`; whether all owners are below `gaussians` and none falls."""
     term, owner = np.int64(0), np.int64(0)
     for i in range(len(values)):
         rest = values[i] >> 1 if values[i] & 1 == 0 else -((values[i] + 1) >> 1)
-        found = owner + (terms[i] - term) * gaussians // count + rest
+        found = owner + ((terms[i] - term) * share >> 16) + rest
         if found < owner or found >= gaussians:
             return False
         term, owner = terms[i], found
@@ -161,29 +178,50 @@ def added(words, before, out):
 
 
 @njit(**_OPTIONS)
-def sort_terms(slots, offsets, order):
-    """Where terms stand when they are put together by the slot of their Gaussian, in the order in which they came.
+def group_terms(owners, slots, terms, offsets, out):
+    """Put terms together by the slot of their Gaussian, in the order in which they came.
 
     Args:
-        slots: (M,) of each term; -1 for those that are left out.
+        owners: (M,) Gaussian of each.
+        slots: (N,) slot of each Gaussian; the terms of one that has none, -1, are left out.
+        terms: (functions (M,), centers (M, 2), decays (M,), intensities (M, I)).
         offsets: (n + 1,) int64 zeros, receives where those of each slot begin.
-        order: (M,) int64, receives the terms that are kept.
+        out: Arrays like those of the terms, receive them.
 
     Returns:
         How many are kept.
     """
     n = len(offsets) - 1
-    for i in range(len(slots)):
-        if slots[i] >= 0:
-            offsets[slots[i] + 1] += 1
+    for i in range(len(owners)):
+        slot = slots[owners[i]]
+        if slot >= 0:
+            offsets[slot + 1] += 1
     for k in range(n):
         offsets[k + 1] += offsets[k]
     total = offsets[n]
-    for i in range(len(slots)):
-        if slots[i] >= 0:
-            order[offsets[slots[i]]] = i
-            offsets[slots[i]] += 1
+    functions, centers, decays, intensities = terms
+    to_functions, to_centers, to_decays, to_intensities = out
+    for i in range(len(owners)):
+        slot = slots[owners[i]]
+        if slot >= 0:
+            place = offsets[slot]
+            offsets[slot] = place + 1
+            to_functions[place], to_decays[place] = functions[i], decays[i]
+            to_centers[place, 0], to_centers[place, 1] = centers[i, 0], centers[i, 1]
+            for k in range(intensities.shape[1]):
+                to_intensities[place, k] = intensities[i, k]
     for k in range(n, 0, -1):
         offsets[k] = offsets[k - 1]
     offsets[0] = 0
     return total
+
+
+@njit(**_OPTIONS)
+def gather(rows, places, out):
+    """Rows (N, B) at some places (M,), behind each other in out (M B,)."""
+    width, at = rows.shape[1], 0
+    for i in range(len(places)):
+        place = places[i]
+        for k in range(width):
+            out[at + k] = rows[place, k]
+        at += width

@@ -104,12 +104,12 @@ class Sections:
         values = [np.empty(len(ids), np.int64) for ids in lists]
         for k in (0, 1, 2, 4):
             kernels.distances(lists[k], values[k])
-        kernels.owner_distances(self.terms, self.owners, about.gaussians, max(about.terms, 1), values[3])
+        kernels.owner_distances(self.terms, self.owners, _share(about), values[3])
         orders = [int(kernels.best_order(some)) for some in values]
         most = sum(len(some) for some in values) * kernels.MOST_BITS // 8
-        out, bit = np.zeros(_IDS.size + most + 8, np.uint8), 8 * _IDS.size
+        out, bit = np.empty(_IDS.size + most + 8, np.uint8), 8 * _IDS.size
         for some, order in zip(values, orders, strict=True):
-            bit = kernels.write(some, order, out, bit)
+            bit = int(kernels.write(some, order, out, bit))
         out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.gone), *orders), np.uint8)
         return out[: -(-bit // 8)]
 
@@ -172,7 +172,7 @@ def _ids_of(sequence: int, data: U8, counts: list[int], about: SceneHeader) -> l
         if bit < 0:
             _refuse(sequence, f"{lengths[k]:,} ids", "another string of bits")
         good = (
-            kernels.owners_from(values, found[2], n, max(t, 1), ids)
+            kernels.owners_from(values, found[2], _share(about), n, ids)
             if k == 3
             else kernels.ids_from(values, limits[k], ids)
         )
@@ -182,6 +182,11 @@ def _ids_of(sequence: int, data: U8, counts: list[int], about: SceneHeader) -> l
     if -(-bit // 8) != len(data):
         _refuse(sequence, f"{-(-bit // 8)} bytes of ids", f"{len(data)}")
     return found
+
+
+def _share(about: SceneHeader) -> int:
+    """Gaussians for each term, times 2^16: by this owners go on with their terms."""
+    return (about.gaussians << 16) // max(about.terms, 1)
 
 
 def _refuse(sequence: int, expected: str, got: str) -> NoReturn:

@@ -1,6 +1,7 @@
 """What a client draws, in arrays with room to grow: Gaussians in the order in which they came, terms likewise.
 
-Arrays that were given away are never changed: what comes is written behind them, and what goes leaves new ones.
+What comes is written behind what is there; where something goes, the last takes its place. So a batch costs by its own
+size, and a scene is a view of these arrays, and no copy.
 """
 
 from __future__ import annotations
@@ -30,16 +31,20 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 
+_ROOM = 1 << 20
+
+
 class Rows:
     """Arrays of one length that grow together.
 
     Args:
+        room: Rows for which memory is set aside, of which the system gives what is written to.
         **like: An empty array of each, with the shape and type of its rows.
     """
 
-    def __init__(self, **like: NDArray[Any]) -> None:
-        self._arrays = {name: array[:0] for name, array in like.items()}
-        self._count = 0
+    def __init__(self, room: int, **like: NDArray[Any]) -> None:
+        self._arrays = {name: np.empty((room, *array.shape[1:]), array.dtype) for name, array in like.items()}
+        self._room, self._count = room, 0
 
     def __len__(self) -> int:
         return self._count
@@ -51,18 +56,25 @@ class Rows:
     def append(self, **rows: NDArray[Any]) -> None:
         """Write rows behind those that there are."""
         count = self._count + len(next(iter(rows.values())))
+        if count > self._room:
+            self._room = max(count, self._room * 3 // 2)
+            for name, array in self._arrays.items():
+                self._arrays[name] = np.empty((self._room, *array.shape[1:]), array.dtype)
+                self._arrays[name][: self._count] = array[: self._count]
         for name, array in self._arrays.items():
-            if count > len(array):
-                grown = np.empty((max(count, len(array) * 3 // 2, 1024), *array.shape[1:]), array.dtype)
-                grown[: self._count] = array[: self._count]
-                self._arrays[name] = array = grown
             array[self._count : count] = rows[name]
         self._count = count
 
-    def keep(self, places: I64) -> None:
-        """Keep these rows, in this order, in new arrays."""
-        self._arrays = {name: np.ascontiguousarray(array[places]) for name, array in self._arrays.items()}
-        self._count = len(places)
+    def drop(self, places: I64) -> tuple[I64, I64]:
+        """Take rows out, and put the last ones in their places; tells from where rows have come to where."""
+        count = self._count - len(places)
+        holes, behind = places[places < count], np.ones(len(places), bool)
+        behind[places[places >= count] - count] = False
+        moved = count + np.flatnonzero(behind)
+        for array in self._arrays.values():
+            array[holes] = array[moved]
+        self._count = count
+        return moved, holes
 
 
 class Drawn:
@@ -83,15 +95,17 @@ class Drawn:
             return np.zeros((0, *shape), np.float32)
 
         self._gaussians = Rows(
+            min(about.gaussians, _ROOM),
             ids=np.zeros(0, np.int32), means=none(3), quats=none(4), scales=none(3), opacities=none(), sh0=none(1, 3),
             base=none(3), color_scales=none(),
         )  # fmt: skip
         self._terms = Rows(
+            min(about.terms, _ROOM),
             owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2), decays=none(),
             intensities=none(kind.intensities),
         )  # fmt: skip
         self._slots = np.full(about.gaussians, -1, np.int32)
-        self._axes = Rows(axes=none(kind.num_axes, 3))  # the first is of those whose axes have not come
+        self._axes = Rows(1, axes=none(kind.num_axes, 3))  # the first is of those whose axes have not come
         self._axes.append(axes=_grids.unoctahedral(np.zeros((1, kind.num_axes, 2), np.uint16), grids.precision.axis))
         self._axis_rows = np.zeros(about.gaussians if kind.num_axes else 0, np.int32)
         self._made: tuple[Gaussians, SrbfColors] | None = None
@@ -141,38 +155,50 @@ class Drawn:
         slots = self._slots[ids]
         if (slots < 0).any():
             raise ValueError("ids: expected Gaussians that are drawn, got others")
-        kept = np.ones(len(self), bool)
-        kept[slots] = False
         self._slots[ids] = -1
-        places = np.flatnonzero(kept)
-        self._gaussians.keep(places)
-        self._slots[self.ids] = np.arange(len(places), dtype=np.int32)
-        with_terms = self._slots[self._terms["owners"]] >= 0
-        if not with_terms.all():
-            self._terms.keep(np.flatnonzero(with_terms))
+        _, holes = self._gaussians.drop(slots.astype(np.int64))
+        self._slots[self.ids[holes]] = holes
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
         """See `Receiver.scene`."""
         if self._made is None:
             g, t = self._gaussians, self._terms
-            n = len(g)
-            offsets, order = np.zeros(n + 1, np.int64), np.empty(len(t), np.int64)
-            order = order[: kernels.sort_terms(self._slots[t["owners"]], offsets, order)]
-            terms = (t[name][order] for name in ("functions", "centers", "decays", "intensities"))
+            n, names = len(g), ("functions", "centers", "decays", "intensities")
+            terms, offsets = tuple(t[name] for name in names), np.zeros(n + 1, np.int64)
+            found = tuple(np.empty_like(array) for array in terms)
+            count = kernels.group_terms(t["owners"], self._slots, terms, offsets, found)
             rows = self._axis_rows[self.ids] if len(self._axis_rows) else np.zeros(n, np.int32)
-            axes = self._axes["axes"][rows]
-            colors = SrbfColors(self._grids.variant, g["base"], g["color_scales"], axes, offsets, *terms)
-            self._made = Gaussians(*(g[name] for name in ("means", "quats", "scales", "opacities", "sh0"))), colors
+            gaussians = _unchecked(
+                Gaussians, shN=np.zeros((n, 0, 3), np.float32),
+                **{name: g[name] for name in ("means", "quats", "scales", "opacities", "sh0")},
+            )  # fmt: skip
+            colors = _unchecked(
+                SrbfColors, base=g["base"], scales=g["color_scales"], axes=self._axes["axes"][rows], offsets=offsets,
+                **{name: array[:count] for name, array in zip(names, found, strict=True)},
+            )  # fmt: skip
+            object.__setattr__(colors, "variant", self._grids.variant)
+            self._made = gaussians, colors
         return self._made
 
     def _add_gaussians(self, s: Sections, chunks: I32, table: ChunkTable) -> None:
-        means, quats, scales, opacities = decode_records(s.records, table, self._layout, chunks=chunks)
+        geometry = decode_records(s.records, table, self._layout, chunks=chunks)
         sh0 = ((base_rgb(s.records, self._grids) - np.float32(0.5)) / np.float32(SH_C0))[:, None]
+        g = Gaussians(*geometry, sh0)
         places = base_colors(s.records, self._layout)
         base = np.stack([self._tables[k][places[:, k]] for k in range(3)], axis=1)
         factors = self._scale_table[places[:, 3]] if self._layout.color_scale else np.ones(len(base), np.float32)
         self._slots[s.gaussians] = len(self) + np.arange(len(base), dtype=np.int32)
         self._gaussians.append(
-            ids=s.gaussians, means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0, base=base,
+            ids=s.gaussians, means=g.means, quats=g.quats, scales=g.scales, opacities=g.opacities, sh0=g.sh0, base=base,
             color_scales=factors,
         )  # fmt: skip
+
+
+def _unchecked(kind: Any, **arrays: NDArray[Any]) -> Any:
+    """Gaussians or colours of arrays that were checked when they came, batch by batch."""
+    made = object.__new__(kind)
+    for name, array in arrays.items():
+        view = array.view()
+        view.flags.writeable = False
+        object.__setattr__(made, name, view)
+    return made

@@ -1,7 +1,7 @@
 """The client's side: messages in, Gaussians and colours to draw out. No socket, no clock.
 
-What is drawn stands in arrays in the order in which it came. What a batch brings is appended, and what it replaces is
-taken out, so that a frame costs nothing that a batch has not paid for. Scene frame and units.
+A batch is checked before anything of it is taken, then decoded once; a scene is a view of what has been decoded. Scene
+frame and units.
 """
 
 from __future__ import annotations
@@ -120,7 +120,8 @@ class Receiver:
     def scene(self) -> tuple[Gaussians, SrbfColors]:
         """What is drawn: M Gaussians in SH degree 0 with their base colours, and colours with the terms that came.
 
-        An eye sees `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)`. What was given before is not changed.
+        An eye sees `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)`. These are views of what the receiver
+        keeps, good until it receives again; copy what has to last longer.
         """
         return self._drawn.scene()
 

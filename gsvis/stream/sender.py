@@ -8,9 +8,10 @@ Budgets are bytes of messages.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
@@ -182,6 +183,12 @@ class Sender:
             axes = contents.axes[fresh[: kernels.first_times(terms, scene.owners, self._has_axes, fresh)]]
         gone = self._room[: kernels.added(self.holdings.gone, self._gone, self._room)]
         return Sections(
-            self._sequence, self._starts[chunks], scene.chunk_rows[chunks], gaussians, contents.records[gaussians],
-            terms, owners, contents.term_records[terms], axes, gone,
+            self._sequence, self._starts[chunks], scene.chunk_rows[chunks], gaussians,
+            _gathered(contents.records, gaussians), terms, owners, _gathered(contents.term_records, terms), axes, gone,
         ).to_message(scene.about)  # fmt: skip
+
+
+def _gathered(rows: NDArray[np.uint8], places: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
+    out = np.empty((len(places), rows.shape[1]), np.uint8)
+    kernels.gather(rows, places, out.reshape(-1))
+    return out
