@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gsvis.simulate.frames import Frame, Stage
     from gsvis.simulate.link import Link, Pipe
     from gsvis.simulate.playback import Playback, play
-    from gsvis.simulate.session import Session, SessionConfig, watch
+    from gsvis.simulate.session import Session, SessionConfig, show_at, watch
 
 __all__ = [
     "Adaptive",
@@ -36,6 +36,7 @@ __all__ = [
     "WholeFile",
     "morton_order",
     "play",
+    "show_at",
     "watch",
 ]
 
@@ -45,7 +46,7 @@ _HOMES = {
     "frames": ("Frame", "Stage"),
     "link": ("Link", "Pipe"),
     "playback": ("Playback", "play"),
-    "session": ("Session", "SessionConfig", "watch"),
+    "session": ("Session", "SessionConfig", "show_at", "watch"),
 }
 
 

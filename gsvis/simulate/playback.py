@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ class Playback:
     twice: int
     about: dict[str, Any]
 
-    @property
+    @cached_property
     def first(self) -> float:
         """Seconds at which the first Gaussian could be drawn; inf if none ever."""
         return float(self.gaussian_at.min(initial=np.inf))

@@ -16,17 +16,20 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.abr.classes import FieldOfView
-from gsvis.abr.qoe import Qoe, QoeConfig, first_frame, quality_of_experience, stall
+from gsvis.abr.qoe import FIRST_FRAME_DB, Qoe, QoeConfig, first_frame, quality_of_experience, stall
 from gsvis.progress import Progress, silent
 from gsvis.scene.paths import HeadPath
 from gsvis.simulate.frames import Frame, Stage
 from gsvis.simulate.playback import Playback
 
-__all__ = ["Session", "SessionConfig", "watch"]
+__all__ = ["GOOD_DB", "Session", "SessionConfig", "show_at", "watch"]
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-FIRST_DB, GOOD_DB = 20.0, 35.0
+GOOD_DB = 35.0
+"""PSNR of an image that is good."""
+_HAIR = 1e-6  # seconds by which float32 may miss a tick
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ class Session:
         count = int(np.count_nonzero(arrived))
         return {
             **qoe.as_dict(),
-            "seconds_to_first_image": _or_none(self.seconds_to(FIRST_DB)),
+            "seconds_to_first_image": _or_none(self.seconds_to(FIRST_FRAME_DB)),
             "seconds_to_good_image": _or_none(self.seconds_to(GOOD_DB)),
             "stall": stall(self.times, self.psnr, self.config.qoe.shown_db, end),
             "bytes": float(p.bytes_at(end)),
@@ -217,18 +220,48 @@ def watch(
     return [Session(p, config, times, psnr[m], latency[m], needed) for m, p in enumerate(playbacks)]
 
 
+def show_at(
+    stage: Stage, playbacks: Sequence[Playback], path: HeadPath, t: float, config: SessionConfig
+) -> tuple[F32, list[F32 | None]]:
+    """What was to be seen at one time.
+
+    Args:
+        stage: The scene.
+        playbacks: Of this scene.
+        path: The path that they were played along.
+        t: Seconds.
+        config: Size and field of view of the images.
+
+    Returns:
+        (H, W, 3) the full scene in [0, 1], and for each playback what it showed; None before its first Gaussian.
+    """
+    position, quat = path.at(t)
+    camera = HeadPath(np.zeros(1), position[None], quat[None]).cameras(config.width, config.height, config.fov)[0]
+    frame = Frame(stage, camera)
+    return frame.reference, [_Sight(frame, p).image(t) for p in playbacks]
+
+
 class _Sight:
     """One pose and one playback: how good the picture of the pose is with what has arrived by any time."""
 
     def __init__(self, frame: Frame, playback: Playback) -> None:
         self._frame, self._playback = frame, playback
         self._here, self._gone = playback.gaussian_at[frame.ids], playback.gone_at[frame.ids]
+        self._first = playback.first
 
     def psnr(self, t: float) -> float:
-        p, now = self._playback, np.float32(t + 1e-6)
-        if now < p.first:
+        p, now = self._playback, np.float32(t + _HAIR)
+        if now < self._first:
             return 0.0
         return np.inf if p.exact else self._frame.psnr((self._here <= now) & (self._gone > now), p.term_at <= now)
+
+    def image(self, t: float) -> F32 | None:
+        p, now = self._playback, np.float32(t + _HAIR)
+        if now < self._first:
+            return None
+        if p.exact:
+            return self._frame.reference
+        return self._frame.image((self._here <= now) & (self._gone > now), p.term_at <= now)
 
 
 def _latency(seen: _Sight, t: float, config: SessionConfig) -> float:

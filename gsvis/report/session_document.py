@@ -1,0 +1,175 @@
+"""The report on simulated sessions on disk: `report.json`, plots and pictures as PNG, `report.html` with all inside."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.io.atomic import atomic_folder
+from gsvis.progress import Progress, silent
+from gsvis.report.html import Figure
+from gsvis.report.pictures import png_of
+from gsvis.report.session_page import session_page
+from gsvis.report.session_plots import (
+    draw_bandwidth,
+    draw_bytes,
+    draw_latency,
+    draw_psnr,
+    draw_score,
+    draw_shares,
+    draw_start,
+)
+from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.simulate.link import Link
+from gsvis.simulate.session import Session
+
+__all__ = ["Simulation", "Visit", "session_document", "write_session_report"]
+
+_PLOTS = ("qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start")
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """One scene, from the moment at which it is asked for.
+
+    Attributes:
+        title: The scene's name.
+        sessions: Of every system, ours first.
+        compared_with: What the full scene is, in words.
+        path: Facts on the path, ready for JSON.
+        scene: Facts on the scene, ready for JSON.
+        pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene under the name "".
+    """
+
+    title: str
+    sessions: tuple[Session, ...]
+    compared_with: str
+    path: dict[str, Any] = field(default_factory=dict)
+    scene: dict[str, Any] = field(default_factory=dict)
+    pictures: tuple[tuple[float, str, NDArray[np.float32]], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Visits one after the other over one link.
+
+    Attributes:
+        visits: In their order.
+        link: As it is at the beginning of the first.
+        command: The exact command that makes this report again.
+        version: Of gsvis.
+        parameters: All parameters by name.
+        seconds: How long each stage took, by its name.
+    """
+
+    visits: tuple[Visit, ...]
+    link: Link
+    command: str
+    version: str
+    parameters: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """The names of the scenes."""
+        return ", then ".join(dict.fromkeys(visit.title for visit in self.visits))
+
+
+def session_document(simulation: Simulation) -> dict[str, Any]:
+    """The content of `report.json`.
+
+    Args:
+        simulation: What was simulated.
+    """
+    link, config = simulation.link, simulation.visits[0].sessions[0].config
+    end = config.seconds * len(simulation.visits)
+    return {
+        "format": "gsvis-simulation",
+        "version": 1,
+        "gsvis": simulation.version,
+        "command": simulation.command,
+        "parameters": simulation.parameters,
+        "config": asdict(config),
+        "link": {
+            "trace": link.trace.name,
+            "round_trip": link.round_trip,
+            "mean_mbit_per_s": link.trace.bytes_between(0.0, end) * 8e-6 / end,
+        },
+        "visits": [
+            {
+                "scene": {"name": visit.title, **visit.scene},
+                "path": visit.path,
+                "compared_with": visit.compared_with,
+                "systems": [session.as_dict() for session in visit.sessions],
+            }
+            for visit in simulation.visits
+        ],
+        "seconds": simulation.seconds,
+    }
+
+
+def write_session_report(
+    folder: str | os.PathLike[str], simulation: Simulation, *, progress: Progress = silent
+) -> dict[str, Any]:
+    """Draw everything and write the folder, whole or not at all.
+
+    Args:
+        folder: Made if missing; files in it that are not of a report stay.
+        simulation: What was simulated.
+        progress: Called with stage "writing".
+
+    Returns:
+        What was written as `report.json`.
+
+    Raises:
+        ValueError: If there is no visit.
+        OSError: If the folder cannot be written.
+    """
+    if not simulation.visits:
+        raise ValueError("simulation: expected at least one visit, got none")
+    document = session_document(simulation)
+    figures = _figures(simulation, progress)
+    with atomic_folder(folder) as partial_folder:
+        for figure in figures.values():
+            (partial_folder / figure.file).write_bytes(figure.light)
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (partial_folder / "report.json").write_text(text, encoding="utf-8")
+        (partial_folder / "report.html").write_text(session_page(simulation, document, figures), encoding="utf-8")
+    kept = {figure.file for figure in figures.values()}
+    for stale in [*(Path(folder) / f"{name}.png" for name in _PLOTS), *Path(folder).glob("shown_*_*_*.png")]:
+        if stale.name not in kept:
+            stale.unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+    return document
+
+
+def _figures(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
+    """All plots and pictures by name, plots for light and for dark pages."""
+    visits = [visit.sessions for visit in simulation.visits]
+    trace = simulation.link.trace
+    plots: dict[str, tuple[Any, tuple[float, float]]] = {
+        "qoe": (partial(draw_score, visits=visits), (7.6, 3.2)),
+        "psnr": (partial(draw_psnr, visits=visits), (7.6, 3.2)),
+        "latency": (partial(draw_latency, visits=visits), (7.6, 3.0)),
+        "bandwidth": (partial(draw_bandwidth, visits=visits, trace=trace), (7.6, 2.2)),
+        "start": (partial(draw_start, visits=visits), (5.2, 3.7)),
+        "shares": (partial(draw_shares, visits=visits), (5.2, 3.5)),
+        "bytes": (partial(draw_bytes, visits=visits), (5.2, 3.5)),
+    }
+    progress("writing", 0, len(plots))
+    figures = {}
+    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
+        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        progress("writing", done, len(plots))
+    for v, visit in enumerate(simulation.visits):
+        names = ["", *(session.playback.name for session in visit.sessions)]
+        for t, name, image in visit.pictures:
+            key = f"shown_{v}_{round(1000 * t)}_{names.index(name)}"
+            figures[key] = Figure(f"{key}.png", png_of(image))
+    return figures

@@ -1,0 +1,212 @@
+"""The report on simulated sessions as one HTML page that needs nothing else: images inside, no script, no network."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from gsvis.abr.qoe import FIRST_FRAME_DB
+from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
+from gsvis.report.session_plots import PAPER_SENT
+from gsvis.simulate.session import GOOD_DB
+
+if TYPE_CHECKING:
+    from gsvis.report.session_document import Simulation, Visit
+
+__all__ = ["session_page", "spelled_figures"]
+
+Rows = list[tuple[str, ...]]
+
+
+def session_page(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """The whole page.
+
+    Args:
+        simulation: What was simulated.
+        document: The content of `report.json`.
+        figures: Plots and pictures by name.
+    """
+    return filled(
+        "session_page.html",
+        title=escape(simulation.title),
+        version=escape(document["gsvis"]),
+        lead=_lead(document),
+        tiles=_tiles(document),
+        start=_start(simulation, document, figures),
+        session=_session(document, figures),
+        sent=_sent(document, figures),
+        figures=_tables(document),
+        assumed=_assumed(document),
+        how=described(document),
+    )
+
+
+def spelled_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows]:
+    """Header and rows of the table of a visit: a figure in each row, a system in each column; all text.
+
+    Args:
+        systems: As the document has them.
+    """
+
+    def cells(key: str, spell: Any) -> list[str]:
+        return [("never" if value is None else spell(value)) for value in (s["figures"][key] for s in systems)]
+
+    def seconds(value: float) -> str:
+        return f"{value:.1f} s"
+
+    def share(value: float) -> str:
+        return f"{value:.1%}"
+
+    has_terms = any(s["figures"]["terms"] for s in systems)
+    rows: Rows = [
+        ("QoE of a step", *cells("score", lambda v: f"{v:.3f}")),
+        ("quality part", *cells("quality", lambda v: f"{v:.3f}")),
+        ("delay part", *cells("delay", lambda v: f"{v:.3f}")),
+        ("PSNR, mean", *cells("psnr", lambda v: f"{v:.1f} dB")),
+        ("latency, mean", *cells("latency", lambda v: f"{v:.3f} s")),
+        (f"first image of {FIRST_FRAME_DB:g} dB", *cells("seconds_to_first_image", seconds)),
+        (f"first image of {GOOD_DB:g} dB", *cells("seconds_to_good_image", seconds)),
+        ("stalled", *cells("stall", seconds)),
+        ("arrived", *cells("bytes", lambda v: f"{v / 1e6:.2f} MB")),
+        ("records sent twice", *cells("records_twice", lambda v: f"{v:,}")),
+        ("Gaussians sent", *cells("gaussian_share", share)),
+        ("of them replaced since", *cells("replaced_share", share)),
+        ("of them never in the picture", *cells("unseen_share", share)),
+    ]
+    if has_terms:
+        rows.append(("SRBFs sent", *cells("term_share", share)))
+    return ("", *(s["system"] for s in systems)), rows
+
+
+def _lead(document: dict[str, Any]) -> str:
+    link, config, visits = document["link"], document["config"], document["visits"]
+    first = visits[0]["systems"]
+    others = " and ".join(escape(s["system"]) for s in first[1:])
+    versus = f", beside {others}" if others else ""
+    many = f" for {config['seconds']:g} s" if len(visits) == 1 else f", {len(visits)} scenes of {config['seconds']:g} s"
+    return (
+        f"<p class='lead'>A viewer walks along a recorded path{many} while {escape(first[0]['system'])} sends the scene"
+        f" over a recorded link of {link['mean_mbit_per_s']:.1f} Mbit/s on average{versus}. What each client holds is"
+        " drawn and compared with the full scene.</p>"
+    )
+
+
+def _tiles(document: dict[str, Any]) -> str:
+    systems = document["visits"][0]["systems"]
+    ours, rest = systems[0], systems[1:]
+
+    def beside(key: str, spell: Any) -> str:
+        return "; ".join(f"{s['system']}: {_or_never(s['figures'][key], spell)}" for s in rest)
+
+    shown = []
+    for key, told, spell in (
+        ("seconds_to_first_image", f"to a first image of {FIRST_FRAME_DB:g} dB", lambda v: f"{v:.1f} s"),
+        ("seconds_to_good_image", f"to an image of {GOOD_DB:g} dB", lambda v: f"{v:.1f} s"),
+        ("latency", "from a pose to its image, on average", lambda v: f"{v:.3f} s"),
+        ("score", "quality of experience of a step", lambda v: f"{v:.2f}"),
+    ):
+        shown.append((_or_never(ours["figures"][key], spell), told, beside(key, spell)))
+    return tiles(shown)
+
+
+def _or_never(value: float | None, spell: Any) -> str:
+    return "never" if value is None else str(spell(value))
+
+
+def _start(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    step = document["config"]["tick"]
+    caption = f"PSNR of what is shown against the full scene, measured every {1000 * step:.0f} ms."
+    text = figure(figures["start"], "PSNR in the first seconds", caption)
+    for v, visit in enumerate(simulation.visits):
+        text += _pictures(v, visit, figures)
+    return text
+
+
+def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
+    names = ["", *(session.playback.name for session in visit.sessions)]
+    text = ""
+    for t in sorted({t for t, _, _ in visit.pictures}):
+        drawn = ""
+        for k, name in enumerate(names):
+            found = figures.get(f"shown_{v}_{round(1000 * t)}_{k}")
+            if found is None:
+                continue
+            told = "The full scene." if not name else f"{name}: {_quality_at(visit, k - 1, t)}."
+            drawn += figure(found, told, escape(told))
+        text += f"<h3>{escape(visit.title)} after {t:g} s</h3><div class='three'>{drawn}</div>"
+    return text
+
+
+def _quality_at(visit: Visit, which: int, t: float) -> str:
+    session = visit.sessions[which]
+    k = int((session.times <= t + 1e-9).sum()) - 1
+    if session.psnr[k] <= 0.0:
+        return "no image yet"
+    best = session.config.qoe.psnr_scale
+    return f"at least {best:g} dB" if session.psnr[k] >= best else f"{session.psnr[k]:.1f} dB"
+
+
+def _session(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    qoe = document["config"]["qoe"]
+    score = (
+        f"QoE of each step (figure 9 of the paper): PSNR / {qoe['psnr_scale']:g} dB less {qoe['delay_weight']:g} times"
+        f" latency / {qoe['latency_scale']:g} s, both at most 1."
+    )
+    psnr = f"PSNR of what is shown (figure 10), at most {qoe['psnr_scale']:g} dB; 0 where there is no image yet."
+    latency = f"Time from a pose until it is shown at {qoe['shown_db']:g} dB (figure 11)."
+    link = f"Rate of the link (figure 12): {escape(document['link']['trace'])}."
+    return (
+        figure(figures["qoe"], "QoE over time", score)
+        + figure(figures["psnr"], "PSNR over time", psnr)
+        + figure(figures["latency"], "Latency over time", latency)
+        + figure(figures["bandwidth"], "Bandwidth over time", link)
+    )
+
+
+def _sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    ours = document["visits"][0]["systems"][0]["system"]
+    shares = (
+        f"Shares of the Gaussians, of all levels together, and of the SRBFs that {escape(ours)} has sent (figure 13)."
+        f" The paper's are {PAPER_SENT['gaussians']:.2%} and {PAPER_SENT['terms']:.2%} after 30 s."
+    )
+    nbytes = "Megabytes that have arrived (figure 14)."
+    return (
+        "<div class='pair'>"
+        + figure(figures["shares"], "Shares sent over time", shares)
+        + figure(figures["bytes"], "Megabytes over time", nbytes)
+        + "</div>"
+    )
+
+
+def _tables(document: dict[str, Any]) -> str:
+    text = ""
+    for visit in document["visits"]:
+        header, rows = spelled_figures(visit["systems"])
+        text += f"<h3>{escape(visit['scene']['name'])}</h3>"
+        text += table([escape(cell) for cell in header], [[escape(cell) for cell in row] for row in rows])
+    return text
+
+
+def _assumed(document: dict[str, Any]) -> str:
+    config, link = document["config"], document["link"]
+    text = (
+        "<ul>"
+        f"<li>The link takes {1000 * link['round_trip']:g} ms there and back and loses nothing; time begins when the"
+        " client asks for the scene, on an open connection.</li>"
+        f"<li>The client says where it is every {1000 * config['tick']:g} ms and confirms what arrives. What has"
+        " arrived is drawn at once: time to decode and to draw is not counted.</li>"
+        f"<li>Images have {config['width']} x {config['height']} pixels and a field of view of {config['fov']:g}°, and"
+        f" are compared every {1000 * config['tick']:g} ms for {config['fine']:g} s, then every {config['every']:g} s;"
+        " each stands for the time until the next.</li>"
+    )
+    for visit in document["visits"]:
+        name = escape(visit["scene"]["name"])
+        text += f"<li>{name}: the full scene is {escape(visit['compared_with'])}."
+        if "rule" in visit["path"]:
+            text += f" Its path: {escape(str(visit['path']['rule']))}."
+        text += "</li>"
+    rows = []
+    for system in document["visits"][0]["systems"]:
+        for key, value in system["about"].items():
+            rows.append((escape(system["system"]), escape(key), escape(plain(value))))
+    return text + "</ul>" + table(("system", "", ""), rows)

@@ -1,0 +1,188 @@
+"""The plots of a report on simulated sessions: figures 9 to 14 of the paper, and the first seconds on their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from gsvis.abr.qoe import FIRST_FRAME_DB
+from gsvis.abr.traces import BYTES, BandwidthTrace
+from gsvis.report.theme import Theme
+from gsvis.simulate.session import GOOD_DB, Session
+
+__all__ = [
+    "PAPER_SENT",
+    "draw_bandwidth",
+    "draw_bytes",
+    "draw_latency",
+    "draw_psnr",
+    "draw_score",
+    "draw_shares",
+    "draw_start",
+]
+
+F64 = NDArray[np.float64]
+Visits = Sequence[Sequence[Session]]
+
+PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
+"""SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
+
+_PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
+
+
+def draw_score(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """QoE of each step, all systems (figure 9)."""
+    _over_time(axes, theme, visits, lambda session: session.score)
+    axes.set_ylim(-5.3, 1.3)
+    axes.set_ylabel("QoE of a step")
+
+
+def draw_psnr(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """PSNR of what is shown (figure 10)."""
+    _over_time(axes, theme, visits, lambda session: session.psnr)
+    scale = visits[0][0].config.qoe.psnr_scale
+    axes.set_ylim(-0.02 * scale, 1.06 * scale)
+    axes.set_ylabel("PSNR, dB")
+
+
+def draw_latency(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """Time from a pose until it is shown (figure 11)."""
+    _over_time(axes, theme, visits, lambda session: session.latency)
+    scale = visits[0][0].config.qoe.latency_scale
+    axes.set_ylim(-0.03 * scale, 1.08 * scale)
+    axes.set_ylabel("latency, seconds")
+
+
+def draw_bandwidth(axes: Axes, theme: Theme, visits: Visits, trace: BandwidthTrace) -> None:
+    """Rate of the link (figure 12), means over half seconds."""
+    end = visits[0][0].config.seconds * len(visits)
+    edges = np.linspace(0.0, end, max(round(2 * end), 1) + 1)
+    rates = [trace.bytes_between(a, b) / (b - a) / BYTES for a, b in pairwise(edges.tolist())]
+    axes.stairs(rates, edges, color=theme.muted, fill=True, alpha=0.35, linewidth=0)
+    axes.stairs(rates, edges, color=theme.muted, linewidth=1.4, baseline=None)
+    _scenes(axes, theme, visits)
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(0.0, 1.12 * max(*rates, 1e-6))
+    axes.set_xlabel("seconds")
+    axes.set_ylabel("Mbit/s")
+
+
+def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """PSNR in the first seconds of the first scene, with the two qualities that are asked for."""
+    end = min(max(visits[0][0].config.fine, 1.0), visits[0][0].config.seconds)
+    for session, (colour, style) in zip(visits[0], _styles(theme), strict=False):
+        times, values = np.append(session.times, session.config.seconds), np.append(session.psnr, session.psnr[-1])
+        axes.step(
+            times, values, where="post", color=colour, linestyle=style, linewidth=2.0, label=session.playback.name
+        )
+    for level, told in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
+        axes.axhline(level, color=theme.muted, linewidth=1.2, dashes=(5, 2))
+        axes.annotate(
+            f"{told}, {level:g} dB", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-2, 3),
+            textcoords="offset points", ha="right", va="bottom", color=theme.muted, fontsize=9,
+        )  # fmt: skip
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(-1.0, 1.06 * visits[0][0].config.qoe.psnr_scale)
+    axes.set_xlabel("seconds since the scene was asked for")
+    axes.set_ylabel("PSNR, dB")
+    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+
+
+def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """Shares of Gaussians and of SRBFs that the first system has brought (figure 13), beside the paper's."""
+    terms = False
+    for k, sessions in enumerate(visits):
+        session = sessions[0]
+        p = session.playback
+        times = np.append(session.times, session.config.seconds)
+        dashes = "-" if k == 0 else (0, (4, 2))
+        after = "" if len(visits) == 1 else f", scene {k + 1}"
+        share = p.gaussians_at(times) / max(len(p.gaussian_at), 1)
+        axes.plot(times, share, color=theme.gathered, linestyle=dashes, linewidth=2.0, label=f"Gaussians{after}")
+        if len(p.term_at):
+            terms = True
+            share = p.terms_at(times) / len(p.term_at)
+            axes.plot(times, share, color=theme.traced, linestyle=dashes, linewidth=2.0, label=f"SRBFs{after}")
+    marks = [(30.0, PAPER_SENT["gaussians"], "paper's Gaussians")]
+    if terms:
+        marks += [(30.0, PAPER_SENT["terms"], "paper's SRBFs"), (0.0, PAPER_SENT["terms_first"], "")]
+    end = visits[0][0].config.seconds
+    for x, y, told in marks:
+        if x > end + 1e-9:
+            continue
+        axes.plot([x], [y], marker="D", markersize=7, color=theme.published, clip_on=False, zorder=5, linestyle="none")
+        if told:
+            axes.annotate(
+                f"{told} {y:.1%}", (x, y), xytext=(-9, 0), textcoords="offset points", ha="right", va="center",
+                color=theme.published, fontsize=9, fontweight="bold",
+                bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 0.5},
+            )  # fmt: skip
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(0.0, 1.03)
+    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.set_xlabel("seconds since the scene was asked for")
+    axes.set_ylabel("share sent")
+    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=2.2, columnspacing=1.4)
+
+
+def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """Megabytes that have arrived, all systems (figure 14), and what the link could have carried."""
+    top, start = 0.0, 0.0
+    for k, sessions in enumerate(visits):
+        for session, (colour, style) in zip(sessions, _styles(theme), strict=False):
+            times = np.append(session.times, session.config.seconds)
+            values = session.playback.bytes_at(times) / 1e6
+            top = max(top, float(values.max()))
+            label = session.playback.name if k == 0 else None
+            axes.plot(start + times, values, color=colour, linestyle=style, linewidth=2.0, label=label)
+        start += sessions[0].config.seconds
+    _scenes(axes, theme, visits)
+    axes.set_xlim(0.0, start)
+    axes.set_ylim(0.0, 1.08 * max(top, 1e-6))
+    axes.set_xlabel("seconds")
+    axes.set_ylabel("megabytes arrived")
+    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+
+
+def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Session], F64]) -> None:
+    """A value of each step of all systems, scene after scene."""
+    start = 0.0
+    for k, sessions in enumerate(visits):
+        for session, (colour, style) in zip(sessions, _styles(theme), strict=False):
+            times = np.append(session.times, session.config.seconds)
+            values = value(session)
+            axes.step(
+                start + times, np.append(values, values[-1]), where="post", color=colour, linestyle=style,
+                linewidth=2.0, label=session.playback.name if k == 0 else None,
+            )  # fmt: skip
+        start += sessions[0].config.seconds
+    _scenes(axes, theme, visits)
+    axes.set_xlim(0.0, start)
+    axes.xaxis.set_major_locator(MaxNLocator(7))
+    axes.set_xlabel("seconds")
+    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+
+
+def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:
+    """Where a new scene begins."""
+    for k in range(1, len(visits)):
+        at = k * visits[0][0].config.seconds
+        axes.axvline(at, color=theme.ink, linewidth=1.0, dashes=(2, 2))
+        axes.annotate(
+            "a new scene", (at, 1.0), xycoords=("data", "axes fraction"), xytext=(4, -2), textcoords="offset points",
+            ha="left", va="top", fontsize=9, color=theme.muted,
+            bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
+        )  # fmt: skip
+
+
+def _styles(theme: Theme) -> list[tuple[str, Any]]:
+    """Colour and line of each system."""
+    colours = (theme.gathered, theme.published, theme.traced, theme.muted)
+    styles = ("-", (0, (4, 2)), (0, (1, 1)))
+    return [(colour, style) for style in styles for colour in colours]
