@@ -1,4 +1,4 @@
-"""`gsvis serve`: packages to viewers, until it is stopped. Log lines go to stderr, the address to stdout if asked for."""
+"""`gsvis serve`: packages to viewers, until it is stopped. Log lines go to stderr, the address to stdout on request."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import time
+from contextlib import suppress
 
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
@@ -33,20 +34,18 @@ def run_serve(command: Serve) -> None:
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
     config = AppConfig(token, command.origins, limits, SchedulerConfig(policy=command.policy))
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
-    scenes = open_scenes(command.package, max_cache_bytes=command.cache)
-    try:
-        server = Server(scenes, config, address, planners=command.planners)
-    except OSError as error:
-        if error.filename is None:  # a certificate that OpenSSL does not like has no name in its error
-            raise BackendError(f"TLS: {error}; check --ssl-certfile and --ssl-keyfile") from error
-        raise
-    if command.json:
-        print_json({"format": "gsvis-serving", "version": 1, "url": server.url, "scenes": list(scenes)})
-        sys.stdout.flush()
-    try:
-        server.run()
-    except KeyboardInterrupt:
-        pass  # how a server ends
+    with open_scenes(command.package, max_cache_bytes=command.cache) as scenes:
+        try:
+            server = Server(scenes, config, address, planners=command.planners)
+        except OSError as error:
+            if error.filename is None:  # a certificate that OpenSSL does not like has no name in its error
+                raise BackendError(f"TLS: {error}; check --ssl-certfile and --ssl-keyfile") from error
+            raise
+        if command.json:
+            print_json({"format": "gsvis-serving", "version": 1, "url": server.url, "scenes": list(scenes)})
+            sys.stdout.flush()
+        with suppress(KeyboardInterrupt):  # how a server ends
+            server.run()
 
 
 def _log_to_stderr(*, debug: bool) -> None:

@@ -1,7 +1,6 @@
 """A server of packages and a client over real sockets: the scheduler of the simulator behind WebSockets.
 
-    scenes = open_scenes(["scene.gsvis"])
-    with Server(scenes).running() as url:
+    with open_scenes(["scene.gsvis"]) as scenes, Server(scenes).running() as url:
         client = fetch(url, FieldOfView.of_degrees(90, 70), path.at, seconds=5.0)
     gaussians, colors = client.receiver.scene()
 
@@ -21,7 +20,7 @@ from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.client import ClientConfig, StreamClient, fetch
 from gsvis.serve.limits import Limits
 from gsvis.serve.metrics import Metrics
-from gsvis.serve.scenes import ServedScene, open_scenes
+from gsvis.serve.scenes import Scenes, ServedScene, open_scenes
 from gsvis.serve.server import Address, Server
 
 __all__ = [
@@ -30,6 +29,7 @@ __all__ = [
     "ClientConfig",
     "Limits",
     "Metrics",
+    "Scenes",
     "ServedScene",
     "Server",
     "StreamClient",

@@ -145,6 +145,11 @@ def protocols(limits: Limits, log: EventLog) -> tuple[type[asyncio.Protocol], ty
                 self.frames = []
                 self.transport.abort()
 
+        async def send(self, message: Any) -> None:
+            await super().send(message)
+            if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+                self.handshake_complete = True  # a refusal is an answer, too
+
         async def run_asgi(self) -> None:
             scope: Any = self.scope
             scope["extensions"][ABORT] = self.transport.abort

@@ -102,7 +102,8 @@ class StreamClient:
         Args:
             pose: Where the viewer is.
             seconds: How long; inf until `stop`.
-            on_batch: Called with each batch once it has been taken in.
+            on_batch: Called with each batch once it has been taken in, before it is acknowledged: the server waits for
+                whoever takes long.
 
         Raises:
             ProtocolError: If the server refuses this client, or does not speak the protocol.
@@ -175,10 +176,10 @@ class StreamClient:
                 while True:
                     data = await _next(socket)
                     received = self.receiver.receive(data)
-                    await socket.send(Ack(received.sequence).to_bytes())
                     self.nbytes += received.nbytes
                     if on_batch is not None:
                         on_batch(received)
+                    await socket.send(Ack(received.sequence).to_bytes())
             except asyncio.CancelledError:
                 await _leave(socket)
                 raise

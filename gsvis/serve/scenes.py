@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from types import TracebackType
 
 from gsvis.errors import GsvisError
+from gsvis.package import Package
 from gsvis.serve._log import EventLog
 from gsvis.stream import StreamedScene
 
-__all__ = ["ServedScene", "open_scenes"]
+__all__ = ["Scenes", "ServedScene", "open_scenes"]
 
 
 @dataclass(eq=False)
@@ -47,9 +49,43 @@ class ServedScene:
         self.fault = line
 
 
+class Scenes(Mapping[str, ServedScene]):
+    """Scenes by name, in their order; closed together.
+
+    Args:
+        served: The scenes.
+    """
+
+    def __init__(self, served: Iterable[ServedScene]) -> None:
+        self._served = {scene.name: scene for scene in served}
+
+    def __getitem__(self, name: str) -> ServedScene:
+        return self._served[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._served)
+
+    def __len__(self) -> int:
+        return len(self._served)
+
+    def __enter__(self) -> Scenes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the packages; nobody may be served any more."""
+        for scene in self.values():
+            if scene.opened is not None:
+                scene.opened.package.close()
+
+
 def open_scenes(
     packages: Sequence[str | PathLike[str]], *, max_cache_bytes: int = 512 << 20, log: EventLog | None = None
-) -> Mapping[str, ServedScene]:
+) -> Scenes:
     """Open packages; one that is damaged is kept as refused, so that the others can be served.
 
     Args:
@@ -58,7 +94,7 @@ def open_scenes(
         log: Where to say what happened.
 
     Returns:
-        Scenes by name, in the order given.
+        Scenes by name, in the order given; to be closed.
 
     Raises:
         ValueError: If there is none, or two have one name.
@@ -76,7 +112,7 @@ def open_scenes(
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
-            opened = StreamedScene.open(path, max_cache_bytes=max_cache_bytes // len(packages))
+            opened = _open(path, max_cache_bytes // len(packages))
         except (GsvisError, OSError) as error:
             first = first or error
             log("damaged", logging.ERROR, scene=name, why=str(error))
@@ -87,4 +123,13 @@ def open_scenes(
         log("ready", scene=name, gaussians=about.gaussians, terms=about.terms, cells=len(opened.index.grid))
     if first is not None and all(served.opened is None for served in found.values()):
         raise first
-    return found
+    return Scenes(found.values())
+
+
+def _open(path: Path, max_cache_bytes: int) -> StreamedScene:
+    package = Package.open(path)
+    try:
+        return StreamedScene.open(package, max_cache_bytes=max_cache_bytes)
+    except BaseException:
+        package.close()
+        raise

@@ -1,0 +1,216 @@
+"""Servers and clients of tests: small time-outs, and raw sockets for what no decent client does."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+from websockets.sync.client import ClientConnection, connect
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.package import Package
+from gsvis.serve import Address, AppConfig, ClientConfig, Limits, Server, StreamClient, open_scenes
+from gsvis.stream import Hello, PoseAt, Receiver
+
+VIEW = FieldOfView.of_degrees(80, 60, margin=8)
+QUICK = Limits(handshake_s=0.4, idle_s=5.0, stall_s=0.6, tick_s=0.02)
+"""Limits that tests can wait for."""
+
+
+def still(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """A viewer who does not move."""
+    return (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+
+
+@contextmanager
+def serving(*packages: Path, limits: Limits = QUICK, port: int = 0, **config: object) -> Iterator[Server]:
+    """A running server."""
+    settings = AppConfig(limits=limits, **config)  # type: ignore[arg-type]
+    with open_scenes(packages) as scenes:
+        server = Server(scenes, settings, Address(port=port))
+        with server.running():
+            yield server
+
+
+@contextmanager
+def raw(server: Server, hello: bytes | None = None, name: str = "") -> Iterator[ClientConnection]:
+    """A WebSocket that has said HELLO, unless `hello` is b""."""
+    with connect(server.url + name, compression=None, proxy=None, ping_interval=None, close_timeout=0.2) as ws:
+        ws.send(Hello(VIEW).to_bytes() if hello is None else hello) if hello != b"" else None
+        yield ws
+
+
+def pose(x: float = 0.0, ms: int = 0) -> bytes:
+    return PoseAt(ms, (x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)).to_bytes()
+
+
+def until(fact: Callable[[], bool], seconds: float = 10.0) -> None:
+    """Wait for a fact."""
+    end = time.monotonic() + seconds
+    while not fact():
+        assert time.monotonic() < end, "it did not come to pass"
+        time.sleep(0.01)
+
+
+def wanted(package: Path) -> tuple[np.ndarray, int]:
+    """Ids of the highest level, and the number of their terms: what a patient client of a plain package shows."""
+    with Package.open(package) as opened:
+        contents = opened.contents
+    high = np.flatnonzero(contents.last == len(contents.names) - 1)
+    return high, int(np.diff(contents.term_offsets)[high].sum())
+
+
+def has_all(receiver: Receiver | None, package: Path) -> bool:
+    """Whether a client shows the highest level with all its terms."""
+    if receiver is None:
+        return False
+    high, terms = wanted(package)
+    return np.array_equal(np.sort(receiver.shown()), high) and len(receiver.holdings.received_terms) >= terms
+
+
+def patient(
+    url: str, package: Path, *, seconds: float = 30.0, config: ClientConfig | None = None,
+    receiver: Receiver | None = None, moved: Callable[[StreamClient], None] | None = None,
+) -> tuple[StreamClient, list[int]]:  # fmt: skip
+    """A client that stays until it has all; also the ids of the Gaussians that came, in their order."""
+    high, terms = wanted(package)
+    came: list[int] = []
+
+    async def stream() -> StreamClient:
+        client = StreamClient(url, VIEW, config, receiver=receiver)
+
+        def look(received: object) -> None:
+            came.extend(received.gaussians.tolist())  # type: ignore[attr-defined]
+            if moved is not None:
+                moved(client)
+            held = client.receiver
+            assert held is not None
+            if np.array_equal(np.sort(held.shown()), high) and len(held.holdings.received_terms) >= terms:
+                client.stop()
+
+        await client.run(still, seconds=seconds, on_batch=look)
+        return client
+
+    return asyncio.run(stream()), came
+
+
+class SlowLink:
+    """A link between clients and a server, of a rate, that can be held up."""
+
+    def __init__(self, url: str, bytes_per_s: float) -> None:
+        parts = urlsplit(url)
+        self._to, self._rate = (parts.hostname, parts.port), bytes_per_s
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(30.0)
+        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}{parts.path}"
+        self._open = threading.Event()
+        self.go_on()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def stall(self) -> None:
+        self._open.clear()
+
+    def go_on(self) -> None:
+        self._open.set()
+
+    def close(self) -> None:
+        self.go_on()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listener.accept()
+                near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
+                far = socket.socket()
+                far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)  # or all would wait in here
+                far.connect(self._to)
+            except OSError:
+                return
+            for source, sink in ((near, far), (far, near)):
+                source.settimeout(None)
+                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        try:
+            while data := source.recv(4096):
+                time.sleep(len(data) / self._rate)
+                self._open.wait()
+                sink.sendall(data)
+        except OSError:
+            pass
+        for end in (source, sink):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+
+@contextmanager
+def slow_link(url: str, bytes_per_s: float) -> Iterator[SlowLink]:
+    link = SlowLink(url, bytes_per_s)
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+def plain_socket(server: Server) -> socket.socket:
+    """A TCP connection."""
+    parts = urlsplit(server.url)
+    return socket.create_connection((parts.hostname, parts.port), timeout=10.0)
+
+
+def upgraded(server: Server, path: str = "/stream") -> socket.socket:
+    """A TCP connection that is a WebSocket now, for frames made by hand."""
+    found = plain_socket(server)
+    found.sendall(
+        f"GET {path} HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    answer = b""
+    while b"\r\n\r\n" not in answer:
+        answer += found.recv(1)
+    assert b" 101 " in answer.split(b"\r\n")[0]
+    return found
+
+
+def frame(data: bytes, opcode: int = 2, *, fin: bool = True, claimed: int | None = None) -> bytes:
+    """A frame of a client, masked with zeros."""
+    length = len(data) if claimed is None else claimed
+    head = bytes([(0x80 if fin else 0) | opcode])
+    if length < 126:
+        head += bytes([0x80 | length])
+    elif length < 1 << 16:
+        head += bytes([0x80 | 126]) + struct.pack(">H", length)
+    else:
+        head += bytes([0x80 | 127]) + struct.pack(">Q", length)
+    return head + bytes(4) + data
+
+
+def ask(server: Server, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of a plain request; the path goes out as it is."""
+    with plain_socket(server) as found:
+        lines = [f"{method} {path} HTTP/1.1", "Host: x", "Connection: close"]
+        lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
+        found.sendall("\r\n".join([*lines, "", ""]).encode("latin-1"))
+        answer = b""
+        while piece := found.recv(1 << 16):
+            answer += piece
+    head, _, body = answer.partition(b"\r\n\r\n")
+    first, *rest = head.decode("latin-1").split("\r\n")
+    fields = dict(line.lower().split(": ", 1) for line in rest)
+    return int(first.split()[1]), fields, body
+
+
+def quick(**changes: object) -> Limits:
+    """`QUICK`, changed."""
+    return replace(QUICK, **changes)  # type: ignore[arg-type]

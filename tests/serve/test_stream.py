@@ -1,0 +1,194 @@
+"""Over real sockets: all arrives, once, at as many clients as there are; what was held is not sent again."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.errors import ProtocolError
+from gsvis.serve import Address, ClientConfig, Server, StreamClient, fetch, open_scenes
+from gsvis.serve.connection import PoseClock
+from tests.serve.servers import QUICK, VIEW, ask, has_all, patient, pose, quick, raw, serving, slow_link, still, until
+
+
+def test_all_arrives_and_nothing_twice(plain: Path) -> None:
+    with serving(plain) as server:
+        client, came = patient(server.url, plain)
+        assert has_all(client.receiver, plain)
+        assert len(came) == len(set(came))
+        assert server.metrics.gaussians.value() == len(came)
+        assert server.metrics.sent_bytes.value() == client.nbytes
+        gaussians, colors = client.receiver.scene()
+        assert len(gaussians) == len(colors) == len(client.receiver.shown())
+        until(lambda: server.metrics.closed.value("left") == 1)
+        assert "gsvis_batches_total" in ask(server, "/metrics")[2].decode()
+
+
+def test_planning_in_threads_brings_the_same(plain: Path) -> None:
+    with open_scenes([plain]) as scenes, Server(scenes, None, Address(port=0), planners=2).running() as url:
+        client, came = patient(url, plain)
+        assert has_all(client.receiver, plain)
+        assert len(came) == len(set(came))
+
+
+def test_clients_do_not_disturb_each_other(plain: Path, celled: Path) -> None:
+    async def all_of_them(url: str) -> list[StreamClient]:
+        names = ["", "/plain", "/celled", "/celled"]
+        clients = [StreamClient(url + name, VIEW) for name in names]
+        await asyncio.gather(*(client.run(still, seconds=1.5) for client in clients))
+        return clients
+
+    with serving(plain, celled, limits=quick(stall_s=20.0)) as server:
+        clients = asyncio.run(all_of_them(server.url))
+        sizes = [client.receiver.about.gaussians for client in clients]
+        assert sizes == [6000, 6000, 1500, 1500]
+        assert all(len(client.receiver.shown()) for client in clients)
+        assert server.metrics.opened.value("celled") == 2
+
+
+def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
+    with serving(plain) as server, slow_link(server.url, 200e3) as link:
+        whole, _ = patient(server.url, plain)
+        first = fetch(link.url, VIEW, still, 0.6)
+        held = set(first.receiver.holdings.received.tolist())
+        assert held
+        assert not has_all(first.receiver, plain)
+        second, came = patient(server.url, plain, receiver=first.receiver)
+        assert has_all(second.receiver, plain)
+        assert not held & set(came)
+        assert second.receiver is first.receiver
+        again, nothing = patient(server.url, plain, receiver=second.receiver, seconds=0.5)
+        assert (nothing, again.nbytes) == ([], 0)
+        assert whole.restarts == second.restarts == 0
+
+
+def test_what_is_held_of_another_scene_is_worth_nothing(plain: Path, celled: Path) -> None:
+    with serving(celled, plain) as server:
+        other = fetch(server.url, VIEW, still, 0.3)
+        client, _ = patient(server.url + "/plain", plain, receiver=other.receiver)
+        assert client.restarts == 1
+        assert has_all(client.receiver, plain)
+
+
+def test_a_token_opens_the_stream(plain: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.DEBUG), serving(plain, token="s3cret-word") as server:
+        for wrong in (None, "s3cret"):
+            with pytest.raises(ProtocolError, match="a token is needed"):
+                fetch(server.url, VIEW, still, 5.0, ClientConfig(token=wrong))
+        right = fetch(server.url, VIEW, still, 0.2, ClientConfig(token="s3cret-word"))
+        in_query = fetch(server.url + "?token=s3cret-word", VIEW, still, 0.2)
+        assert right.connections == in_query.connections == 1
+        said = [record for record in caplog.records if record.name.startswith(("gsvis", "uvicorn"))]
+        assert not any("s3cret-word" in record.getMessage() for record in said)
+        assert server.metrics.refused.value("token") == 2
+    assert "s3cret-word" not in repr(server.config)
+
+
+def test_pages_of_other_origins_are_turned_away(plain: Path) -> None:
+    upgrade = {"Upgrade": "websocket", "Sec-WebSocket-Key": "A" * 22 + "==", "Sec-WebSocket-Version": "13"}
+    with serving(plain, origins=("https://friend.example",)) as server:
+
+        def status(origin: str) -> int:
+            from websockets.exceptions import InvalidStatus
+            from websockets.sync.client import connect
+
+            try:
+                with connect(server.url, origin=origin, proxy=None):  # type: ignore[arg-type]
+                    return 101
+            except InvalidStatus as refused:
+                return refused.response.status_code
+
+        assert status("https://evil.example") == 403
+        assert status("null") == 403
+        assert status("https://friend.example") == 101
+        assert status(f"http://127.0.0.1:{server.port}") == 101
+        assert ask(server, "/nothing", **upgrade)[0] in (403, 404)
+
+
+def test_a_scene_that_is_not_there(plain: Path) -> None:
+    with serving(plain) as server, pytest.raises(ProtocolError, match="no such scene"):
+        fetch(server.url + "/other", VIEW, still, 5.0)
+
+
+def test_no_server_for_too_long_is_an_error() -> None:
+    with socket.socket() as taken:  # bound, but nobody listens
+        taken.bind(("127.0.0.1", 0))
+        url = f"ws://127.0.0.1:{taken.getsockname()[1]}/stream"
+        with pytest.raises(ConnectionError, match="no stream for"):
+            fetch(url, VIEW, still, 30.0, ClientConfig(give_up_s=0.3))
+
+
+def test_an_address_that_is_taken_is_an_error(plain: Path) -> None:
+    with open_scenes([plain]) as scenes, socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=f"127.0.0.1:{port}"):
+            Server(scenes, address=Address(port=port))
+    assert Address().host == "127.0.0.1"
+
+
+def test_what_is_under_way_never_exceeds_the_window(plain: Path) -> None:
+    with serving(plain, limits=quick(stall_s=20.0)) as server, raw(server) as ws:
+        ws.recv()
+        ws.send(pose())
+        time.sleep(0.6)  # nothing is acknowledged
+        assert 0 < server.metrics.sent_bytes.value() <= 0.3 * 250e3 * 1.05
+
+
+@pytest.mark.parametrize("seconds", [1.0, pytest.param(5.0, marks=pytest.mark.slow)])
+def test_a_link_that_stalls_loses_nothing(plain: Path, seconds: float) -> None:
+    with (
+        serving(plain, limits=quick(stall_s=seconds + 5.0, idle_s=seconds + 5.0)) as server,
+        slow_link(server.url, 200e3) as link,
+    ):
+        stalled = []
+
+        def moved(client: StreamClient) -> None:
+            if not stalled and client.nbytes > 10_000:
+                stalled.append(client.nbytes)
+                link.stall()
+                threading.Timer(seconds, link.go_on).start()
+
+        client, came = patient(link.url, plain, moved=moved)
+        assert stalled
+        assert client.connections == 1
+        assert has_all(client.receiver, plain)
+        assert len(came) == len(set(came))
+
+
+def test_a_client_that_is_cut_off_comes_back_by_itself(plain: Path) -> None:
+    with serving(plain, limits=QUICK) as server, slow_link(server.url, 200e3) as link:
+        cuts = []
+
+        def moved(client: StreamClient) -> None:
+            if not cuts and client.nbytes > 10_000:
+                cuts.append(1)
+                link.stall()  # beyond what the server waits for
+                threading.Timer(1.5, link.go_on).start()
+
+        client, came = patient(link.url, plain, moved=moved, config=ClientConfig(first_wait_s=0.05))
+        assert client.connections >= 2
+        assert has_all(client.receiver, plain)
+        assert len(came) == len(set(came))
+
+
+def test_poses_that_arrive_at_once_keep_their_times() -> None:
+    clock = PoseClock()
+    made = np.arange(0.0, 3.0, 0.1)
+    arrived = np.where(made < 1.0, made, np.maximum(made, 2.5)) + 100.02  # held up from 1.0 to 2.5
+    times = np.array([clock.at(a, round(1e3 * float(m))) for a, m in zip(arrived, made, strict=True)])
+    np.testing.assert_allclose(times, made + 100.02, atol=5e-3)
+    assert (times <= arrived + 1e-9).all()
+
+
+def test_the_clock_of_a_client_may_turn_over() -> None:
+    clock = PoseClock()
+    start = (1 << 32) - 500
+    times = [clock.at(50.0 + k / 10, (start + 100 * k) % (1 << 32)) for k in range(20)]
+    np.testing.assert_allclose(np.diff(times), 0.1, atol=1e-3)
