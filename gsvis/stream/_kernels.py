@@ -52,17 +52,60 @@ def owner_distances(terms, owners, share, out):
 @njit(**_OPTIONS)
 def best_order(values):
     """The order in which values take about the fewest bits."""
-    lengths = np.zeros(64, np.int64)
+    lengths, longest = np.zeros(64, np.int64), 1
     for i in range(len(values)):
-        lengths[_length(values[i] + 1)] += 1
+        n = _length(values[i] + 1)
+        lengths[n] += 1
+        longest = max(longest, n)
     best, least = 0, np.int64(1) << 62
-    for k in range(MOST_ORDER + 1):
+    for k in range(min(longest, MOST_ORDER + 1)):
         total = np.int64(0)
-        for n in range(64):
+        for n in range(1, longest + 1):
             total += lengths[n] * (k + 1 + 2 * max(n - 1 - k, 0))
         if total < least:
             best, least = k, total
     return best
+
+
+@njit(**_OPTIONS)
+def write_ids(chunks, gaussians, terms, owners, gone, share, orders, out):
+    """Append the ids of a batch to its row of ids.
+
+    Args:
+        chunks: (C,) int64, rising, as the others are.
+        gaussians: (G,) int32.
+        terms: (M,) uint32.
+        owners: (M,) int32, never falling.
+        gone: (D,) int32.
+        share: See `owner_distances`.
+        orders: (5,) uint8, receives the order of the code of each list.
+        out: uint8, for all of it.
+
+    Returns:
+        How many bits there are.
+    """
+    values = np.empty(max(len(chunks), len(gaussians), len(terms), len(gone)), np.int64)
+    bit = np.int64(0)
+    for k in range(5):
+        if k == 0:
+            some = values[: len(chunks)]
+            distances(chunks, some)
+        elif k == 1:
+            some = values[: len(gaussians)]
+            distances(gaussians, some)
+        elif k == 2:
+            some = values[: len(terms)]
+            distances(terms, some)
+        elif k == 3:
+            some = values[: len(terms)]
+            owner_distances(terms, owners, share, some)
+        else:
+            some = values[: len(gone)]
+            distances(gone, some)
+        order = best_order(some)
+        orders[k] = order
+        bit = write(some, order, out, bit)
+    return bit
 
 
 @njit(**_OPTIONS)

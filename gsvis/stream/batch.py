@@ -100,18 +100,14 @@ class Sections:
         return b"".join([head, *rows, bytes(filled)])  # type: ignore[list-item]
 
     def _ids(self, about: SceneHeader) -> U8:
-        lists = self.chunks, self.gaussians, self.terms, self.owners, self.gone
-        values = [np.empty(len(ids), np.int64) for ids in lists]
-        for k in (0, 1, 2, 4):
-            kernels.distances(lists[k], values[k])
-        kernels.owner_distances(self.terms, self.owners, _share(about), values[3])
-        orders = [int(kernels.best_order(some)) for some in values]
-        most = sum(len(some) for some in values) * kernels.MOST_BITS // 8
-        out, bit = np.empty(_IDS.size + most + 8, np.uint8), 8 * _IDS.size
-        for some, order in zip(values, orders, strict=True):
-            bit = int(kernels.write(some, order, out, bit))
-        out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.gone), *orders), np.uint8)
-        return out[: -(-bit // 8)]
+        types = np.int64, np.int32, np.uint32, np.int32, np.int32
+        given = self.chunks, self.gaussians, self.terms, self.owners, self.gone
+        lists = [np.ascontiguousarray(ids, kind) for ids, kind in zip(given, types, strict=True)]
+        most = sum(len(ids) for ids in lists) * kernels.MOST_BITS // 8 + 8
+        out, orders = np.empty(_IDS.size + most, np.uint8), np.empty(5, np.uint8)
+        bits = kernels.write_ids(*lists, _share(about), orders, out[_IDS.size :])
+        out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.gone), *orders.tolist()), np.uint8)
+        return out[: _IDS.size - (-bits // 8)]
 
     @classmethod
     def parse(cls, data: bytes, about: SceneHeader) -> Sections:

@@ -33,6 +33,7 @@ class StreamedScene:
         store: Candidates of its cells, shared by all schedulers.
         owners: (T,) int32, the Gaussian of each term.
         chunk_rows: (C,) rows of chunks as they travel.
+        ending: Gaussians that are replaced by others.
     """
 
     def __init__(self, package: Package, *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3) -> None:
@@ -44,6 +45,7 @@ class StreamedScene:
         self.about = SceneHeader.of(package.manifest)
         self.header = self.about.to_message()
         self.index = _index_of(package, max_cache_bytes // 2)
+        self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
         self.store = CandidateStore(self.index, pixel=pixel, max_bytes=max_cache_bytes - max_cache_bytes // 2)
 
     @classmethod

@@ -81,7 +81,7 @@ class Sender:
         self._has_axes = np.zeros(len(scene) if scene.about.axis_bytes else 0, bool)
         if scene.about.axis_bytes:
             self._has_axes[scene.owners[self.holdings.received_terms]] = True
-        self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.store.ending, np.int32)
+        self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.ending, np.int32)
 
     @classmethod
     def greeted(cls, scene: StreamedScene, hello: Hello, config: SchedulerConfig | None = None) -> Sender:
