@@ -20,6 +20,7 @@ GEOMETRY, TERMS = 0, 1
 INSIDE, OUTSIDE = 0, 1
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # a key that is none
+UNKNOWN, DONE = -1, -2  # what waits for replacements: not looked at in this cell, replaced
 
 
 @njit(inline="always")
@@ -447,8 +448,9 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
         cell: (words (S,), inside (S,), owed (S,), active terms as words, number of codes of ring 0); of owed, what is
             paid is cleared.
         held: (Gaussians, terms, gone) as words; changed.
-        scene: (gaussian_bytes, term_offsets, term_bytes, words of those that take the place of others).
-        links: (words of all candidates, offsets and ids of replacements, offsets and ids of replaced).
+        scene: (gaussian_bytes, term_offsets, term_bytes).
+        links: (words of all candidates; offsets (N + 1,) and numbers of those whose place each takes; of these E, id,
+            offsets (E + 1,) and ids of replacements; (E,) int32 which of them each waits for, changed).
         budget: bytes.
         out: (Gaussians, terms, dropped) receive ids; and room for as many as can be dropped.
 
@@ -458,7 +460,8 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     slots, masks, _, _, codes = units
     words, inside, owed, active, own = cell
     gaussians, held_terms, gone = held
-    sizes, term_offsets, term_sizes, replacing = scene
+    sizes, term_offsets, term_sizes = scene
+    candidates, offsets, ranks, ending, starts, ids, waits = links
     out_gaussians, out_terms, out_dropped, queue = out
     found, found_terms, dropped, total = 0, 0, 0, 0.0
     one, ones = np.uint64(1), ~np.uint64(0)
@@ -480,9 +483,15 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
                 out_gaussians[found] = g
                 found += 1
                 gaussians[w] |= one << low
-                if replacing[w] >> low & one:
-                    dropped = _let_go(g, held, links, queue, out_dropped, dropped)
-                    rest &= ~gone[w]
+                for k in range(offsets[g], offsets[g + 1]):
+                    m = waits[ranks[k]]
+                    if m == UNKNOWN or (m >= 0 and ids[m] == g):
+                        dropped = _let_go(
+                            g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids, waits, queue,
+                            out_dropped, dropped,
+                        )  # fmt: skip
+                        rest &= ~gone[w]
+                        break
                 continue
             start, stop = term_offsets[g], term_offsets[g + 1]
             for k in range(start >> 6, (stop + 63) >> 6):
@@ -505,33 +514,40 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     return place, found, found_terms, dropped, total
 
 
-@njit(inline="always")
-def _let_go(g, held, links, queue, out, dropped):
+@njit(**_OPTIONS)
+def _let_go(g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids, waits, queue, out, dropped):
     """Mark as gone those whose place g takes and whose other replacements are there, or not to be seen here.
 
     What is gone has been replaced itself: it counts as there, and those whose place it was to take are looked at, too.
+    What still waits remembers one replacement that is missing (`waits`), and is not looked at again before that comes.
     """
-    gaussians, _, gone = held
-    candidates, offsets, ids, replaced_offsets, replaced = links
     waiting, done, y = 0, 0, g
     while True:
-        for k in range(replaced_offsets[y], replaced_offsets[y + 1]):
-            x = np.int64(replaced[k])
-            if _has(gone, x):
+        for k in range(offsets[y], offsets[y + 1]):
+            e = ranks[k]
+            m = np.int64(waits[e])
+            if m == DONE or (m >= 0 and ids[m] != y):
                 continue
-            complete = True
-            for m in range(offsets[x], offsets[x + 1]):
+            x = np.int64(ending[e])
+            if _has(gone, x):
+                waits[e] = DONE
+                continue
+            m = max(m, starts[e])
+            while m < starts[e + 1]:
                 h = np.int64(ids[m])
                 if _has(candidates, h) and not _has(gaussians, h) and not _has(gone, h):
-                    complete = False
                     break
-            if complete:
-                _put(gone, x)
-                queue[waiting] = x
-                waiting += 1
-                if _has(gaussians, x):
-                    out[dropped] = x
-                    dropped += 1
+                m += 1
+            if m < starts[e + 1]:
+                waits[e] = m
+                continue
+            waits[e] = DONE
+            _put(gone, x)
+            queue[waiting] = x
+            waiting += 1
+            if _has(gaussians, x):
+                out[dropped] = x
+                dropped += 1
         if done == waiting:
             return dropped
         y = np.int64(queue[done])

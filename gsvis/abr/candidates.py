@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr import _kernels as kernels
 from gsvis.abr.index import CellMembers, SceneIndex
-from gsvis.visibility._codec import pack, word_count
+from gsvis.visibility._codec import word_count
 from gsvis.visibility._kernels_store import count as ones
 from gsvis.visibility.cells import CellGrid
 
@@ -107,10 +107,11 @@ class CandidateStore:
         word_bytes: (W,) float32 mean bytes of their records.
         bodies: (4, 64 W) float32 middle and radius of each Gaussian, coordinate by coordinate; where there is none, a
             radius of -inf.
-        replacing: (W,) uint64 words of the Gaussians that take the place of others.
         term_size: Mean bytes of a term.
         least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
-        ending: Gaussians that are replaced by others.
+        ending: (E,) int32 ids of the Gaussians that are replaced by others.
+        links: Offsets (N + 1,) and numbers (M,), in [0, E), of those whose place each Gaussian takes; `ending`; their
+            offsets (E + 1,) and ids of replacements.
     """
 
     def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, max_bytes: int = 256 << 20) -> None:
@@ -130,8 +131,11 @@ class CandidateStore:
         self.bodies = np.zeros((4, 64 * count), np.float32)
         self.bodies[:3, : len(index)], self.bodies[3, : len(index)] = index.means.T, index.radii
         self.bodies[3, len(index) :] = -np.inf
-        self.replacing = pack(np.flatnonzero(np.diff(index.replaced[0])), len(index))
-        self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
+        self.ending = np.flatnonzero(np.diff(index.replacement_offsets)).astype(np.int32)
+        offsets, owners = index.replaced
+        numbers = np.searchsorted(self.ending, owners).astype(np.int32)
+        starts = np.append(index.replacement_offsets[self.ending], len(index.replacement_ids))
+        self.links = offsets, numbers, self.ending, starts, index.replacement_ids
         self._strengths = strengths(index, pixel)
         self._pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         self._mixed = np.zeros(count, np.bool_)

@@ -74,8 +74,8 @@ class Planner:
         self._owed, self._inside = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
         self._plan, self._place = np.zeros(0, np.int32), 0
         self._least, self._whole = 0, True
-        self._links = index.replacement_offsets, index.replacement_ids, *index.replaced
-        self._records = index.gaussian_bytes, index.term_offsets, index.term_bytes, store.replacing
+        self._waits = np.empty(len(store.ending), np.int32)
+        self._records = index.gaussian_bytes, index.term_offsets, index.term_bytes
 
     @property
     def done(self) -> bool:
@@ -112,7 +112,7 @@ class Planner:
             return Batch(np.zeros(0, np.int32), np.zeros(0, np.uint32), np.zeros(0, np.int32), 0.0)
         counts, sizes = (self.holdings.gaussians, self.holdings.terms), self.store.least_sizes
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
-        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(self.store.ending, np.int32)
+        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._waits), np.int32)
         queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
         cell = candidates.words, self._inside, self._owed, candidates.active, len(self._table) // RINGS
@@ -120,7 +120,7 @@ class Planner:
             if self._place == len(self._plan):
                 self._rank(candidates, max(self.reach, budget - total))
             rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
-            links = candidates.union, *self._links
+            links = candidates.union, *self.store.links, self._waits
             self._place, *found, size = kernels.take(
                 self._plan, self._place, candidates.units, cell, self.holdings.words, self._records, links,
                 budget - total, (*rest, queue),
@@ -133,6 +133,7 @@ class Planner:
 
     def _enter(self, candidates: Candidates) -> None:
         """Begin with the units of another cell."""
+        self._waits[:] = kernels.UNKNOWN
         self._owed, self._inside = candidates.owing.copy(), np.empty_like(candidates.owing)
         if self.holdings.sent_terms.any():
             kernels.forget_paid(
