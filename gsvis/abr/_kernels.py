@@ -20,7 +20,8 @@ GEOMETRY, TERMS = 0, 1
 INSIDE, OUTSIDE = 0, 1
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # a key that is none
-UNKNOWN, DONE = -1, -2  # what waits for replacements: not looked at in this cell, replaced
+UNKNOWN, DONE = -1, -2  # instead of a replacement that is waited for: not looked at in this cell, replaced
+SEVERAL = -2  # instead of the one whose place a Gaussian takes
 
 
 @njit(inline="always")
@@ -448,9 +449,9 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
         cell: (words (S,), inside (S,), owed (S,), active terms as words, number of codes of ring 0); of owed, what is
             paid is cleared.
         held: (Gaussians, terms, gone) as words; changed.
-        scene: (gaussian_bytes, term_offsets, term_bytes).
-        links: (words of all candidates; offsets (N + 1,) and numbers of those whose place each takes; of these E, id,
-            offsets (E + 1,) and ids of replacements; (E,) int32 which of them each waits for, changed).
+        scene: (bytes of Gaussians, (1,) where they are alike; term_offsets, term_bytes).
+        links: (words of all candidates; `CandidateStore.links`; (E, 2) int32 id and place of the replacement that each
+            waits for, changed).
         budget: bytes.
         out: (Gaussians, terms, dropped) receive ids; and room for as many as can be dropped.
 
@@ -461,7 +462,8 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     words, inside, owed, active, own = cell
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes = scene
-    candidates, offsets, ranks, ending, starts, ids, waits = links
+    candidates, only, offsets, ranks, ending, starts, ids, waits = links
+    size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
     out_gaussians, out_terms, out_dropped, queue = out
     found, found_terms, dropped, total = 0, 0, 0, 0.0
     one, ones = np.uint64(1), ~np.uint64(0)
@@ -477,21 +479,20 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
             rest &= rest - one
             g = 64 * w + np.int64(low)
             if not terms:
-                if total + sizes[g] > budget:
+                size = np.float64(sizes[g]) if varied else size
+                if total + size > budget:
                     return place, found, found_terms, dropped, total
-                total += sizes[g]
+                total += size
                 out_gaussians[found] = g
                 found += 1
                 gaussians[w] |= one << low
-                for k in range(offsets[g], offsets[g + 1]):
-                    m = waits[ranks[k]]
-                    if m == UNKNOWN or (m >= 0 and ids[m] == g):
-                        dropped = _let_go(
-                            g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids, waits, queue,
-                            out_dropped, dropped,
-                        )  # fmt: skip
-                        rest &= ~gone[w]
-                        break
+                e = np.int64(only[g])
+                if e == SEVERAL or (e >= 0 and (waits[e, 0] == UNKNOWN or waits[e, 0] == g)):
+                    dropped = _let_go(
+                        g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids, waits, queue,
+                        out_dropped, dropped,
+                    )  # fmt: skip
+                    rest &= ~gone[w]
                 continue
             start, stop = term_offsets[g], term_offsets[g + 1]
             for k in range(start >> 6, (stop + 63) >> 6):
@@ -525,23 +526,22 @@ def _let_go(g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids,
     while True:
         for k in range(offsets[y], offsets[y + 1]):
             e = ranks[k]
-            m = np.int64(waits[e])
-            if m == DONE or (m >= 0 and ids[m] != y):
+            if waits[e, 0] != UNKNOWN and waits[e, 0] != y:
                 continue
             x = np.int64(ending[e])
             if _has(gone, x):
-                waits[e] = DONE
+                waits[e, 0] = DONE
                 continue
-            m = max(m, starts[e])
+            m = starts[e] if waits[e, 0] == UNKNOWN else np.int64(waits[e, 1])
             while m < starts[e + 1]:
                 h = np.int64(ids[m])
                 if _has(candidates, h) and not _has(gaussians, h) and not _has(gone, h):
                     break
                 m += 1
             if m < starts[e + 1]:
-                waits[e] = m
+                waits[e, 0], waits[e, 1] = ids[m], m
                 continue
-            waits[e] = DONE
+            waits[e, 0] = DONE
             _put(gone, x)
             queue[waiting] = x
             waiting += 1

@@ -109,9 +109,10 @@ class CandidateStore:
             radius of -inf.
         term_size: Mean bytes of a term.
         least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
+        sizes: Bytes of the record of each Gaussian; (1,) where they are alike.
         ending: (E,) int32 ids of the Gaussians that are replaced by others.
-        links: Offsets (N + 1,) and numbers (M,), in [0, E), of those whose place each Gaussian takes; `ending`; their
-            offsets (E + 1,) and ids of replacements.
+        links: (N,) int32 number, in [0, E), of the one whose place each Gaussian takes, -1 for none, -2 for several;
+            offsets (N + 1,) and numbers of all of them; `ending`; their offsets (E + 1,) and ids of replacements.
     """
 
     def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, max_bytes: int = 256 << 20) -> None:
@@ -135,7 +136,12 @@ class CandidateStore:
         offsets, owners = index.replaced
         numbers = np.searchsorted(self.ending, owners).astype(np.int32)
         starts = np.append(index.replacement_offsets[self.ending], len(index.replacement_ids))
-        self.links = offsets, numbers, self.ending, starts, index.replacement_ids
+        only = np.full(len(index), kernels.SEVERAL, np.int32)
+        counts = np.diff(offsets)
+        only[counts == 0], only[counts == 1] = -1, numbers[offsets[:-1][counts == 1]]
+        self.links = only, offsets, numbers, self.ending, starts, index.replacement_ids
+        sizes = index.gaussian_bytes
+        self.sizes = sizes[:1] if len(sizes) and sizes.min() == sizes.max() else sizes
         self._strengths = strengths(index, pixel)
         self._pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         self._mixed = np.zeros(count, np.bool_)

@@ -74,8 +74,8 @@ class Planner:
         self._owed, self._inside = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
         self._plan, self._place = np.zeros(0, np.int32), 0
         self._least, self._whole = 0, True
-        self._waits = np.empty(len(store.ending), np.int32)
-        self._records = index.gaussian_bytes, index.term_offsets, index.term_bytes
+        self._waits = np.empty((len(store.ending), 2), np.int32)
+        self._records = store.sizes, index.term_offsets, index.term_bytes
 
     @property
     def done(self) -> bool:
@@ -133,7 +133,7 @@ class Planner:
 
     def _enter(self, candidates: Candidates) -> None:
         """Begin with the units of another cell."""
-        self._waits[:] = kernels.UNKNOWN
+        self._waits[:, 0] = kernels.UNKNOWN
         self._owed, self._inside = candidates.owing.copy(), np.empty_like(candidates.owing)
         if self.holdings.sent_terms.any():
             kernels.forget_paid(

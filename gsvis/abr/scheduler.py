@@ -159,18 +159,22 @@ class Scheduler:
         self.outstanding += size
         self.wire_bytes += size
 
-    def on_ack(self, t: float, size: float, seconds: float) -> None:
+    def on_ack(self, t: float, size: float, seconds: float = 0.0) -> None:
         """The client has received so many bytes, for which the link took so long.
 
         Args:
             t: Seconds; not looked at, for the record of who calls.
             size: Bytes of the wire, as told to `on_sent`.
             seconds: From the first byte's departure, or the end of the transfer before, to the last byte's arrival; 0
-                where nobody knows: the bytes are then acknowledged, and say nothing of the link.
+                where nobody knows, or `on_transfer` tells: the bytes are then acknowledged, and say nothing of the link.
         """
         if seconds > 0:
-            self._throughput.observe(size, seconds)
+            self.on_transfer(size, seconds)
         self.outstanding = max(0.0, self.outstanding - size)
+
+    def on_transfer(self, size: float, seconds: float) -> None:
+        """The link took so long for so many bytes of the wire, however they were acknowledged."""
+        self._throughput.observe(size, seconds)
 
     def allowance(self) -> float:
         """Bytes of the wire that may be sent now, so that no more than `window` seconds of data are under way."""
