@@ -29,9 +29,11 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis train photos -o scene.ply            photographs to a scene
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
   gsvis convert scene.ply small.spz --min-opacity 0.02
+  gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
   gsvis serve scene.gsvis                    to viewers, over WebSockets
+  gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
 gsvis COMMAND --help tells more, gsvis --version the version."""
 
@@ -146,6 +148,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.levels import run_levels
 
         run_levels(command)
+    elif isinstance(command, arguments.Prepare):
+        from gsvis.cli.prepare import run_prepare
+
+        run_prepare(command)
     elif isinstance(command, arguments.Verify):
         from gsvis.cli.package import run_verify
 
@@ -158,6 +164,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.serve import run_serve
 
         run_serve(command)
+    elif isinstance(command, arguments.Simulate):
+        from gsvis.cli.simulate import run_simulate
+
+        run_simulate(command)
     else:
         from gsvis.cli.convert import run_convert
 

@@ -10,7 +10,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
+from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.readers import (
     BOX,
     BYTES,
@@ -42,6 +44,9 @@ from gsvis.cli.readers import (
     TERMS,
     WEIGHT,
     WHOLE,
+    Flag,
+    Lod,
+    Scene,
     hint,
 )
 
@@ -52,18 +57,16 @@ __all__ = [
     "Convert",
     "Inspect",
     "Levels",
+    "Prepare",
     "Pvs",
     "PvsReport",
     "Render",
     "Serve",
+    "Simulate",
     "Train",
     "Unpack",
     "Verify",
 ]
-
-Scene = Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
-Lod = Annotated[int | None, WHOLE, hint("the finest that is there")]
-Flag = Annotated[bool, PLAIN]
 
 
 @dataclass(frozen=True)
@@ -334,34 +337,6 @@ class Color:
 
 
 @dataclass(frozen=True)
-class Verify:
-    """Read, check and decode every part of a package."""
-
-    package: Annotated[Positional[str], arg(metavar="PACKAGE", help_behavior_hint="")]
-    """Folder of a package, such as scene.gsvis."""
-    json: Flag = False
-    """Print one JSON document instead of a table."""
-    debug: Flag = False
-    """Show the traceback of an error."""
-
-
-@dataclass(frozen=True)
-class Unpack:
-    """Write a package back as one PLY for each level."""
-
-    package: Annotated[Positional[str], arg(metavar="PACKAGE", help_behavior_hint="")]
-    """Folder of a package, such as scene.gsvis."""
-    out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
-    """Folder for low.ply, ... and levels.arrow, the map of reuse; made if missing."""
-    sh_degree: Annotated[int | None, SH_DEGREE, hint("3, 0 where colours have no terms")] = None
-    """Degree of the spherical harmonics that terms are fitted with; 0 keeps base colours alone."""
-    json: Flag = False
-    """Print one JSON document instead of lines."""
-    debug: Flag = False
-    """Show the traceback of an error."""
-
-
-@dataclass(frozen=True)
 class Train:
     """Train a scene on photographs with a reconstruction."""
 
@@ -439,4 +414,19 @@ class Levels:
     """Show the traceback of an error."""
 
 
-Command = Inspect | Analyze | Render | Pvs | PvsReport | Color | Train | Levels | Convert | Verify | Unpack | Serve
+Command = (
+    Inspect
+    | Analyze
+    | Render
+    | Pvs
+    | PvsReport
+    | Color
+    | Train
+    | Levels
+    | Convert
+    | Prepare
+    | Verify
+    | Unpack
+    | Serve
+    | Simulate
+)

@@ -14,6 +14,7 @@ import numpy as np
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import tell_result
+from gsvis.cli.kernels import warm_colors
 from gsvis.cli.source import (
     Source,
     check_file,
@@ -27,23 +28,22 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
+from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import SceneError
 from gsvis.scene.content import space_hash
-from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility.store import VisibilityStore
 
 if TYPE_CHECKING:
+    from gsvis.cli.arguments import Prepare
     from gsvis.color import EpsilonCalibration, Observer
+    from gsvis.color.fit import FitConfig
     from gsvis.color.srbf import SrbfColors
     from gsvis.visibility.color_quality import ColorQuality
     from gsvis.visibility.colors import ColorConfig, ColorPreparation
     from gsvis.visibility.fitted_colors import FittedColors
 
-__all__ = ["PAPER_EPSILON", "run_color"]
-
-PAPER_EPSILON = 0.02
-"""In the middle of the paper's 0.01 to 0.05: where there are no terms, any value does."""
+__all__ = ["fit_config", "run_color"]
 
 _HELD_OUT, _OBSERVED = 1, 2  # streams of random numbers of views; those of the fit are 0
 _OBSERVED_VIEWS = 4
@@ -116,19 +116,25 @@ def _checked(command: Color) -> ColorConfig:
     if command.report is not None and command.held_out == 0:
         raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
     given_up(command.up)
-    from gsvis.color.fit import FitConfig
     from gsvis.visibility.colors import ColorConfig, ViewSampling
 
     if command.epsilon == 0.0 or (command.epsilon is None and command.active is not None):
         from gsvis.visibility.color_quality import check_flip
 
         check_flip()
+    fit = replace(fit_config(command), refine=not command.no_refine)
+    return ColorConfig(fit, ViewSampling(command.views, seed=command.seed))
+
+
+def fit_config(command: Color | Prepare) -> FitConfig:
+    """The colours that are asked for."""
+    from gsvis.color.fit import FitConfig
+
     chosen: dict[str, Any] = {name: getattr(command, name) for name in ("variant", "max_terms", "mean_terms")}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if chosen.get("mean_terms") == math.inf:
         chosen["mean_terms"] = None
-    fit = FitConfig(refine=not command.no_refine, **chosen)
-    return ColorConfig(fit, ViewSampling(command.views, seed=command.seed))
+    return FitConfig(**chosen)
 
 
 def _check_no_input(name: str, path: str, command: Color) -> None:
@@ -200,7 +206,7 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
 
     g, sets = plan.source.whole, None if plan.store is None else plan.store.direction_sets
     if plan.source.union.sh_degree > 0:
-        _warm_up(plan.config, status)
+        warm_colors(plan.config, status)
     kept = kept_beside(g, plan.space, plan.config, command.out, sets=sets)
     try:
         found = prepare_colors(g, plan.space, plan.config, sets=sets, keep=command.out, progress=status)
@@ -225,24 +231,6 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         raise KeyboardInterrupt(f"{command.out} is written, what else was asked for may not be") from None
 
 
-def _warm_up(config: ColorConfig, status: Status) -> None:
-    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
-    from gsvis.color.activation import Activation
-    from gsvis.color.evaluate import evaluate
-    from gsvis.visibility.colors import ColorConfig, ViewSampling, prepare_colors
-    from gsvis.visibility.fitted_colors import rounded
-
-    status("kernels", 0, 1)
-    bands = np.linspace(-0.3, 0.3, 9).reshape(1, 3, 3)
-    one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)), bands)
-    around = NavigableSpace.from_box((3, 3, 3), (4, 4, 4), 1)
-    quick = ColorConfig(replace(config.fit, mean_terms=None, max_terms=1), ViewSampling(1, 16, 12))
-    colors = rounded(prepare_colors(one, around, quick).fit.colors, "wire")
-    evaluate(colors, one.means, (4.0, 0.0, 0.0))
-    Activation(colors, one.means, 0.01).contributions((4.0, 0.0, 0.0))
-    status("kernels", 1, 1)
-
-
 def _epsilon(
     command: Color, plan: _Plan, colors: SrbfColors, status: Status
 ) -> tuple[float | None, EpsilonCalibration | None]:
@@ -257,7 +245,7 @@ def _epsilon(
         return None, None
     if colors.num_terms == 0 or plan.space is None:
         plan.remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
-        return (PAPER_EPSILON if needed else None), None
+        return (DEFAULT_EPSILON if needed else None), None  # where there are no terms, any value does
     from gsvis.color import FLIP_JND, MetricObserver, calibrate_epsilon
     from gsvis.report.approximations import Approximations, flip_difference
 

@@ -6,13 +6,14 @@ import hashlib
 import json
 import os
 import shutil
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gsvis.cli.arguments import Levels
+from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import record_of, tell_result
 from gsvis.cli.source import Source, check_folder, check_source, given_up, load_source, navigable_space
 from gsvis.cli.stopping import between_steps
@@ -23,20 +24,18 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
-    from gsvis.scene.cameras import Cameras
-    from gsvis.scene.navigable import NavigableSpace
     from gsvis.train.images import PosedImages
+    from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
+    from gsvis.visibility.colors import ViewSampling
 
-__all__ = ["run_levels", "work_of"]
+__all__ = ["check_views", "levels_config", "run_levels", "view_sampling", "work_of"]
 
 _VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 160, 12, 480, 360, 2.0 * float(np.degrees(np.arctan(240.0 / 300.0)))
-_EVERY = 8  # of photographs, how many are trained on before one is held out
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
 _REUSE = (0.90, 0.96)  # the last for all further ones
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
 _MEMORY_SHARE = 0.5  # of what the machine has, for images
-_UNLIKE = 12.0  # dB; photographs of another scene, or in another frame, are not met better
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,18 +45,14 @@ class _Plan:
     Attributes:
         source: The scene.
         config: Sizes and training.
-        views: Images to train on.
-        held_out: Images to measure on; None for none.
-        cameras_from: Where their cameras come from, in words.
+        drawn: Images to train on and to measure on.
         work: The folder that keeps what is not finished.
         remarks: What the user should know.
     """
 
     source: Source
     config: LevelsConfig
-    views: PosedImages
-    held_out: PosedImages | None
-    cameras_from: str
+    drawn: LevelViews
     work: Path
     remarks: list[str]
 
@@ -75,7 +70,7 @@ def run_levels(command: Levels) -> None:
     config = _checked(command)
     with Status() as status:
         plan = _planned(command, config, status)
-        _warm_up(config, status)
+        warm_levels(config, status)
         trained, record = _done(command, plan, status)
         seconds = dict(status.seconds)
     tell_result(command, trained.levels, record, plan.remarks, seconds)
@@ -98,8 +93,6 @@ def _target(out: str) -> Path:
 
 def _checked(command: Levels) -> LevelsConfig:
     """Everything about the arguments that can be known before work begins."""
-    from gsvis.train.levels import LevelsConfig
-
     check_source(command.scene, command.lod)
     if command.photos is not None:
         if not Path(command.photos).exists():
@@ -112,26 +105,47 @@ def _checked(command: Levels) -> LevelsConfig:
     if command.size is not None and min(command.size) < _LEAST_SIDE:
         told = f"{command.size[0]}x{command.size[1]}"
         raise ValueError(f"--size: expected at least {_LEAST_SIDE} pixels a side, got {told}")
-    lower = len(command.shares)
-    names = command.names or _NAMES.get(lower) or (*(f"level{k}" for k in range(lower)), "high")
-    reuse = command.reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
     try:
-        config = LevelsConfig(command.shares, reuse, names, command.iterations, seed=command.seed)
-        check_names(names)
+        config = levels_config(command.shares, command.reuse, command.names, command.iterations, command.seed)
     except ValueError as error:
         raise ValueError(f"--{error}") from None
     check_folder(command.out)
     check_folder(_target(command.out).parent)  # where unfinished work is kept
-    _check_memory(command)
+    if command.photos is None:  # photographs check themselves
+        held_out = _HELD_OUT if command.held_out is None else command.held_out
+        check_views(view_sampling(command.views, command.size, command.seed), held_out)
     return config
 
 
-def _check_memory(command: Levels) -> None:
-    """Refuse views that would not fit beside everything else; photographs check themselves."""
-    if command.photos is not None:
-        return
-    width, height = command.size or (_WIDTH, _HEIGHT)
-    count = (command.views or _VIEWS) + (_HELD_OUT if command.held_out is None else command.held_out)
+def levels_config(
+    shares: tuple[float, ...],
+    reuse: tuple[float, ...] | None,
+    names: tuple[str, ...] | None,
+    iterations: int,
+    seed: int,
+) -> LevelsConfig:
+    """Sizes and training of the levels that are asked for.
+
+    Raises:
+        ValueError: If they contradict each other, or a name is no file name.
+    """
+    from gsvis.train.levels import LevelsConfig
+
+    lower = len(shares)
+    names = names or _NAMES.get(lower) or (*(f"level{k}" for k in range(lower)), "high")
+    reuse = reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
+    config = LevelsConfig(shares, reuse, names, iterations, seed=seed)
+    check_names(names)
+    return config
+
+
+def check_views(sampling: ViewSampling, held_out: int) -> None:
+    """Refuse views that would not fit beside everything else.
+
+    Raises:
+        ValueError: If so.
+    """
+    width, height, count = sampling.width, sampling.height, sampling.count + held_out
     needed = 12 * count * width * height
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -157,22 +171,23 @@ def _planned(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
         raise ValueError(f"--{error}; larger --shares, or a finer --lod") from None
     _check_replaced(command, config.names, g)
     status("reading", 1, 1)
-    remarks: list[str] = []
-    held_out: PosedImages | None
     if command.photos is not None:
-        views, held_out, told = _photographs(command, g, status, remarks)
+        from gsvis.train.level_views import photograph_views
+
+        drawn = photograph_views(g, command.photos, command.size, progress=status)
     else:
-        views, held_out, told = _drawn(command, source, status)
+        drawn = _drawn(command, source, status)
+    remarks = [f" {remark}" for remark in drawn.remarks]
     least = sum((1.0 - reuse) * share for reuse, share in zip(config.reuse, config.shares, strict=True))
     if least > 0.05:
         remarks.append(
             f" Going up level by level may send {least:.1%} more than the scene alone; a higher --reuse sends less."
         )
-    work = _work(command, config, g, views)
+    work = _work(command, config, g, drawn.views)
     if _begun(work):
         status.line(f"going on from {work.name}, which an earlier run left")
         remarks.append(" It went on from what an earlier run had kept; the time is of this one alone.")
-    return _Plan(source, config, views, held_out, told, work, remarks)
+    return _Plan(source, config, drawn, work, remarks)
 
 
 def _work(command: Levels, config: LevelsConfig, g: Gaussians, views: PosedImages) -> Path:
@@ -208,77 +223,25 @@ def _check_replaced(command: Levels, names: tuple[str, ...], g: Gaussians) -> No
             )
 
 
-def _photographs(
-    command: Levels, g: Gaussians, status: Status, remarks: list[str]
-) -> tuple[PosedImages, PosedImages, str]:
-    """Photographs to train on and to measure on."""
-    from gsvis.render.rasterizer import rasterize
-    from gsvis.train.photos import load_photos
-    from gsvis.train.trainer import mean_psnr
-
-    assert command.photos is not None
-    photos = load_photos(command.photos, size=command.size, progress=status)
-    views, held_out = photos.views.split(_EVERY)
-    remarks += [f" {remark}" for remark in photos.remarks]
-    wrong = "are they of this scene, and in its frame?"
-    for c in range(len(held_out)):
-        if float(rasterize(g, held_out.cameras[c]).images.max()) >= 1.0 / 255.0:
-            break
-    else:
-        raise SceneError(f"{command.photos}: no camera of the photographs shows any of {command.scene}: {wrong}")
-    likeness = mean_psnr(g, held_out)
-    if likeness < _UNLIKE:
-        told = f"The scene is unlike the photographs ({likeness:.1f} dB): {wrong}"
-        status.line(told)
-        remarks.append(f" {told}")
-    return views, held_out, "photographs"
-
-
-def _drawn(command: Levels, source: Source, status: Status) -> tuple[PosedImages, PosedImages | None, str]:
+def _drawn(command: Levels, source: Source, status: Status) -> LevelViews:
     """Renders of the scene to train on and to measure on, from cameras that have nothing to do with each other."""
-    from gsvis.train.images import render_views
+    from gsvis.train.level_views import drawn_views
 
     status("space", 0, 1)
     space, why_not = navigable_space(source, up=given_up(command.up))
     if space is None:
         raise SceneError(f"{command.scene}: {why_not}; photographs with cameras, --photos, serve as well")
     status("space", 1, 1)
-    found: list[PosedImages] = []
-    counts = command.views or _VIEWS, _HELD_OUT if command.held_out is None else command.held_out
-    cameras = [_cameras(command, count, stream, source, space) for stream, count in enumerate(counts) if count]
-    for some in cameras:
-
-        def told(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
-            if done or not before:
-                status(stage, before + done, sum(counts))
-
-        found.append(render_views(source.gaussians, some, progress=told))
-    if float(found[0].images.max()) < 1.0 / 255.0:
-        raise SceneError(f"{command.scene}: views from inside the scene show nothing of it; is the --up axis right?")
-    return found[0], found[1] if len(found) > 1 else None, f"drawn at random where eyes may be ({space.rule})"
+    held_out = _HELD_OUT if command.held_out is None else command.held_out
+    sampling = view_sampling(command.views, command.size, command.seed)
+    return drawn_views(source.gaussians, space, sampling, held_out, progress=status)
 
 
-def _cameras(command: Levels, count: int, stream: int, source: Source, space: NavigableSpace) -> Cameras:
+def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:
+    """Cameras to train on where there are no photographs."""
     from gsvis.visibility.colors import ViewSampling
 
-    width, height = command.size or (_WIDTH, _HEIGHT)
-    return ViewSampling(count, width, height, _FOV, command.seed, stream).cameras(source.gaussians, space)
-
-
-def _warm_up(config: LevelsConfig, status: Status) -> None:
-    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
-    from gsvis.scene.cameras import Cameras
-    from gsvis.train.images import render_views
-    from gsvis.train.levels import LevelsConfig, train_levels
-
-    status("kernels", 0, 1)
-    rng = np.random.default_rng(0)
-    few = Gaussians(
-        rng.normal(size=(12, 3)), [[1, 0, 0, 0]] * 12, np.full((12, 3), 0.3), [0.5] * 12, [[[1, 1, 1]]] * 12
-    )
-    views = render_views(few, Cameras.orbit((0.0, 0.0, 0.0), 4.0, 2, width=16, height=16))
-    train_levels(few, views, replace(LevelsConfig(iterations=1), backend=config.backend))
-    status("kernels", 1, 1)
+    return ViewSampling(views or _VIEWS, *(size or (_WIDTH, _HEIGHT)), _FOV, seed)
 
 
 def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, dict[str, object]]:
@@ -286,7 +249,7 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
     from gsvis.train.level_quality import measure_levels
     from gsvis.train.levels import train_levels
 
-    g, work = plan.source.gaussians, plan.work
+    g, work, drawn = plan.source.gaussians, plan.work, plan.drawn
     quality = None
     try:
         with between_steps() as stop_if_asked:
@@ -299,10 +262,9 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
                 said = stage, done
                 stop_if_asked()
 
-            trained = train_levels(g, plan.views, plan.config, held_out=plan.held_out, work=work, progress=told)
-        if plan.held_out is not None:
-            photographs = command.photos is not None
-            quality = measure_levels(trained.levels, plan.held_out, photographs=photographs, progress=status)
+            trained = train_levels(g, drawn.views, plan.config, held_out=drawn.held_out, work=work, progress=told)
+        if drawn.held_out is not None:
+            quality = measure_levels(trained.levels, drawn.held_out, photographs=drawn.photographs, progress=status)
         record = record_of(command, plan, trained, quality)
         status("writing", 0, 1)
         save_levels(trained.levels, command.out, record)

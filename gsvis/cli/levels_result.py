@@ -18,8 +18,8 @@ from gsvis.scene.levels import Levels
 if TYPE_CHECKING:
     from gsvis.cli.source import Source
     from gsvis.train.history import Record
-    from gsvis.train.images import PosedImages
     from gsvis.train.level_quality import LevelQuality
+    from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
 
 __all__ = ["record_of", "tell_result"]
@@ -32,9 +32,7 @@ class _Run(Protocol):
 
     source: Source
     config: LevelsConfig
-    views: PosedImages
-    held_out: PosedImages | None
-    cameras_from: str
+    drawn: LevelViews
 
 
 def record_of(command: Command, run: Any, trained: TrainedLevels, quality: LevelQuality | None) -> dict[str, Any]:
@@ -47,8 +45,8 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
         quality: In held-out views; None where there are none.
     """
     plan: _Run = run
-    levels, g = trained.levels, plan.source.gaussians
-    cameras = plan.views.cameras
+    levels, g, drawn = trained.levels, plan.source.gaussians, plan.drawn
+    cameras = drawn.views.cameras
     rows = []
     for k, name in enumerate(levels.names):
         row: dict[str, Any] = {
@@ -73,10 +71,10 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
         "union": len(levels.union),
         "overhead": levels.overhead,
         "views": {
-            "from": plan.cameras_from,
-            "photographs": command.photos is not None,
-            "trained_on": len(plan.views),
-            "held_out": 0 if plan.held_out is None else len(plan.held_out),
+            "from": drawn.cameras_from,
+            "photographs": drawn.photographs,
+            "trained_on": len(drawn.views),
+            "held_out": 0 if drawn.held_out is None else len(drawn.held_out),
             "width": cameras.width,
             "height": cameras.height,
         },

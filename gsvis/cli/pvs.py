@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 
 from gsvis.cli.arguments import Pvs
+from gsvis.cli.kernels import warm_sets
 from gsvis.cli.source import (
     Source,
     check_file,
     check_source,
+    free_space,
     given_up,
     levels_spelled,
     levels_told,
     load_source,
-    navigable_space,
 )
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
-from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.visibility._corridor import corridor
@@ -35,10 +35,9 @@ from gsvis.visibility.cells import MAX_CELLS, CellGrid
 from gsvis.visibility.pvs import PvsConfig
 from gsvis.visibility.store import VisibilityStore
 
-__all__ = ["run_pvs"]
+__all__ = ["local_workers", "run_pvs", "sets_config"]
 
 _CELLS = 512
-_BOX_VOXELS = 96  # along the longest side of --box
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +70,7 @@ def run_pvs(command: Pvs) -> None:
                 plan.source.whole, plan.grid, plan.space, command.out, config, workers=workers, progress=status
             )
         else:
-            _warm_up(config, status)
+            warm_sets(config, status)
             began = time.perf_counter()
             store = _built(command, plan, workers, status)
             seconds = time.perf_counter() - began
@@ -99,10 +98,17 @@ def _checked(command: Pvs) -> PvsConfig:
         from gsvis.visibility.cluster import check_address
 
         check_address(command.scheduler)
-    chosen = {name: getattr(command, name) for name in ("size", "growth", "max_viewpoints")}
-    chosen = {name: value for name, value in chosen.items() if value is not None}
-    least = min(PvsConfig.min_viewpoints, command.max_viewpoints or PvsConfig.min_viewpoints)
-    return PvsConfig(method=command.method, tau=command.tau, min_viewpoints=least, **chosen)
+    more = {} if command.growth is None else {"growth": command.growth}
+    return sets_config(command.size, command.max_viewpoints, method=command.method, tau=command.tau, **more)
+
+
+def sets_config(size: int | None, max_viewpoints: int | None, **more: Any) -> PvsConfig:
+    """How visible sets are found, with the defaults for what is left open."""
+    chosen: dict[str, Any] = {
+        name: n for name, n in (("size", size), ("max_viewpoints", max_viewpoints)) if n is not None
+    }
+    least = min(PvsConfig.min_viewpoints, max_viewpoints or PvsConfig.min_viewpoints)
+    return PvsConfig(min_viewpoints=least, **chosen, **more)
 
 
 def _check_target(command: Pvs) -> None:
@@ -129,8 +135,13 @@ def _workers(command: Pvs) -> Iterator[Workers]:
         with connect(command.scheduler) as workers:
             yield workers
         return
+    yield local_workers(command.workers, command.max_memory)
+
+
+def local_workers(count: int | None, max_memory: int | None) -> Workers:
+    """Processes of this machine, one for each core unless told otherwise."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Workers(command.workers or cores, command.max_memory)
+    return Workers(count or cores, max_memory)
 
 
 def _planned(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
@@ -150,13 +161,7 @@ def _planned(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Sta
 
 def _space(command: Pvs, source: Source, walk: HeadPath | None) -> tuple[NavigableSpace, list[str]]:
     """Where eyes may be: the box, along the walk, or anywhere in the scene."""
-    up = given_up(command.up)
-    if command.box is not None:
-        known = up if up is not None else source.navigable.up if source.navigable is not None else (0.0, 0.0, 1.0)
-        return NavigableSpace.from_box(command.box[:3], command.box[3:], _BOX_VOXELS, up=known), []
-    space, why_not = navigable_space(source, up=up)
-    if space is None:
-        raise SceneError(f"{command.scene}: {why_not}; say where eyes may be with --box")
+    space = free_space(source, command.box, command.up)
     if walk is None:
         return space, []
     remarks = []
@@ -171,17 +176,6 @@ def _space(command: Pvs, source: Source, walk: HeadPath | None) -> tuple[Navigab
     except ValueError as error:
         hint = "" if command.retarget else "; --retarget brings it there"
         raise ValueError(f"--path {command.path}: {error}{hint}") from None
-
-
-def _warm_up(config: PvsConfig, status: Status) -> None:
-    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
-    if config.method == "hybrid":  # the others need libraries that this process may have no room for
-        from gsvis.visibility.look import Look
-
-        status("kernels", 0, 1)
-        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
-        Look(one, "hybrid", 4, config.tau)(np.array([4.0, 0.0, 0.0]))
-        status("kernels", 1, 1)
 
 
 def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> VisibilityStore:

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 __all__ = [
     "BOX",
     "BYTES",
     "CELLS",
+    "CHANGE",
     "COLOUR",
     "COUNTED",
     "DEGREES",
@@ -40,6 +41,7 @@ __all__ = [
     "SECONDS",
     "SHARE",
     "SHARES",
+    "SHARES_OR_NONE",
     "SH_DEGREE",
     "SIZE",
     "STEPS",
@@ -47,6 +49,9 @@ __all__ = [
     "TERMS",
     "WEIGHT",
     "WHOLE",
+    "Flag",
+    "Lod",
+    "Scene",
     "hint",
 ]
 
@@ -115,6 +120,10 @@ def _read_shares(words: list[str]) -> tuple[float, ...]:
     if not values or not all(0.0 < value <= 1.0 for value in values):
         raise ValueError(f"expected shares in (0, 1], got {' '.join(words) or 'none'}")
     return values
+
+
+def _read_shares_or_none(words: list[str]) -> tuple[float, ...]:
+    return () if words == ["none"] else _read_shares(words)
 
 
 def _read_names(words: list[str]) -> tuple[str, ...]:
@@ -198,6 +207,7 @@ FACE_PIXELS = _number("PX", int, 4, 4096, "4 to 4096 pixels")
 TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
 SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
 SHARES = _spec("*", "S [S ...]", _read_shares)
+SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none)
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)
 PACKAGES = _spec("*", "PACKAGE [PACKAGE ...]", _read_packages)
 ORIGINS = _spec("*", "ORIGIN [ORIGIN ...]", tuple)
@@ -205,6 +215,7 @@ PORT = _number("N", int, 0, 65535, "a port of 0 to 65535")
 SECONDS = _number("S", float, 0.01, 86400.0, "seconds in [0.01, 86400]")
 CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
+CHANGE = _number("E", float, 1e-4, 1.0, "a change of colour in [0.0001, 1]")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
 EPSILON = _spec(1, "E|auto", _read_epsilon)
 SIZE = _spec(1, "WxH", _read_size)
@@ -219,3 +230,7 @@ def hint(text: str) -> Any:
 
 
 PLAIN = arg(help_behavior_hint="")
+
+Scene = Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
+Lod = Annotated[int | None, WHOLE, hint("the finest that is there")]
+Flag = Annotated[bool, PLAIN]

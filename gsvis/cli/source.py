@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ __all__ = [
     "check_source",
     "evenly",
     "file_cameras",
+    "free_space",
     "given_up",
     "inputs_of",
     "inspected",
@@ -39,6 +41,7 @@ __all__ = [
 ]
 
 BUILTIN = "builtin:"
+_BOX_VOXELS = 96  # along the longest side of a box
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +193,27 @@ def navigable_space(
         return NavigableSpace.from_scene(source.gaussians, up=up, seeds=seeds), ""
     except SceneError as error:
         return None, str(error)
+
+
+def free_space(source: Source, box: Sequence[float] | None, up: str | None) -> NavigableSpace:
+    """Where eyes may be: in the box, or anywhere in the scene.
+
+    Args:
+        source: The scene.
+        box: Lowest and highest corner; None for the navigable space of the scene.
+        up: As --up says; None leaves it open.
+
+    Raises:
+        SceneError: If there is no such place.
+    """
+    axis = given_up(up)
+    if box is not None:
+        known = axis if axis is not None else source.navigable.up if source.navigable is not None else (0.0, 0.0, 1.0)
+        return NavigableSpace.from_box(box[:3], box[3:], _BOX_VOXELS, up=known)
+    space, why_not = navigable_space(source, up=axis)
+    if space is None:
+        raise SceneError(f"{source.path or source.name}: {why_not}; say where eyes may be with --box")
+    return space
 
 
 def given_up(axis: str | None) -> NDArray[np.float64] | None:

@@ -44,6 +44,8 @@ _SAID = {
     "prune": "choosing what stays",
     "train": "training",
     "measure": "measuring",
+    "cost": "measuring what rounding costs",
+    "package": "writing the package",
 }
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing

@@ -27,7 +27,7 @@ from gsvis.scene.levels import Levels
 from gsvis.visibility.active_terms import ActiveTerms
 from gsvis.visibility.store import VisibilityStore
 
-__all__ = ["write_package"]
+__all__ = ["check_target", "write_package"]
 
 _ROWS = 1 << 14  # of the table of chunks in a part
 
@@ -62,7 +62,7 @@ def write_package(
         OSError: If the folder cannot be written.
     """
     target = Path(folder)
-    _check_target(target)
+    check_target(target)
     contents = Contents.of(levels, colors)
     scene = scene_hash(levels.union)
     _check_stores(levels, contents, visibility, active_terms)
@@ -83,7 +83,12 @@ def write_package(
     return Package.open(target)
 
 
-def _check_target(target: Path) -> None:
+def check_target(target: Path) -> None:
+    """Nothing, if a package may be written to a folder.
+
+    Raises:
+        FormatError: If something else is there.
+    """
     if target.exists() and not target.is_dir():
         raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
     if target.is_dir():

@@ -13,12 +13,13 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import zstandard
 
 from gsvis.io.atomic import atomic_path
+from gsvis.io.locks import locked
 from gsvis.visibility.pvs import CellView
 
 __all__ = ["Journal", "pack_view", "unpack_view"]
@@ -75,7 +76,7 @@ class Journal:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / "lock").open("a+") as lock:
-            if not _locked(lock):
+            if not locked(lock):
                 raise ValueError(
                     f"path: expected a build that no other process is busy with, got one that is, in {self.folder};"
                     " wait for it or stop it"
@@ -114,18 +115,3 @@ class Journal:
 
     def _path(self, cell: int) -> Path:
         return self.folder / f"cell-{cell:06d}.bin"
-
-
-def _locked(file: IO[str]) -> bool:
-    """Whether the file could be locked, until it is closed; where a system has no such locks it always could."""
-    try:
-        import fcntl
-    except ImportError:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
-        return True
-    return True

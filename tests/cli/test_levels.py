@@ -299,7 +299,7 @@ def test_stopped_before_anything_was_found_it_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("gsvis.train.levels.prune", stop)
-    monkeypatch.setattr("gsvis.cli.levels._warm_up", lambda config, status: None)
+    monkeypatch.setattr("gsvis.cli.levels.warm_levels", lambda config, status: None)
     assert main(["levels", str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos)]) == 130
     assert "nothing was left half-written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,124 @@
+"""Arguments of the commands that make, check and undo packages; see `arguments`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from gsvis.cli.readers import (
+    BOX,
+    BYTES,
+    CELLS,
+    CHANGE,
+    COUNTED,
+    DISTANCE,
+    FACE_PIXELS,
+    MEAN_TERMS,
+    NAMES,
+    PLAIN,
+    SH_DEGREE,
+    SHARES,
+    SHARES_OR_NONE,
+    SIZE,
+    STEPS,
+    TERMS,
+    WHOLE,
+    Flag,
+    Lod,
+    Scene,
+    hint,
+)
+
+__all__ = ["Prepare", "Unpack", "Verify"]
+
+
+@dataclass(frozen=True)
+class Prepare:
+    """Make a package of a scene that can be served: levels, visible sets, colours."""
+
+    scene: Scene
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json, levels), or builtin:NAME."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
+    """Folder of the package, such as scene.gsvis; scene.gsvis.work beside it keeps what the next run need not make."""
+    lod: Lod = None
+    """Level of detail of a streamed scene to start from; 0 is the finest."""
+    photos: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: renders of the scene)")] = None
+    """Photographs to train levels on, with the COLMAP model or transforms.json that SCENE was trained from."""
+    levels: Annotated[tuple[float, ...], SHARES_OR_NONE, hint("0.25 0.5")] = (0.25, 0.5)
+    """Size of each lower level as a share of the scene's, lowest first; none for the scene alone."""
+    reuse: Annotated[tuple[float, ...] | None, SHARES, hint("0.9 0.96")] = None
+    """Least share of each lower level that stands unchanged in the next."""
+    names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
+    """Names of all levels, that of the scene itself last."""
+    steps: Annotated[int, STEPS] = 1000
+    """Steps of training for each lower level, one view each."""
+    views: Annotated[int | None, COUNTED, hint("160")] = None
+    """Cameras to train levels from, drawn where eyes may be; not with --photos."""
+    size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
+    """Pixels of these views; photographs are shrunk to it."""
+    cells: Annotated[int | None, CELLS, hint("256")] = None
+    """Most cells to cut the space into; as small as that allows."""
+    cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
+    """Side of a cell, scene units."""
+    box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
+    """Eyes may be anywhere in this box, frame of SCENE."""
+    face_size: Annotated[int | None, FACE_PIXELS, hint("320")] = None
+    """Pixels along a side of the six faces around a viewpoint of a cell."""
+    max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
+    """Viewpoints after which a cell is done in any case."""
+    variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
+    """How colours are split. (default: rgb)"""
+    max_terms: Annotated[int | None, TERMS, hint("8")] = None
+    """Most terms of each function of a Gaussian; 0 leaves base colours alone."""
+    mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
+    """Terms a Gaussian on average; they go where they serve most. With all, each that lowers an error."""
+    epsilon: Annotated[float | None, CHANGE, hint("0.02")] = None
+    """Change of a colour that a term must make to be sent; gsvis color --epsilon auto finds that of a scene."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards in the scene, such as -y."""
+    metres_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
+    """Size of a scene unit, kept in the package."""
+    seed: Annotated[int, WHOLE] = 0
+    """Seed of everything random: the same seed gives the same package."""
+    workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
+    """Processes that look for visible sets; the package is the same whatever their number."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
+    """Memory that these may take together with this one, such as 4GB or 2GiB."""
+    dry_run: Flag = False
+    """Tell what would be done, time, memory and disk, and write nothing."""
+    discard: Flag = False
+    """Delete what is kept between runs once the package is whole."""
+    json: Flag = False
+    """Print one JSON document instead of tables."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Read, check and decode every part of a package."""
+
+    package: Annotated[Positional[str], arg(metavar="PACKAGE", help_behavior_hint="")]
+    """Folder of a package, such as scene.gsvis."""
+    json: Flag = False
+    """Print one JSON document instead of a table."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True)
+class Unpack:
+    """Write a package back as one PLY for each level."""
+
+    package: Annotated[Positional[str], arg(metavar="PACKAGE", help_behavior_hint="")]
+    """Folder of a package, such as scene.gsvis."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
+    """Folder for low.ply, ... and levels.arrow, the map of reuse; made if missing."""
+    sh_degree: Annotated[int | None, SH_DEGREE, hint("3, 0 where colours have no terms")] = None
+    """Degree of the spherical harmonics that terms are fitted with; 0 keeps base colours alone."""
+    json: Flag = False
+    """Print one JSON document instead of lines."""
+    debug: Flag = False
+    """Show the traceback of an error."""

@@ -1,0 +1,64 @@
+"""Kernels loaded before work begins, or compiled once after an installation: the first run tells what it waits for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gsvis.cli.terminal import Status
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+
+if TYPE_CHECKING:
+    from gsvis.train.levels import LevelsConfig
+    from gsvis.visibility.colors import ColorConfig
+    from gsvis.visibility.pvs import PvsConfig
+
+__all__ = ["warm_colors", "warm_levels", "warm_sets"]
+
+
+def warm_levels(config: LevelsConfig, status: Status) -> None:
+    """Those that train levels."""
+    from gsvis.scene.cameras import Cameras
+    from gsvis.train.images import render_views
+    from gsvis.train.levels import LevelsConfig, train_levels
+
+    status("kernels", 0, 1)
+    rng = np.random.default_rng(0)
+    few = Gaussians(
+        rng.normal(size=(12, 3)), [[1, 0, 0, 0]] * 12, np.full((12, 3), 0.3), [0.5] * 12, [[[1, 1, 1]]] * 12
+    )
+    views = render_views(few, Cameras.orbit((0.0, 0.0, 0.0), 4.0, 2, width=16, height=16))
+    train_levels(few, views, replace(LevelsConfig(iterations=1), backend=config.backend))
+    status("kernels", 1, 1)
+
+
+def warm_sets(config: PvsConfig, status: Status) -> None:
+    """Those that look from cells."""
+    if config.method == "hybrid":  # the others need libraries that this process may have no room for
+        from gsvis.visibility.look import Look
+
+        status("kernels", 0, 1)
+        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
+        Look(one, "hybrid", 4, config.tau)(np.array([4.0, 0.0, 0.0]))
+        status("kernels", 1, 1)
+
+
+def warm_colors(config: ColorConfig, status: Status) -> None:
+    """Those that fit colours."""
+    from gsvis.color.activation import Activation
+    from gsvis.color.evaluate import evaluate
+    from gsvis.visibility.colors import ColorConfig, ViewSampling, prepare_colors
+    from gsvis.visibility.fitted_colors import rounded
+
+    status("kernels", 0, 1)
+    bands = np.linspace(-0.3, 0.3, 9).reshape(1, 3, 3)
+    one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)), bands)
+    around = NavigableSpace.from_box((3, 3, 3), (4, 4, 4), 1)
+    quick = ColorConfig(replace(config.fit, mean_terms=None, max_terms=1), ViewSampling(1, 16, 12))
+    colors = rounded(prepare_colors(one, around, quick).fit.colors, "wire")
+    evaluate(colors, one.means, (4.0, 0.0, 0.0))
+    Activation(colors, one.means, 0.01).contributions((4.0, 0.0, 0.0))
+    status("kernels", 1, 1)

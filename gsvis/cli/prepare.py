@@ -1,0 +1,187 @@
+"""`gsvis prepare`: a scene to a package that can be served, from wherever an earlier run stood."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Prepare
+from gsvis.cli.color import fit_config
+from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
+from gsvis.cli.levels import check_views, levels_config, view_sampling
+from gsvis.cli.prepare_result import tell_estimate, tell_result
+from gsvis.cli.pvs import local_workers, sets_config
+from gsvis.cli.source import check_folder, check_source, free_space, given_up, is_levels, load_source
+from gsvis.cli.stopping import between_steps
+from gsvis.cli.terminal import Status
+from gsvis.errors import SceneError
+
+if TYPE_CHECKING:
+    from gsvis.prepare import PrepareConfig
+
+__all__ = ["run_prepare"]
+
+_OF_TRAINING = ("levels", "reuse", "names", "steps", "views", "size", "photos")
+
+
+def run_prepare(command: Prepare) -> None:
+    """Check, make what is missing, write the package, say what came out.
+
+    Raises:
+        GsvisError: If a file cannot be read, or the scene or the photographs cannot serve.
+        ValueError: If an argument is wrong, or something else would be replaced.
+        FileNotFoundError: If a file is missing.
+        OSError: If the package cannot be written.
+        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+    """
+    from gsvis.prepare import estimate_preparation, prepare_package
+
+    config = _checked(command)
+    workers = local_workers(command.workers, command.max_memory)
+    with Status() as status:
+        status("reading", 0, 1)
+        source = load_source(command.scene, command.lod)
+        if len(source.gaussians) == 0:
+            raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+        status("reading", 1, 1)
+        status("space", 0, 1)
+        space = free_space(source, command.box, command.up)
+        status("space", 1, 1)
+        about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}
+        try:
+            if command.dry_run:
+                estimate = estimate_preparation(
+                    source.whole, command.out, space, config, photos=command.photos, workers=workers, progress=status
+                )
+            else:
+                with _Progress(config, status) as progress:
+                    prepared = prepare_package(
+                        source.whole, command.out, space, config,
+                        photos=command.photos, about=about, workers=workers, progress=progress,
+                    )  # fmt: skip
+        except ValueError as error:
+            if str(error).startswith("shares:"):
+                raise ValueError(f"--levels{str(error)[6:]}; larger shares, or a finer --lod") from None
+            raise
+        except KeyboardInterrupt:
+            if command.dry_run:
+                raise
+            kept = f"{Path(os.path.abspath(command.out)).name}.work"
+            raise KeyboardInterrupt(f"what was finished is kept in {kept}; the same command goes on there") from None
+        if not command.dry_run and command.discard:
+            shutil.rmtree(prepared.work, ignore_errors=True)
+    if command.dry_run:
+        tell_estimate(command, source, space, estimate)
+    else:
+        tell_result(command, source, space, prepared)
+
+
+def _checked(command: Prepare) -> PrepareConfig:
+    """Everything about the arguments that can be known before work begins."""
+    from gsvis.package.writer import check_target
+    from gsvis.prepare import PrepareConfig
+    from gsvis.prepare.work import WorkFolder
+    from gsvis.visibility.colors import ColorConfig, ViewSampling
+
+    check_source(command.scene, command.lod)
+    if command.photos is not None and not Path(command.photos).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.photos)
+    given_up(command.up)
+    _check_training(command)
+    check_folder(Path(command.out).absolute().parent)
+    check_target(Path(command.out))
+    WorkFolder(command.out).check()
+    sampling = view_sampling(command.views, command.size, command.seed)
+    levels = None
+    if command.levels and not is_levels(command.scene):
+        try:
+            levels = levels_config(command.levels, command.reuse, command.names, command.steps, command.seed)
+        except ValueError as error:
+            raise ValueError(f"--{error}".replace("--shares", "--levels")) from None
+        if command.photos is None:
+            check_views(sampling, PrepareConfig.level_held_out)
+    return PrepareConfig(
+        levels=levels,
+        level_views=sampling,
+        level_size=command.size,
+        cells=command.cells or PrepareConfig.cells,
+        cell_size=command.cell_size,
+        sets=sets_config(command.face_size, command.max_viewpoints),
+        colors=ColorConfig(fit_config(command), ViewSampling(seed=command.seed)),
+        epsilon=command.epsilon or PrepareConfig.epsilon,
+        epsilon_from="given" if command.epsilon else PrepareConfig.epsilon_from,
+        metres_per_unit=command.metres_per_unit or 0.0,
+    )
+
+
+def _check_training(command: Prepare) -> None:
+    """Refuse what is asked of training where there is none."""
+    given = [name for name in _OF_TRAINING if getattr(command, name) != getattr(Prepare, name)]
+    if is_levels(command.scene) and given:
+        raise ValueError(
+            f"--{given[0]}: expected none for a folder of levels, which are taken as they are,"
+            f" got {getattr(command, given[0])}; leave it out"
+        )
+    if not command.levels and (more := [name for name in given if name != "levels"]):
+        raise ValueError(
+            f"--{more[0]}: expected none with --levels none, got {getattr(command, more[0])}; leave it out"
+        )
+    if command.photos is not None and command.views is not None:
+        raise ValueError(f"--views: expected none with --photos, got {command.views}; leave it out")
+
+
+class _Progress:
+    """Progress that readies kernels before they are waited for, and lets Ctrl-C wait for the end of a step of training.
+
+    Args:
+        config: What will be done.
+        status: What is told of it.
+    """
+
+    def __init__(self, config: PrepareConfig, status: Status) -> None:
+        self._config, self._status, self._said = config, status, ("", 0)
+        self._warm = {"views", "photos", "cells", "importance"}
+        self._training: ExitStack | None = None
+        self._stop_if_asked: Callable[[], None] | None = None
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._trains(False)
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """The progress callback."""
+        if stage in self._warm:
+            self._warm.remove(stage)
+            self._ready(stage)
+        trains = stage == "prune" or stage.startswith("train ")
+        self._trains(trains)
+        if (stage, done) != self._said:  # an end may be told twice
+            self._status(stage.replace("train ", "training ", 1), done, total)
+        self._said = stage, done
+        if trains and self._stop_if_asked is not None:
+            self._stop_if_asked()
+
+    def _ready(self, stage: str) -> None:
+        if stage == "cells":
+            warm_sets(self._config.sets, self._status)
+        elif stage == "importance":
+            warm_colors(self._config.colors, self._status)
+        elif self._config.levels is not None:
+            self._warm -= {"views", "photos"}
+            warm_levels(self._config.levels, self._status)
+
+    def _trains(self, trains: bool) -> None:
+        """Begin or end the time in which signals wait."""
+        if trains and self._training is None:
+            self._training = ExitStack()
+            self._stop_if_asked = self._training.enter_context(between_steps())
+        elif not trains and self._training is not None:
+            self._training.close()
+            self._training = None

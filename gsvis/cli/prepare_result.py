@@ -1,0 +1,142 @@
+"""What `gsvis prepare` tells: a package and how it came about, or what it would cost."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from gsvis.cli.arguments import Prepare
+from gsvis.cli.source import Source
+from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+from gsvis.scene.navigable import NavigableSpace
+
+if TYPE_CHECKING:
+    from gsvis.prepare import PreparationEstimate, Prepared
+
+__all__ = ["tell_estimate", "tell_result"]
+
+_CALLED = {
+    "levels": "levels",
+    "sets": "visible sets",
+    "colors": "colours",
+    "terms": "active terms",
+    "cost": "cost of rounding",
+    "package": "package",
+}
+
+
+def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared) -> None:
+    """Print the document or the tables."""
+    m = prepared.manifest
+    cost, seconds = m.info.cost, sum(stage.seconds for stage in prepared.stages)
+    levels = [{"name": n, "gaussians": c} for n, c in zip(m.names, m.counts, strict=True)]
+    for row, spread in zip(levels, (prepared.quality or {}).get("psnr", ()), strict=False):
+        row["psnr"] = spread
+    if command.json:
+        print_json(
+            {
+                "format": "gsvis-preparation",
+                "version": 1,
+                **_about(command, source, space),
+                "gaussians": m.gaussians,
+                "levels": levels,
+                "terms": m.terms,
+                "variant": m.grids.variant,
+                "up": list(m.info.up),
+                "metres_per_unit": m.info.metres_per_unit,
+                "cost": None if cost is None else asdict(cost),
+                "parts": prepared.parts,
+                "parts_kept": prepared.parts_kept,
+                "bytes": prepared.nbytes,
+                "bytes_kept": prepared.nbytes_kept,
+                "stages": [asdict(stage) for stage in prepared.stages],
+                "work": None if command.discard else str(prepared.work),
+                "work_bytes": 0 if command.discard else prepared.work_bytes,
+                "remarks": list(prepared.remarks),
+            }
+        )
+        return
+    sizes = ", ".join(f"{row['name']} {row['gaussians']:,}" for row in levels)
+    metres = m.info.metres_per_unit
+    rows = [
+        ("Gaussians", f"{m.gaussians:,}" + (f" in levels {sizes}" if len(levels) > 1 else "")),
+        *_quality(prepared.quality, m.names),
+        ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
+        ("up", f"{_axis(m.info.up)}; " + (f"{metres:g} metres a unit" if metres else "metres a unit not known")),
+        ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
+    ]
+    if cost is not None:
+        told = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
+        rows.append(("cost of rounding", told))
+    rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
+    if prepared.parts_kept:
+        rows.append(("as before", f"{prepared.parts_kept:,} of the parts, {size_of(prepared.nbytes_kept)}"))
+    if not command.discard:
+        rows.append(("kept beside it", f"{prepared.work.name}, {size_of(prepared.work_bytes)}; may be deleted"))
+    rows.append(("time", clock(seconds)))
+    stages = [
+        (_CALLED[stage.name], "there already" if stage.reused else "made", clock(stage.seconds))
+        for stage in prepared.stages
+    ]
+    show(
+        facts(f"{source.name}: package", rows),
+        facts("", stages, ("stage", "", "time")),
+        *(f" {remark}" for remark in prepared.remarks),
+    )
+
+
+def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate) -> None:
+    """Print the document or the tables."""
+    if command.json:
+        print_json(
+            {
+                "format": "gsvis-preparation-estimate",
+                "version": 1,
+                **_about(command, source, space),
+                **asdict(estimate),
+                "levels": [{"name": name, "gaussians": count} for name, count in estimate.levels],
+                "work_bytes": estimate.work_bytes,
+            }
+        )
+        return
+    stages = [
+        (_CALLED[s.name], s.state, s.what, clock(s.seconds) if s.state not in ("done", "given") else "")
+        for s in estimate.stages
+    ]
+    rows = [
+        ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
+        ("time", f"about {clock(estimate.seconds)}"),
+        ("package", f"about {size_of(estimate.nbytes)}"),
+        ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
+    ]
+    if estimate.memory:
+        rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
+    show(
+        facts(f"{source.name}: what it would cost", rows),
+        facts("", stages, ("stage", "", "about", "time")),
+        " Nothing was written.",
+    )
+
+
+def _about(command: Prepare, source: Source, space: NavigableSpace) -> dict[str, Any]:
+    return {
+        "scene": source.name,
+        "lod": source.lod,
+        "out": command.out,
+        "space": {"rule": space.rule, "volume": space.volume},
+    }
+
+
+def _quality(quality: dict[str, Any] | None, names: tuple[str, ...]) -> list[tuple[str, str]]:
+    if quality is None or "psnr" not in quality:
+        return []
+    told = ", ".join(f"{name} {row['mean']:.1f} dB" for name, row in zip(names[:-1], quality["psnr"], strict=False))
+    return [("levels against the scene", f"{told}, in {quality['views']} views")]
+
+
+def _axis(up: tuple[float, float, float]) -> str:
+    """'+z', or three numbers."""
+    for k, name in enumerate("xyz"):
+        if abs(abs(up[k]) - 1.0) < 1e-9:
+            return ("+" if up[k] > 0 else "-") + name
+    return ", ".join(f"{v:.3g}" for v in up)

@@ -1,0 +1,75 @@
+"""How a scene becomes a package: which levels, cells and colours, and what is measured."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.color.epsilon import DEFAULT_EPSILON
+from gsvis.train.levels import LevelsConfig
+from gsvis.visibility.cells import MAX_CELLS
+from gsvis.visibility.colors import ColorConfig, ViewSampling
+from gsvis.visibility.pvs import PvsConfig
+
+__all__ = ["PrepareConfig"]
+
+_LEVEL_FOV = 2.0 * float(np.degrees(np.arctan(240.0 / 300.0)))
+_LEVEL_VIEWS = ViewSampling(160, 480, 360, _LEVEL_FOV)
+_COST_VIEWS = ViewSampling(8, 480, 360, 60.0, stream=3)
+
+
+@dataclass(frozen=True)
+class PrepareConfig:
+    """All that decides what a package holds, besides the scene and where eyes may be.
+
+    Attributes:
+        levels: Lower levels and their training; None for a scene as it is, or one that has levels.
+        level_views: Cameras that levels are trained from where there are no photographs.
+        level_held_out: Further ones, to measure levels in; 0 for none. Of photographs it is every eighth.
+        level_size: Pixels (width, height) to shrink photographs to; None keeps theirs.
+        cells: Most cells to cut the space into; as small as that allows.
+        cell_size: Side of a cell instead, scene units.
+        sets: How visible sets are found.
+        colors: How colours are fitted.
+        epsilon: Largest change of an RGB channel, in [0, 1], that a term may make and still be left out of a cell.
+        epsilon_from: Where that comes from, in words.
+        cost_views: Views in which the cost of rounding is measured.
+        metres_per_unit: Size of a scene unit; 0 where nobody knows.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    levels: LevelsConfig | None = field(default_factory=LevelsConfig)
+    level_views: ViewSampling = _LEVEL_VIEWS
+    level_held_out: int = 12
+    level_size: tuple[int, int] | None = None
+    cells: int = 256
+    cell_size: float | None = None
+    sets: PvsConfig = field(default_factory=PvsConfig)
+    colors: ColorConfig = field(default_factory=ColorConfig)
+    epsilon: float = DEFAULT_EPSILON
+    epsilon_from: str = "the default: FLIP as observer on two scenes"
+    cost_views: ViewSampling = _COST_VIEWS
+    metres_per_unit: float = 0.0
+
+    def __post_init__(self) -> None:
+        if _check.positive_int("cells", self.cells) > MAX_CELLS:
+            raise ValueError(f"cells: expected at most {MAX_CELLS:,}, got {self.cells:,}; make them larger")
+        _check.positive_int("level_held_out", self.level_held_out, at_least=0)
+        if self.cell_size is not None and not (np.isfinite(self.cell_size) and self.cell_size > 0):
+            raise ValueError(f"cell_size: expected a finite number > 0 or None, got {self.cell_size!r}")
+        if not 0.0 < self.epsilon <= 1.0:
+            raise ValueError(f"epsilon: expected a change of colour in (0, 1], got {self.epsilon!r}")
+        if not 0.0 <= self.metres_per_unit < np.inf:
+            raise ValueError(f"metres_per_unit: expected a finite number >= 0, got {self.metres_per_unit!r}")
+        for name in ("level_views", "cost_views"):
+            if getattr(self, name).count == 0:
+                raise ValueError(f"{name}: expected at least one view, got none")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        return asdict(self)

@@ -1,0 +1,293 @@
+"""What preparing a package would do, cost and find done already; writes nothing.
+
+Visible sets are estimated from a few cells, the rest from the time that one view takes and from figures measured
+before: times are to tell minutes from hours.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gsvis.color.records import bytes_per_term, quantise
+from gsvis.color.srbf import SrbfColors
+from gsvis.color.storage import load_srbf
+from gsvis.package import RECORD_BYTES
+from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.prepare import stages_of
+from gsvis.prepare.stages import Stages
+from gsvis.progress import Progress, silent
+from gsvis.render.rasterizer import rasterize
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.visibility.build import Workers, estimate_pvs
+from gsvis.visibility.colors import ViewSampling
+from gsvis.visibility.store import VisibilityStore
+
+__all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
+
+# Measured on nika LOD 0 and showroom LOD 3 (docs/design/020), in times of one view of the whole scene at that size.
+_PRUNED_VIEW = 0.6  # a round of the choice of what stays, at half the size
+_STEP = 3.0  # a step of training, in which Gaussians of the level alone are drawn
+_WEIGHED_VIEW = 2.0  # a view that tells what Gaussians count
+# Seconds for each Gaussian and core.
+_BASE_FIT, _TERMS_FIT, _RECORDS = 4e-5, 2.5e-4, 6e-6
+_TERM_OF_CELL = 6e-8  # seconds for each term that a cell sees
+
+_CHUNK = 31.0 / 200.0  # bytes for each Gaussian
+_PACKED = 0.97  # what zstd leaves of records
+_ACTIVE_BITS = 1.5  # of an active term in a cell
+_VIEWS_TIMED = 2
+
+
+@dataclass(frozen=True)
+class StageEstimate:
+    """What a stage would do.
+
+    Attributes:
+        name: As in `StageRecord`.
+        state: "done", where what it makes is there already; "begun", where a part of it is; "to do"; or "given".
+        what: What it is about, in words and counts.
+        seconds: Time that is left.
+        nbytes: Bytes that it would add to the working folder.
+    """
+
+    name: str
+    state: str
+    what: str
+    seconds: float
+    nbytes: int
+
+
+@dataclass(frozen=True)
+class PreparationEstimate:
+    """What a preparation would cost.
+
+    Attributes:
+        stages: In their order.
+        gaussians: N of the union of levels.
+        levels: Names and sizes of levels, lowest first.
+        cells: Cells of the visible sets.
+        nbytes: Bytes of the package.
+        memory: Bytes that all processes together take at most while they look for visible sets.
+        seconds: Time that is left.
+    """
+
+    stages: tuple[StageEstimate, ...]
+    gaussians: int
+    levels: tuple[tuple[str, int], ...]
+    cells: int
+    nbytes: int
+    memory: int
+    seconds: float
+
+    @property
+    def work_bytes(self) -> int:
+        """Bytes that the working folder would take."""
+        return sum(stage.nbytes for stage in self.stages)
+
+
+def estimate_preparation(
+    scene: Gaussians | Levels,
+    out: str | os.PathLike[str],
+    space: NavigableSpace,
+    config: PrepareConfig | None = None,
+    *,
+    photos: str | os.PathLike[str] | None = None,
+    workers: Workers | None = None,
+    progress: Progress = silent,
+) -> PreparationEstimate:
+    """What `prepare_package` would do, with the same arguments.
+
+    Raises:
+        SceneError: As `prepare_package`.
+        FormatError: So too.
+        ValueError: So too.
+    """
+    stages = stages_of(scene, out, space, config, photos=photos, progress=progress)
+    return _Estimator(stages, workers or Workers()).all()
+
+
+class _Estimator:
+    """The estimate of one run."""
+
+    def __init__(self, stages: Stages, workers: Workers) -> None:
+        self.stages, self.workers, self.config = stages, workers, stages.config
+        self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self.known = stages.kept_levels()
+        self.levels = _stand_in(stages) if self.known is None else self.known
+        self.counts = self.levels.counts if self.known is not None else _counts(stages)
+        top = self.levels.counts[-1]
+        self.union = len(self.levels.union) if self.known is not None else top + _own(stages)
+        self.found: list[StageEstimate] = []
+        self._timed: dict[ViewSampling, float] = {}
+
+    def all(self) -> PreparationEstimate:
+        """Every stage, in turn."""
+        self._levels()
+        store, share, disk, memory = self._sets()
+        exact = self._colors(store)
+        terms = exact.num_terms if exact is not None else self._expected_terms()
+        self._terms(store, exact, share, terms)
+        self._cost(exact)
+        if store is not None:
+            store.close()
+        term_bytes = int(terms * bytes_per_term(self.config.colors.fit.variant, "wire"))
+        active = int(_ACTIVE_BITS / 8.0 * share * terms * len(self.stages.grid()))
+        nbytes = int(self.union * (_PACKED * RECORD_BYTES + _CHUNK)) + term_bytes + disk + active
+        what = f"{self.union:,} records, {terms:,} terms"
+        self.found.append(StageEstimate("package", "to do", what, _RECORDS * self.union, 0))
+        return PreparationEstimate(
+            tuple(self.found),
+            self.union,
+            tuple(zip(self.levels.names, self.counts, strict=True)),
+            len(self.stages.grid()),
+            nbytes,
+            memory,
+            sum(stage.seconds for stage in self.found),
+        )
+
+    def _levels(self) -> None:
+        stages, config = self.stages, self.config.levels
+        sizes = ", ".join(f"{n} {c:,}" for n, c in zip(self.levels.names, self.counts, strict=True))
+        if not stages.trains or config is None:
+            self.found.append(StageEstimate("levels", "given", sizes, 0.0, 0))
+            return
+        nbytes = int(self._ply_bytes() * sum(self.counts)) + 18 * self.union
+        if self.known is not None:
+            self.found.append(StageEstimate("levels", "done", sizes, 0.0, nbytes))
+            return
+        begun = stages.work.at(f"{stages.levels_name}.begun")
+        views = self.config.level_views
+        rounds = math.ceil(
+            math.log(min(f for _, f, _ in _sizes(stages)) / self.counts[-1]) / math.log(1 - config.prune_share)
+        )
+        left = 1.0 if not (begun / "subsets.npz").exists() else 0.0
+        steps = config.iterations * sum(c / self.counts[-1] for c in self.counts[:-1])
+        looks = views.count * (1.0 + left * rounds * _PRUNED_VIEW) + steps * _STEP
+        seconds = looks * self.view_seconds(views)
+        state = "to do" if left else "begun"
+        what = f"{sizes}; {config.iterations:,} steps each"
+        self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
+
+    def _sets(self) -> tuple[VisibilityStore | None, float, int, int]:
+        """The store if it is there, the share of Gaussians that a cell sees, bytes on disk, and memory."""
+        stages, grid = self.stages, self.stages.grid()
+        name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
+        what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
+        if stages.work.whole(name):
+            path = stages.work.at(name)
+            store = VisibilityStore.open(path)
+            size = path.stat().st_size
+            self.found.append(StageEstimate("sets", "done", what, 0.0, size))
+            return store, float(np.mean(store.visible_counts)) / store.gaussians, size, 0
+        cost = estimate_pvs(
+            self.levels, grid, stages.space, stages.work.at(name), self.config.sets,
+            workers=self.workers, progress=stages.progress,
+        )  # fmt: skip
+        disk = int(cost.disk * self.union / len(self.levels.union))
+        state = "begun" if cost.finished else "to do"
+        if cost.finished:
+            what += f", {cost.finished:,} of them found"
+        self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
+        share = min(1.0, disk * 8.0 / 5.0 / len(grid) / self.union)
+        return None, share, disk, cost.memory
+
+    def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
+        """The colours if they are there."""
+        stages, fit, degree = self.stages, self.config.colors.fit, self.levels.union.sh_degree
+        terms = self._expected_terms()
+        aim = f"up to {terms:,} terms" if terms else "no terms: no colour depends on direction"
+        what = f"{self.union:,} colours, variant {fit.variant}; {aim}"
+        nbytes = 60 * self.union + 25 * terms
+        if store is not None:
+            name = stages.colors_name(self.levels, store)
+            if stages.work.whole(name):
+                path = stages.work.at(name)
+                exact = load_srbf(path)[1]
+                what = f"{len(exact):,} colours, variant {exact.variant}, {exact.num_terms:,} terms"
+                self.found.append(StageEstimate("colors", "done", what, 0.0, path.stat().st_size))
+                return exact
+        seconds = self.union * (_TERMS_FIT if degree else _BASE_FIT) / self.cores
+        if degree:
+            views = self.config.colors.views
+            seconds += views.count * len(self.counts) * _WEIGHED_VIEW * self.view_seconds(views)
+        self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
+        return None
+
+    def _terms(self, store: VisibilityStore | None, exact: SrbfColors | None, share: float, terms: int) -> None:
+        stages, cells = self.stages, len(self.stages.grid())
+        what = f"{terms:,} terms, {cells:,} cells, epsilon {self.config.epsilon:g}"
+        if store is not None and exact is not None:
+            name = stages.terms_name(self.levels, quantise(exact, "wire").dequantised(), store.path)
+            if stages.work.whole(name):
+                size = stages.work.at(name).stat().st_size
+                self.found.append(StageEstimate("terms", "done", what, 0.0, size))
+                return
+        seconds = cells * share * terms * _TERM_OF_CELL
+        nbytes = int(_ACTIVE_BITS / 8.0 * share * terms * cells)
+        self.found.append(StageEstimate("terms", "to do", what, seconds, nbytes))
+
+    def _cost(self, exact: SrbfColors | None) -> None:
+        views = self.config.cost_views
+        what = f"{views.count:,} views of {views.width} x {views.height}"
+        if exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact)):
+            self.found.append(StageEstimate("cost", "done", what, 0.0, 100))
+            return
+        seconds = 2.0 * views.count * self.view_seconds(views)
+        self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
+
+    def view_seconds(self, views: ViewSampling) -> float:
+        """How long one view of the whole scene takes at the size of these."""
+        if views not in self._timed:
+            scene = self.levels.level(len(self.levels) - 1)
+            cameras = replace(views, count=_VIEWS_TIMED + 1).cameras(scene, self.stages.space)
+            taken = []
+            for c in range(len(cameras)):  # the first loads kernels
+                began = time.perf_counter()
+                rasterize(scene, cameras[c])
+                taken.append(time.perf_counter() - began)
+            self._timed[views] = float(np.mean(taken[1:]))
+        return self._timed[views]
+
+    def _ply_bytes(self) -> float:
+        return float(4 * (14 + 3 * self.levels.union.shN.shape[1]))
+
+    def _expected_terms(self) -> int:
+        fit = self.config.colors.fit
+        if self.levels.union.sh_degree == 0:
+            return 0
+        return int(self.union * (fit.max_terms if fit.mean_terms is None else min(fit.mean_terms, fit.max_terms)))
+
+
+def _sizes(stages: Stages) -> list[tuple[int, int, int]]:
+    assert isinstance(stages.scene, Gaussians)
+    assert stages.config.levels is not None
+    return stages.config.levels.sizes(len(stages.scene))
+
+
+def _counts(stages: Stages) -> tuple[int, ...]:
+    assert isinstance(stages.scene, Gaussians)
+    return (*(total for total, _, _ in _sizes(stages)), len(stages.scene))
+
+
+def _own(stages: Stages) -> int:
+    """Gaussians that lower levels have alone."""
+    return sum(total - frozen for total, frozen, _ in _sizes(stages))
+
+
+def _stand_in(stages: Stages) -> Levels:
+    """Levels of about the right sizes, by what covers most, to try a few cells with."""
+    g, config = stages.scene, stages.config.levels
+    assert isinstance(g, Gaussians)
+    assert config is not None
+    order = np.argsort(-g.opacities * np.sort(g.scales, axis=1)[:, 1:].prod(axis=1), kind="stable")
+    first = np.full(len(g), len(config.shares), np.uint8)
+    for k, (total, _, _) in reversed(list(enumerate(_sizes(stages)))):
+        first[order[:total]] = k
+    return Levels(g, first, np.full(len(g), len(config.shares), np.uint8), config.names)

@@ -1,0 +1,281 @@
+"""The stages from a scene to a package: each makes one piece in the working folder, or takes it from there.
+
+A piece is named by a hash of the content of what it is made from and of the options that decide it, never by a path or
+a date. What was made is read back from its file, so that a run that goes on gives what one without a stop gives.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.color.records import QuantisedColors
+from gsvis.color.srbf import SrbfColors
+from gsvis.color.storage import load_srbf, save_srbf, srbf_info
+from gsvis.errors import FormatError
+from gsvis.io.atomic import atomic_path
+from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
+from gsvis.package import Cost, in_package_order, measure_cost
+from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.work import WorkFolder, digest_of_folder
+from gsvis.progress import Progress
+from gsvis.scene.content import scene_hash, space_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.train.level_quality import measure_levels
+from gsvis.train.level_views import LevelViews, drawn_views, photograph_views
+from gsvis.train.levels import train_levels
+from gsvis.visibility.active_terms import build_active_terms, colors_hash
+from gsvis.visibility.build import Workers, build_pvs
+from gsvis.visibility.cells import MAX_CELLS, CellGrid
+from gsvis.visibility.colors import kept_beside, prepare_colors
+from gsvis.visibility.store import VisibilityStore
+
+__all__ = ["StageRecord", "Stages"]
+
+_VERSIONS = {"levels": 1, "sets": 1, "colors": 1, "terms": 1, "cost": 1}  # raised whenever a stage finds something else
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What became of a stage.
+
+    Attributes:
+        name: "levels", "sets", "colors", "terms", "cost" or "package".
+        reused: Whether all of it was there already.
+        seconds: How long it took, now.
+    """
+
+    name: str
+    reused: bool
+    seconds: float
+
+
+@dataclass(eq=False)
+class Stages:
+    """A scene, what decides its package, and the stages between.
+
+    Attributes:
+        scene: As it came.
+        space: Where eyes may be.
+        config: How.
+        photos: Photographs to train levels on; None draws the scene.
+        work: Where pieces are kept.
+        progress: Called with the stages of what is called.
+        records: What became of the stages so far.
+        remarks: Sentences that the user should read.
+    """
+
+    scene: Gaussians | Levels
+    space: NavigableSpace
+    config: PrepareConfig
+    photos: str | os.PathLike[str] | None
+    work: WorkFolder
+    progress: Progress
+    records: list[StageRecord]
+    remarks: list[str]
+
+    @property
+    def trains(self) -> bool:
+        """Whether levels have to be made."""
+        return not isinstance(self.scene, Levels) and self.config.levels is not None
+
+    @cached_property
+    def levels_name(self) -> str:
+        """Folder of the levels."""
+        assert isinstance(self.scene, Gaussians)
+        config = self.config
+        if self.photos is None:
+            views: dict[str, Any] = {
+                "drawn": asdict(config.level_views), "held_out": config.level_held_out, "space": space_hash(self.space),
+            }  # fmt: skip
+        else:
+            views = {"photographs": digest_of_folder(self.photos), "size": config.level_size}
+        training = None if config.levels is None else asdict(config.levels)
+        return "levels-" + self._key("levels", scene=scene_hash(self.scene), training=training, views=views)
+
+    def kept_levels(self) -> Levels | None:
+        """The levels, in the order of a package, if nothing has to be trained for them."""
+        if isinstance(self.scene, Levels):
+            return in_package_order(self.scene)
+        if self.config.levels is None:
+            return in_package_order(Levels.single(self.scene))
+        folder = self.work.at(self.levels_name)
+        try:
+            return load_levels(folder) if (folder / MAP).exists() else None
+        except FormatError:
+            return None
+
+    def levels(self) -> tuple[Levels, dict[str, Any] | None]:
+        """The levels in the order of a package, and how good they are, where they were trained here."""
+        with self._stage("levels") as done:
+            found = self.kept_levels()
+            if found is None:
+                done.append(True)
+                found = self._trained(self.work.at(self.levels_name))
+            extra = levels_info(self.work.at(self.levels_name)).extra if self.trains else None
+        return found, extra
+
+    def grid(self) -> CellGrid:
+        """The cells."""
+        size = self.config.cell_size
+        return CellGrid.over(self.space, max_cells=self.config.cells if size is None else MAX_CELLS, cell_size=size)
+
+    def sets_name(self, levels: Levels, grid: CellGrid) -> str:
+        """File of the visible sets."""
+        cells = {**grid.as_dict(), "coords": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest()}
+        space, config = space_hash(self.space), self.config.sets.as_dict()
+        return f"sets-{self._key('sets', levels=_content(levels), grid=cells, space=space, config=config)}.pvs"
+
+    def sets(self, levels: Levels, workers: Workers | None) -> Path:
+        """The store of visible sets."""
+        grid = self.grid()
+        name = self.sets_name(levels, grid)
+        with self._stage("sets") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                path = self.work.at(name)
+                build_pvs(
+                    levels, grid, self.space, path, self.config.sets, workers=workers, progress=self.progress
+                ).close()
+                self.work.seal(name)
+        return self.work.at(name)
+
+    def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
+        """File of the colours."""
+        seen = hashlib.sha256(store.direction_sets.tobytes()).hexdigest() if levels.union.sh_degree else None
+        space, config = space_hash(self.space), asdict(self.config.colors)
+        key = self._key("colors", levels=_content(levels), seen=seen, space=space if seen else None, config=config)
+        return f"colors-{key}.arrow"
+
+    def colors(self, levels: Levels, store: VisibilityStore) -> tuple[SrbfColors, str]:
+        """Colours of the union before they are rounded, and where the directions come from that they were fitted to."""
+        name, sets = self.colors_name(levels, store), store.direction_sets
+        found_so_far = self.work.at("directions")  # whatever the variant, it serves: see `prepare_colors`
+        kept = kept_beside(levels, self.space, self.config.colors, found_so_far, sets=sets)
+        if kept is not None:
+            self.work.at(kept.name)
+        with self._stage("colors") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                found = prepare_colors(
+                    levels, self.space, self.config.colors, sets=sets, keep=found_so_far, progress=self.progress
+                )
+                told = {"directions": found.sets_from}
+                save_srbf(self.work.at(name), levels.union, found.fit.colors, provenance=told)
+                self.work.seal(name)
+            path = self.work.at(name)
+            return load_srbf(path)[1], str(srbf_info(path).provenance.get("directions"))
+
+    def terms_name(self, levels: Levels, rounded: SrbfColors, sets: Path) -> str:
+        """File of the active terms."""
+        key = self._key(
+            "terms",
+            scene=scene_hash(levels.union),
+            colors=colors_hash(rounded),
+            sets=digest_of_folder(sets).split()[0],
+            epsilon=[self.config.epsilon, self.config.epsilon_from],
+        )
+        return f"active-{key}.terms.arrow"
+
+    def terms(self, levels: Levels, packed: QuantisedColors, store: VisibilityStore) -> Path:
+        """The store of active terms."""
+        rounded = packed.dequantised()
+        name = self.terms_name(levels, rounded, store.path)
+        with self._stage("terms") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                path, config = self.work.at(name), self.config
+                build_active_terms(
+                    rounded, levels.union, store, config.epsilon, path,
+                    provenance=config.epsilon_from, progress=self.progress,
+                ).close()  # fmt: skip
+                self.work.seal(name)
+        return self.work.at(name)
+
+    def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
+        """File of the measured cost of rounding."""
+        views, space = asdict(self.config.cost_views), space_hash(self.space)
+        key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=space)
+        return f"cost-{key}.json"
+
+    def cost(self, levels: Levels, exact: SrbfColors, packed: QuantisedColors) -> Cost:
+        """What rounding costs in PSNR."""
+        name = self.cost_name(levels, exact)
+        with self._stage("cost") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                cameras = self.config.cost_views.cameras(levels, self.space)
+                cost = measure_cost(levels, exact, packed, cameras, progress=self.progress)
+                with atomic_path(self.work.at(name)) as partial:
+                    partial.write_text(json.dumps(asdict(cost)), encoding="ascii")
+                self.work.seal(name)
+            return Cost(**json.loads(self.work.at(name).read_text(encoding="ascii")))
+
+    def _trained(self, folder: Path) -> Levels:
+        """Levels made, measured and kept."""
+        assert isinstance(self.scene, Gaussians)
+        assert self.config.levels is not None
+        shutil.rmtree(folder, ignore_errors=True)
+        begun = self.work.at(f"{folder.name}.begun")
+        views = self._views()
+        self.remarks += views.remarks
+        for last in (False, True):
+            try:
+                trained = train_levels(self.scene, views.views, self.config.levels, work=begun, progress=self.progress)
+                break
+            except FormatError:  # what an earlier run left is damaged
+                shutil.rmtree(begun, ignore_errors=True)
+                if last:
+                    raise
+        record: dict[str, Any] = {"cameras": views.cameras_from}
+        if views.held_out is not None:
+            quality = measure_levels(
+                trained.levels, views.held_out, photographs=views.photographs, progress=self.progress
+            )
+            record |= {"views": len(views.held_out), "width": views.held_out.cameras.width,
+                       "height": views.held_out.cameras.height, "psnr": _spreads(quality.scene_psnr)}  # fmt: skip
+            if quality.photo_psnr is not None:
+                record["psnr_photographs"] = _spreads(quality.photo_psnr)
+        save_levels(in_package_order(trained.levels), folder, record)
+        shutil.rmtree(begun, ignore_errors=True)
+        return load_levels(folder)
+
+    def _views(self) -> LevelViews:
+        assert isinstance(self.scene, Gaussians)
+        config = self.config
+        if self.photos is not None:
+            return photograph_views(self.scene, self.photos, config.level_size, progress=self.progress)
+        return drawn_views(self.scene, self.space, config.level_views, config.level_held_out, progress=self.progress)
+
+    def _key(self, stage: str, **decides: Any) -> str:
+        return self.work.key(stage, {"version": _VERSIONS[stage], **decides})
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[list[bool]]:
+        """Note what becomes of a stage; what it yields is filled where something had to be done."""
+        began, done = time.perf_counter(), list[bool]()
+        yield done
+        self.records.append(StageRecord(name, not done, time.perf_counter() - began))
+
+
+def _content(levels: Levels) -> dict[str, Any]:
+    member = hashlib.sha256(levels.first.tobytes() + levels.last.tobytes()).hexdigest()
+    return {"scene": scene_hash(levels.union), "names": list(levels.names), "member": member}
+
+
+def _spreads(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[dict[str, float]]:
+    """Of (L, C) values, mean and least of each row."""
+    return [{"mean": float(row.mean()), "worst": float(row.min())} for row in values]

@@ -1,0 +1,115 @@
+"""What the levels of a scene are trained and measured on: photographs, or renders of the scene where there are none.
+
+Eyes of renders lie in navigable space, outside of anything solid; those to measure on have nothing to do with those to
+train on. Scene frame; OpenCV cameras.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+
+from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
+from gsvis.render.rasterizer import rasterize
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.train.images import PosedImages, render_views
+from gsvis.train.photos import load_photos
+from gsvis.train.trainer import mean_psnr
+from gsvis.visibility.colors import ViewSampling
+
+__all__ = ["LevelViews", "drawn_views", "photograph_views"]
+
+_EVERY = 8  # of photographs, how many are trained on before one is held out
+_UNLIKE = 12.0  # dB; photographs of another scene, or in another frame, are not met better
+_DARK = 1.0 / 255.0
+
+
+@dataclass(frozen=True, eq=False)
+class LevelViews:
+    """Views and where they come from.
+
+    Attributes:
+        views: Images to train on.
+        held_out: Images to measure on; None for none.
+        cameras_from: Where their cameras come from, in words.
+        photographs: Whether the images are photographs.
+        remarks: Sentences that the user should read.
+    """
+
+    views: PosedImages
+    held_out: PosedImages | None
+    cameras_from: str
+    photographs: bool
+    remarks: tuple[str, ...] = ()
+
+
+def drawn_views(
+    g: Gaussians,
+    space: NavigableSpace,
+    sampling: ViewSampling,
+    held_out: int,
+    *,
+    progress: Progress = silent,
+) -> LevelViews:
+    """Renders of a scene, from cameras at random.
+
+    Args:
+        g: The scene.
+        space: Where eyes may be.
+        sampling: Cameras to train on; those to measure on come from its next stream.
+        held_out: How many of these; 0 for none.
+        progress: Called with stage "views".
+
+    Raises:
+        SceneError: If there is nowhere to look from, or nothing is seen.
+    """
+    asked = [sampling, *([replace(sampling, count=held_out, stream=sampling.stream + 1)] if held_out else [])]
+    total = sum(each.count for each in asked)
+    found: list[PosedImages] = []
+    for cameras in [each.cameras(g, space) for each in asked]:
+
+        def told(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
+            if done or not before:
+                progress(stage, before + done, total)
+
+        found.append(render_views(g, cameras, progress=told))
+    if float(found[0].images.max()) < _DARK:
+        raise SceneError("views from inside the scene show nothing of it; is the up axis right?")
+    told_space = f"drawn at random where eyes may be ({space.rule})"
+    return LevelViews(found[0], found[1] if held_out else None, told_space, False)
+
+
+def photograph_views(
+    g: Gaussians,
+    photos: str | os.PathLike[str],
+    size: tuple[int, int] | None = None,
+    *,
+    progress: Progress = silent,
+) -> LevelViews:
+    """Photographs of a scene: seven of eight to train on, the eighth to measure on.
+
+    Args:
+        g: The scene, trained from the same reconstruction.
+        photos: Folder of a COLMAP model or a `transforms.json` with its images.
+        size: Pixels (width, height) to shrink them to; None keeps theirs.
+        progress: Called with stage "photos".
+
+    Raises:
+        GsvisError: If they cannot be read, or show nothing of the scene.
+        ValueError: If the size cannot serve.
+    """
+    read = load_photos(photos, size=size, progress=progress)
+    views, held_out = read.views.split(_EVERY)
+    remarks = list(read.remarks)
+    wrong = "are they of this scene, and in its frame?"
+    for c in range(len(held_out)):
+        if float(rasterize(g, held_out.cameras[c]).images.max()) >= _DARK:
+            break
+    else:
+        raise SceneError(f"{os.fspath(photos)}: no camera of the photographs shows any of the scene: {wrong}")
+    likeness = mean_psnr(g, held_out)
+    if likeness < _UNLIKE:
+        remarks.append(f"The scene is unlike the photographs ({likeness:.1f} dB): {wrong}")
+    return LevelViews(views, held_out, "photographs", True, tuple(remarks))

@@ -1,0 +1,134 @@
+"""`gsvis prepare` in this process: what it writes, says, refuses and keeps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main
+from gsvis.io.levels import load_levels
+from gsvis.package import Package
+
+Capture = pytest.CaptureFixture[str]
+WALL = "builtin:wall_with_hole"  # the smallest
+TINY = ["--cells", "2", "--face-size", "16", "--max-viewpoints", "1", "--workers", "1"]
+QUICK = [*TINY, "--max-terms", "0", "--steps", "2", "--views", "2", "--size", "24x20"]
+BOX = ["--box", "-1", "-4", "1", "1", "-1", "2"]
+FLAT = ["--levels", "none", "--max-terms", "0"]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing to compile, and views that do not matter."""
+    from dataclasses import replace
+
+    from gsvis.prepare import PrepareConfig
+
+    for name in ("warm_sets", "warm_levels", "warm_colors"):
+        monkeypatch.setattr(f"gsvis.cli.prepare.{name}", lambda config, status: None)
+    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
+    before = PrepareConfig.__init__
+
+    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
+        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+        object.__setattr__(self, "colors", replace(self.colors, views=few))
+
+    monkeypatch.setattr(PrepareConfig, "__init__", smaller)
+
+
+def run(capsys: Capture, *words: object, code: int = 0) -> tuple[str, str]:
+    capsys.readouterr()
+    got = main(["prepare", *map(str, words)])
+    out, err = capsys.readouterr()
+    assert got == code, err
+    assert "Traceback" not in err
+    return out, " ".join(err.split())
+
+
+def refused(capsys: Capture, *words: object) -> str:
+    out, err = run(capsys, *words, code=2)
+    assert out == ""
+    return err
+
+
+def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys: Capture) -> None:
+    target = tmp_path / "new" / "s.gsvis"
+    text, _ = run(capsys, WALL, "-o", target, *QUICK, "--metres-per-unit", "0.5")
+    assert max(map(len, text.splitlines())) <= 80
+    for told in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 metres", "s.gsvis.work", "made"):
+        assert told in text
+    with Package.open(target) as package:
+        assert package.manifest.names == ("low", "medium", "high")
+        assert package.verify().cells == 2
+        about = package.manifest.info.provenance
+    assert (about["scene"], about["config"]["levels"]["iterations"]) == (WALL, 2)
+    assert str(tmp_path) not in json.dumps(about)
+    assert main(["verify", str(target)]) == 0
+    assert "0.5" in capsys.readouterr().out
+    again, _ = run(capsys, WALL, "-o", target, *QUICK, "--metres-per-unit", "0.5")
+    assert again.count("there already") == 6
+    assert main(["unpack", str(target), "-o", str(tmp_path / "levels"), "--json"]) == 0
+    out = tmp_path / "again.gsvis"
+    capsys.readouterr()
+    whole = load_levels(tmp_path / "levels")
+    found = json.loads(
+        run(capsys, tmp_path / "levels", "-o", out, *TINY, *BOX, "--max-terms", "0", "--json", "--discard")[0]
+    )
+    assert [row["gaussians"] for row in found["levels"]] == list(whole.counts)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.gsvis", "levels", "new"]
+
+
+def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: Capture) -> None:
+    target = tmp_path / "s.gsvis"
+    words = [WALL, "-o", target, *TINY, *FLAT, "--epsilon", "0.1"]
+    asked = json.loads(run(capsys, *words, "--json", "--dry-run")[0])
+    assert list(tmp_path.iterdir()) == []
+    assert (asked["format"], asked["version"]) == ("gsvis-preparation-estimate", 1)
+    assert [stage["state"] for stage in asked["stages"]] == ["given", *["to do"] * 5]
+    found = json.loads(run(capsys, *words, "--json")[0])
+    assert (found["format"], found["version"]) == ("gsvis-preparation", 1)
+    assert [stage["name"] for stage in found["stages"]] == [stage["name"] for stage in asked["stages"]]
+    assert found["levels"] == [{"name": "high", "gaussians": found["gaussians"]}]
+    assert found["bytes"] == sum(path.stat().st_size for path in (target / "parts").iterdir())
+    assert found["cost"]["views"] == 1
+    assert found["metres_per_unit"] == 0.0
+    text, _ = run(capsys, *words, "--dry-run")
+    assert "Nothing was written." in text
+    assert text.count("done") == 4
+
+
+def test_it_says_what_is_kept_when_it_is_stopped(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*words: object, **named: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gsvis.prepare.stages.measure_cost", stop)
+        _, err = run(capsys, WALL, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, code=130)
+    assert "kept in s.gsvis.work; the same command goes on there" in err
+    found = json.loads(run(capsys, WALL, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])
+    assert [stage["name"] for stage in found["stages"] if not stage["reused"]] == ["cost", "package"]
+
+
+def test_wrong_arguments_are_refused_at_once(tmp_path: Path, capsys: Capture) -> None:
+    target = tmp_path / "s.gsvis"
+    words = [WALL, "-o", target]
+    assert "--levels: expected each below the next" in refused(capsys, *words, "--levels", "0.5", "0.2")
+    assert "expected shares in (0, 1]" in refused(capsys, *words, "--levels", "2")
+    assert "larger shares" in refused(capsys, *words, "--levels", "0.00005", *TINY)
+    assert "--steps: expected none with --levels none" in refused(capsys, *words, "--levels", "none", "--steps", "7")
+    assert "no such file" in refused(capsys, tmp_path / "none.ply", "-o", target)
+    assert "no such file" in refused(capsys, *words, "--photos", tmp_path / "none")
+    assert "--up: expected one of" in refused(capsys, *words, "--up", "q")
+    assert "--views: expected none with --photos" in refused(capsys, *words, "--photos", tmp_path, "--views", "3")
+    (tmp_path / "file").write_text("mine")
+    assert "expected a folder" in refused(capsys, WALL, "-o", tmp_path / "file")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").touch()
+    assert "thesis.txt" in refused(capsys, WALL, "-o", tmp_path / "other")
+    (tmp_path / "s.gsvis.work").write_text("mine")
+    assert "s.gsvis.work" in refused(capsys, *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other", "s.gsvis.work"]

@@ -1,0 +1,267 @@
+"""From a scene to a package as a library call: what comes out, what is made again, and what a stop leaves."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.color.fit import FitConfig
+from gsvis.errors import FormatError, SceneError
+from gsvis.package import Package, in_package_order
+from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare_package
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import OccluderScene, two_rooms
+from gsvis.train.levels import LevelsConfig
+from gsvis.visibility.build import Workers
+from gsvis.visibility.colors import ColorConfig, ViewSampling
+from gsvis.visibility.pvs import PvsConfig
+
+FEW = ViewSampling(2, 24, 20)
+CONFIG = PrepareConfig(
+    levels=LevelsConfig(iterations=2),
+    level_views=FEW,
+    level_held_out=1,
+    cells=4,
+    sets=PvsConfig(size=16, min_viewpoints=2, max_viewpoints=2),
+    colors=ColorConfig(FitConfig(max_terms=2, refine=False), FEW),
+    cost_views=replace(FEW, stream=3),
+    metres_per_unit=0.5,
+)
+STAGES = ["levels", "sets", "colors", "terms", "cost", "package"]
+
+
+@pytest.fixture(scope="module")
+def rooms() -> OccluderScene:
+    return two_rooms(1000, sh_degree=1)
+
+
+@pytest.fixture(scope="module")
+def made(rooms: OccluderScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Prepared]:
+    out = tmp_path_factory.mktemp("made") / "rooms.gsvis"
+    return out, prepare(rooms, out)
+
+
+@pytest.fixture
+def again(made: tuple[Path, Prepared], tmp_path: Path) -> Path:
+    """A copy of the package with what is kept beside it."""
+    for suffix in ("", ".work"):
+        shutil.copytree(made[0].with_name(made[0].name + suffix), tmp_path / f"rooms.gsvis{suffix}")
+    return tmp_path / "rooms.gsvis"
+
+
+def prepare(rooms: OccluderScene, out: Path, config: PrepareConfig = CONFIG, **more: object) -> Prepared:
+    return prepare_package(rooms.gaussians, out, rooms.navigable, config, about={"scene": "rooms"}, **more)  # type: ignore[arg-type]
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def new(found: Prepared) -> list[str]:
+    """Stages that were not there already."""
+    return [stage.name for stage in found.stages if not stage.reused]
+
+
+def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepared], rooms: OccluderScene) -> None:
+    out, found = made
+    with Package.open(out) as package:
+        checked = package.verify()
+        assert (checked.gaussians, checked.terms, checked.strays) == (found.manifest.gaussians, found.manifest.terms, 0)
+        assert 0 < checked.cells <= 4
+        assert package.active_terms.info.epsilon == CONFIG.epsilon
+        info = package.manifest.info
+    assert found.manifest.counts[-1] == len(rooms.gaussians)
+    assert found.manifest.terms > 0
+    assert info.up == (0.0, 0.0, 1.0)
+    assert info.metres_per_unit == 0.5
+    assert info.cost is not None
+    assert 30 < info.cost.worst <= info.cost.psnr
+    assert info.provenance["scene"] == "rooms"
+    assert info.provenance["config"]["cells"] == 4
+    assert [row["worst"] for row in info.provenance["levels"]["psnr"]][-1] == 100.0
+    assert [stage.name for stage in found.stages] == STAGES == new(found)
+    assert (found.parts_kept, found.nbytes_kept) == (0, 0)
+    assert found.parts == checked.parts
+    assert found.work_bytes == sum(map(len, files(found.work).values()))
+
+
+def test_nothing_is_made_twice(again: Path, rooms: OccluderScene) -> None:
+    before = files(again)
+    found = prepare(rooms, again)
+    assert new(found) == []
+    assert found.parts_kept == found.parts
+    assert files(again) == before
+
+
+def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderScene) -> None:
+    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["terms", "package"]
+    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, metres_per_unit=2.0))) == []  # parts, that is
+    flat = replace(CONFIG, epsilon=0.3, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
+    told: list[str] = []
+    found = prepare(rooms, again, flat, progress=lambda stage, done, total: told.append(stage))
+    assert new(found) == ["colors", "terms", "cost", "package"]
+    assert "importance" not in told  # what views told serves every fit
+    assert found.manifest.terms == 0
+    assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
+    kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
+    assert kept == {"gsvis", "levels", "sets", "colors", "directions.partial", "active", "cost"}
+    assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
+
+
+@pytest.mark.parametrize("stop", ["train medium", "cells", "importance", "terms", "package"])
+def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
+    stop: str, made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path
+) -> None:
+    out = tmp_path / "rooms.gsvis"
+    if stop != "train medium":  # what comes before has been seen to go on
+        levels = next(made[1].work.glob("levels-*"))
+        shutil.copytree(levels, tmp_path / "rooms.gsvis.work" / levels.name)
+        (tmp_path / "rooms.gsvis.work" / "gsvis-prepare").touch()
+
+    def stops(stage: str, done: int, total: int) -> None:
+        if stage == stop and done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(rooms, out, progress=stops)
+    assert not (out / "manifest.json").exists()
+    told: list[tuple[str, int]] = []
+    prepare(rooms, out, progress=lambda stage, done, total: told.append((stage, done)))
+    assert files(out) == files(made[0])
+    stages = [stage for stage, _ in told]
+    if stop == "train medium":
+        assert "prune" not in stages
+    else:
+        assert not {"views", "prune"} & set(stages)
+    if stop == "cells":
+        assert min(done for stage, done in told if stage == "cells") == 1
+    if stop in ("terms", "package"):
+        assert not {"cells", "importance", "fit"} & set(stages)
+
+
+def test_the_same_bytes_with_two_processes(made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path) -> None:
+    out = tmp_path / "rooms.gsvis"
+    shutil.copytree(made[1].work, tmp_path / "rooms.gsvis.work")
+    for path in (tmp_path / "rooms.gsvis.work").glob("sets-*"):
+        path.unlink()
+    found = prepare(rooms, out, workers=Workers(2))
+    assert new(found) == ["sets", "package"]
+    assert files(out) == files(made[0])
+
+
+def test_damage_in_what_is_kept_is_seen_and_mended(
+    made: tuple[Path, Prepared], again: Path, rooms: OccluderScene
+) -> None:
+    work = again.with_name("rooms.gsvis.work")
+    for pattern in ("*.pvs", "levels-*/low.ply", "cost-*.json", "active-*.arrow"):
+        (path,) = work.glob(pattern)
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 1
+        path.write_bytes(data)
+    assert new(prepare(rooms, again)) == ["levels", "sets", "terms", "cost"]
+    assert files(again) == files(made[0])
+
+
+def test_levels_that_are_there_are_taken_as_they_are_in_any_order(rooms: OccluderScene, tmp_path: Path) -> None:
+    g = rooms.gaussians
+    first = (np.arange(len(g)) % 4 > 0).astype(np.uint8)
+    levels = Levels(g, first, np.ones(len(g), np.uint8), ("few", "all"))
+    turned = np.random.default_rng(0).permutation(len(g))
+    shuffled = Levels(g[turned], first[turned], levels.last, levels.names)
+    some = {}
+    for name, whole in (("a", levels), ("b", shuffled)):
+        found = prepare_package(whole, tmp_path / name, rooms.navigable, CONFIG)
+        assert found.stages[0].reused
+        assert found.quality is None
+        some[name] = files(tmp_path / name)
+        with Package.open(tmp_path / name) as package:
+            assert package.manifest.names == ("few", "all")
+            assert package.manifest.scene == scene_hash(in_package_order(levels).union)
+    assert some["a"] == some["b"]
+
+
+def test_an_edit_of_a_corner_leaves_parts_of_the_rest(tmp_path: Path) -> None:
+    many = two_rooms(8000, sh_degree=0)
+    plain = replace(CONFIG, levels=None)
+    g = many.gaussians
+    prepare(many, tmp_path / "s.gsvis", plain)
+    corner = g.means[:, 0] < g.means[:, 0].min() + 0.3
+    moved = Gaussians(g.means + 0.01 * corner[:, None], g.quats, g.scales, g.opacities, g.sh0, g.shN)
+    found = prepare_package(moved, tmp_path / "s.gsvis", many.navigable, plain, about={"scene": "rooms"})
+    assert new(found) == ["sets", "colors", "terms", "cost", "package"]
+    with Package.open(tmp_path / "s.gsvis") as package:
+        assert package.verify().strays == 0
+
+
+def test_an_estimate_says_what_is_there_and_writes_nothing(again: Path, rooms: OccluderScene, tmp_path: Path) -> None:
+    work = again.with_name("rooms.gsvis.work")
+    before = files(tmp_path)
+    done = estimate_preparation(rooms.gaussians, again, rooms.navigable, CONFIG)
+    assert [stage.state for stage in done.stages] == [*["done"] * 5, "to do"]
+    assert done.seconds < 1
+    held = sum(p.stat().st_size for p in again.rglob("*") if p.is_file())
+    assert 0.3 * held < done.nbytes < 3 * held
+    other = estimate_preparation(rooms.gaussians, again, rooms.navigable, replace(CONFIG, epsilon=0.3))
+    assert [s.name for s in other.stages if s.state == "to do"] == ["terms", "package"]
+    fresh = estimate_preparation(rooms.gaussians, tmp_path / "new.gsvis", rooms.navigable, CONFIG)
+    assert {stage.state for stage in fresh.stages} == {"to do"}
+    assert fresh.seconds > done.seconds
+    assert dict(fresh.levels)["high"] == len(rooms.gaussians)
+    assert abs(fresh.gaussians - done.gaussians) <= 0.05 * done.gaussians
+    assert files(tmp_path) == before
+    assert not work.with_name("new.gsvis.work").exists()
+    json.dumps(fresh.work_bytes)
+
+
+def test_what_cannot_serve_is_refused_before_any_work(rooms: OccluderScene, tmp_path: Path) -> None:
+    g, space = rooms.gaussians, rooms.navigable
+    out = tmp_path / "s.gsvis"
+    with pytest.raises(SceneError, match="nothing to see"):
+        prepare_package(g[:0], out, space, CONFIG)
+    with pytest.raises(ValueError, match="shares: expected at least 2"):
+        prepare_package(g[:3], out, space, CONFIG)
+    with pytest.raises(FileNotFoundError):
+        prepare_package(g, out, space, CONFIG, photos=tmp_path / "none")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").touch()
+    with pytest.raises(FormatError, match=r"thesis\.txt"):
+        prepare_package(g, tmp_path / "mine", space, CONFIG)
+    (tmp_path / "s.gsvis.work").mkdir()
+    (tmp_path / "s.gsvis.work" / "thesis.txt").touch()
+    with pytest.raises(ValueError, match="a folder of something else"):
+        prepare_package(g, out, space, CONFIG)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine", "s.gsvis.work"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("cells", 0),
+        ("cell_size", -1.0),
+        ("epsilon", 0.0),
+        ("metres_per_unit", -1.0),
+        ("cost_views", replace(FEW, count=0)),
+    ],
+)
+def test_wrong_values_are_named(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: expected"):
+        replace(CONFIG, **{name: value})  # type: ignore[arg-type]
+
+
+def test_two_runs_of_one_package_do_not_meet(rooms: OccluderScene, tmp_path: Path) -> None:
+    out = tmp_path / "s.gsvis"
+
+    def meets(stage: str, done: int, total: int) -> None:
+        with pytest.raises(ValueError, match="that no other process prepares"):
+            prepare(rooms, out)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(rooms, out, progress=meets)
