@@ -22,7 +22,7 @@ _MILLISECONDS = number("MS", float, 0.0, 10_000.0, "milliseconds in [0, 10000]")
 
 @dataclass(frozen=True)
 class Simulate:
-    """Tell what a viewer sees while a package arrives over a recorded link; write a report."""
+    """Tell what a viewer sees while a package arrives over a link; write a report."""
 
     package: Annotated[Positional[tuple[str, ...]], PACKAGES, arg(help_behavior_hint="")]
     """Folders of packages, such as scene.gsvis; several are visited one after the other."""

@@ -206,7 +206,7 @@ def _visited(
 
 
 def _pictures(stage: Any, sessions: Any, path: HeadPath, config: SessionConfig) -> Any:
-    """What was shown now and then, beside the full scene."""
+    """What was shown now and then, beside the full scene; black where there was no image."""
     from gsvis.simulate import show_at
 
     shown = []
@@ -214,11 +214,8 @@ def _pictures(stage: Any, sessions: Any, path: HeadPath, config: SessionConfig) 
         if t < config.seconds:
             full, images = show_at(stage, [session.playback for session in sessions], path, t, config)
             shown.append((t, "", full))
-            shown += [
-                (t, session.playback.name, image)
-                for session, image in zip(sessions, images, strict=True)
-                if image is not None
-            ]
+            for session, image in zip(sessions, images, strict=True):
+                shown.append((t, session.playback.name, np.zeros_like(full) if image is None else image))
     return tuple(shown)
 
 

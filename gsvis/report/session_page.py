@@ -133,7 +133,7 @@ def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
                 continue
             told = "The full scene." if not name else f"{name}: {_quality_at(visit, k - 1, t)}."
             drawn += figure(found, told, escape(told))
-        text += f"<h3>{escape(visit.title)} after {t:g} s</h3><div class='three'>{drawn}</div>"
+        text += f"<h3>{escape(visit.title)} after {t:g} s</h3><div class='pair'>{drawn}</div>"
     return text
 
 

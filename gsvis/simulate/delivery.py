@@ -119,7 +119,8 @@ class Adaptive:
             message, self._greeted = sender.welcome(t), True
         else:
             size, room = max(sender.rate * self.piece, _LEAST), sender.allowance()
-            if room >= 0.5 * size or sender.outstanding == 0:
+            room = max(room, _LEAST) if sender.outstanding == 0 else room  # a link thought dead is asked once more
+            if room >= 0.5 * size:
                 message = sender.next_message(t, min(size, room))
         if message is None:
             return None

@@ -1,0 +1,108 @@
+"""`gsvis simulate` in this process: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.cli import main, parse
+from gsvis.io import save_scene
+from gsvis.io.poses import write_poses
+from gsvis.package import in_package_order, write_package
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import two_rooms
+from tests.package.worlds import colors_of
+from tests.simulate.streets import package_of, walk
+
+Capture = pytest.CaptureFixture[str]
+QUICK = ["--seconds", "1", "--every", "0.5", "--width", "32", "--height", "24", "--mbit", "0.2"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A street and two rooms as packages, a walk, a link."""
+    folder = tmp_path_factory.mktemp("packages")
+    package_of(folder / "street", 400).close()
+    rooms = in_package_order(Levels.single(two_rooms(1500).gaussians))
+    write_package(folder / "rooms.gsvis", rooms, colors_of(len(rooms.union))[1]).close()
+    save_scene(rooms.union, folder / "rooms.ply")
+    write_poses(walk(3.0), folder / "walk.csv")
+    (folder / "link.txt").write_text("0.5 0.1\n1.0 0.4\n")
+    return folder
+
+
+def street(folder: Path) -> str:
+    return str(folder / "street" / "scene.gsvis")
+
+
+def refused(capsys: Capture, *arguments: object) -> str:
+    """The one line on stderr of a refusal; nothing on stdout. No stage is told, however slow the machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.cli.terminal._QUIET", float("inf"))
+        assert main([str(word) for word in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert err.startswith("gsvis: error: ")
+    return err
+
+
+def test_it_writes_a_report_and_prints_tables(
+    folder: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["simulate", street(folder), "--path", str(folder / "walk.csv"), "-o", "report", "--as-is", *QUICK]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "report/report.html" in text.split()
+    assert max(map(len, text.splitlines())) <= 80
+    for told in ("QoE of a step", "whole file", "Morton order", "records sent twice", "0.2 Mbit/s"):
+        assert told in text
+    names = {path.name for path in Path("report").iterdir()}
+    assert {"report.html", "report.json", "qoe.png", "psnr.png", "latency.png", "bandwidth.png", "start.png"} <= names
+
+
+def test_json_is_the_document_and_its_command_makes_it_again(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    words = ["simulate", street(folder), str(folder / "rooms.gsvis"), "--path", str(folder / "walk.csv")]
+    words += ["-o", str(tmp_path), "--trace", str(folder / "link.txt"), "--visits", "3", "--as-is", *QUICK[:-2]]
+    words += ["--policy", "fov-first", "--whole-file", str(folder / "walk.csv"), str(folder / "street")]
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document == json.loads((tmp_path / "report.json").read_text())
+    assert parse(shlex.split(document["command"])[1:]) == parse(words)
+    assert [visit["scene"]["name"] for visit in document["visits"]] == ["scene", "rooms", "scene"]
+    assert [visit["path"]["from_s"] for visit in document["visits"]] == [0.0, 1.0, 2.0]
+    assert document["visits"][0]["systems"][1]["about"]["bytes"] == (folder / "walk.csv").stat().st_size
+    assert document["visits"][2]["systems"][0]["about"]["policy"] == "fov-first"
+    for visit in document["visits"]:
+        assert [system["figures"]["records_twice"] for system in visit["systems"]] == [0, 0, 0]
+
+
+def test_a_path_is_brought_into_the_scene_and_the_scene_can_be_given(
+    folder: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    words = ["simulate", str(folder / "rooms.gsvis"), "--path", str(folder / "walk.csv"), "-o", str(tmp_path)]
+    assert main([*words, "--scene", str(folder / "rooms.ply"), *QUICK, "--json"]) == 0
+    visit = json.loads(capsys.readouterr().out)["visits"][0]
+    assert visit["path"]["inside"] > 0.9
+    assert "unquantised" in visit["compared_with"]
+    assert "SOG as gsvis writes it" in visit["systems"][1]["about"]["measured"]
+    assert np.isfinite(visit["systems"][0]["curves"]["psnr"]).all()
+
+
+def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    begin = ["simulate", street(folder), "--path", folder / "walk.csv", "-o", tmp_path / "report"]
+    assert "no such file" in refused(capsys, *begin, "--trace", folder / "nothing")
+    assert "leave one out" in refused(capsys, *begin, "--trace", folder / "link.txt", "--mbit", "3")
+    assert "one for each package, 1, got 2" in refused(capsys, *begin, "--scene", "a.ply", "b.ply")
+    assert "--whole-file: expected one for each" in refused(capsys, *begin, "--whole-file", "a", "b")
+    assert "manifest" in refused(capsys, "simulate", folder, *begin[2:], "--as-is")
+    (tmp_path / "bad.txt").write_text("1 2 3\n")
+    assert "expected two numbers" in refused(capsys, *begin, "--trace", tmp_path / "bad.txt", "--as-is")
+    (tmp_path / "empty").mkdir()
+    assert "which is empty" in refused(capsys, *begin, "--whole-file", tmp_path / "empty", "--as-is")
+    assert not (tmp_path / "report").exists()

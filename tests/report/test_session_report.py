@@ -1,0 +1,100 @@
+"""The report on simulated sessions: complete, self-contained, the same every time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsvis.abr import BandwidthTrace, SchedulerConfig
+from gsvis.report.session_document import Simulation, Visit, session_document, write_session_report
+from gsvis.simulate import Adaptive, Link, MortonProgressive, WholeFile, play, show_at, watch
+from tests.report.test_color_report import Outline
+from tests.simulate.streets import QUICK, street, walk
+
+AWKWARD = "<b>\"streets\" & 'squares'</b> $title"
+PLOTS = {"qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start"}
+LINK = Link(BandwidthTrace([1.0, 4.0], [0.4, 0.2], name="<a link> & more"))
+
+
+@pytest.fixture(scope="module")
+def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]:
+    scene, stage = street(tmp_path_factory.mktemp("street"))
+    visits = []
+    with scene.package:
+        for k in range(2):
+            deliveries = (
+                Adaptive(scene, QUICK.view, SchedulerConfig(start_rate=5e3)),
+                WholeFile(scene.contents, 100_000),  # never arrives
+                MortonProgressive(scene.contents),
+            )
+            link = LINK.from_time(2.0 * k)
+            played = [play(d, link, walk(), stage.size, seconds=QUICK.watched) for d in deliveries]
+            sessions = tuple(watch(stage, played, walk(), QUICK))
+            full, shown = show_at(stage, played, walk(), 1.0, QUICK)
+            pictures = [(1.0, "", full)]
+            pictures += [(1.0, p.name, image) for p, image in zip(played, shown, strict=True) if image is not None]
+            title = f"{AWKWARD} {k}"
+            visits.append(Visit(title, sessions, stage.compared_with, {"rule": "<kept>"}, {}, tuple(pictures)))
+        yield Simulation(tuple(visits), LINK, "gsvis simulate <x> & y", "0", {"a<b": "<c>"}, {"watching": 1.0})
+
+
+def test_the_folder_is_complete(simulation: Simulation, tmp_path: Path) -> None:
+    (tmp_path / "shown_9_500_0.png").write_bytes(b"of an earlier report")
+    document = write_session_report(tmp_path, simulation)
+    pictures = {f"shown_{v}_1000_{k}" for v in (0, 1) for k in (0, 1, 3)}  # of the whole file there is none
+    assert {path.stem for path in tmp_path.glob("*.png")} == PLOTS | pictures
+    for path in tmp_path.glob("*.png"):
+        Image.open(path).verify()
+    assert document == json.loads((tmp_path / "report.json").read_text())
+
+
+def test_the_document_says_what_was_measured(simulation: Simulation) -> None:
+    document = session_document(simulation)
+    json.dumps(document, allow_nan=False)
+    assert document["format"] == "gsvis-simulation"
+    assert document["link"]["mean_mbit_per_s"] == pytest.approx((0.4 + 3 * 0.2) / 4)
+    assert [len(visit["systems"]) for visit in document["visits"]] == [3, 3]
+    ours, whole, _ = document["visits"][0]["systems"]
+    assert whole["figures"]["seconds_to_first_image"] is None
+    assert whole["figures"]["psnr"] == 0.0
+    assert ours["figures"]["score"] == simulation.visits[0].sessions[0].qoe.score
+    assert ours["about"]["policy"] == "utility"
+
+
+def test_the_page_stands_alone(simulation: Simulation, tmp_path: Path) -> None:
+    write_session_report(tmp_path, simulation)
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    outline = Outline(html)
+    assert outline.open == []
+    assert all(link.startswith("data:image/png;base64,") for link in outline.links)
+    assert all(outline.alternatives)
+    assert not {"script", "link"} & set(outline.tags)
+    assert outline.tags.count("img") == len(PLOTS) + 6
+    text = " ".join(" ".join(outline.words).split())
+    for told in (f"{AWKWARD} 0", "<a link> & more", "whole file", "never", "0 dB", "gsvis simulate <x> & y", "<kept>"):
+        assert told in text
+    assert "$" not in text.replace("$title", "")
+
+
+def test_the_same_sessions_give_the_same_files(simulation: Simulation, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_session_report(tmp_path / name, simulation)
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
+
+
+def test_a_simulation_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at least one visit"):
+        write_session_report(tmp_path, Simulation((), LINK, "", ""))
+
+
+def test_pictures_are_those_of_the_moment(simulation: Simulation) -> None:
+    for visit in simulation.visits:
+        by_name = {name: image for _, name, image in visit.pictures}
+        assert by_name[""].shape == (36, 48, 3)
+        assert not np.array_equal(by_name["gsvis"], by_name[""])
