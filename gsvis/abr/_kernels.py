@@ -378,19 +378,18 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
         view: (eye (3,) float32, planes (F, 5, 4) float32, bodies (4, 64 W)).
         table: (4 L L, 2, 2) int32, what is added to a bucket: by code, geometry or terms, in view or out of view.
         limits: (bytes that suffice, least key).
-        work: (inside (S,) uint64, which receives the Gaussians in view of the words in the plan; free, due, open (S,)
-            uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets, chosen (U,) int32; keys and
-            entries (4 U,) int32; counts (K,) int64, sizes (K,) float64).
+        work: (inside, free, due, open (S,) uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets,
+            chosen (U,) int32; keys and entries (4 U,) int32, bits (4 U,) uint64; counts (K,) int64, sizes (K,) float64).
 
     Returns:
-        The plan, the key up to which it goes, and whether it has all that is left. An entry is a unit times 4, plus 2
-        for terms, plus 1 for what is out of view.
+        The plan, the key up to which it goes, and whether it has all that is left. The plan is entries (P,) int32, the
+        number of a word times 2, plus 1 for terms, and (P,) uint64 of which of its Gaussians.
     """
     slots, masks, areas, pixels, codes = units
     words, places, term_bytes = cell
     eye, planes, bodies = view
     enough, least = limits
-    inside, free, due, open_, sides, squares, gains, buckets, chosen, keys, entries, counts, sizes = work
+    inside, free, due, open_, sides, squares, gains, buckets, chosen, keys, entries, whose, counts, sizes = work
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
     _gather(words, owed, held[0], held[2], free, due, open_)
     sides[:] = 0
@@ -420,7 +419,7 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
                 if key >= limit:
                     whole = False
                     continue
-                keys[filled], entries[filled] = key, 4 * u + 2 * kind + part
+                keys[filled], entries[filled], whose[filled] = key, 2 * s + kind, bits
                 filled += 1
                 counts[key] += 1
                 sizes[key] += np.float64(_ones(bits)) * share
@@ -429,25 +428,23 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
         total += sizes[stop]
         counts[stop], length = length, length + counts[stop]
         stop += 1
-    plan = np.empty(length, np.int32)
+    plan = np.empty(length, np.int32), np.empty(length, np.uint64)
     for k in range(filled):
         key = keys[k]
         if key < stop:
-            plan[counts[key]] = entries[k]
+            plan[0][counts[key]], plan[1][counts[key]] = entries[k], whose[k]
             counts[key] += 1
     return plan, stop, whole and length == filled
 
 
 @njit(**_OPTIONS)
-def take(plan, place, units, cell, held, scene, links, budget, out):
+def take(plan, place, cell, held, scene, links, budget, out):
     """The next records of a plan, as long as they fit; they count as held from then on.
 
     Args:
-        plan: (P,) entries.
+        plan: entries and Gaussians, see `rank`.
         place: where to go on in it.
-        units: (slots, masks, areas, pixels, codes).
-        cell: (words (S,), inside (S,), owed (S,), active terms as words, number of codes of ring 0); of owed, what is
-            paid is cleared.
+        cell: (words (S,), owed (S,), active terms as words); of owed, what is paid is cleared.
         held: (Gaussians, terms, gone) as words; changed.
         scene: (bytes of Gaussians, (1,) where they are alike; term_offsets, term_bytes).
         links: (words of all candidates; `CandidateStore.links`; (E, 2) int32 id and place of the replacement that each
@@ -458,8 +455,8 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     Returns:
         Where to go on, numbers of Gaussians, terms, and dropped Gaussians, and bytes.
     """
-    slots, masks, _, _, codes = units
-    words, inside, owed, active, own = cell
+    entries, whose = plan
+    words, owed, active = cell
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes = scene
     candidates, only, offsets, ranks, ending, starts, ids, waits = links
@@ -467,13 +464,10 @@ def take(plan, place, units, cell, held, scene, links, budget, out):
     out_gaussians, out_terms, out_dropped, queue = out
     found, found_terms, dropped, total = 0, 0, 0, 0.0
     one, ones = np.uint64(1), ~np.uint64(0)
-    while place < len(plan):
-        u, terms, part = plan[place] >> 2, plan[place] & 2 != 0, plan[place] & 1
-        s = np.int64(slots[u])
+    while place < len(entries):
+        s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
         w = np.int64(words[s])
-        rest = masks[u] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
-        if codes[u] < own:
-            rest &= inside[s] if part == INSIDE else ~inside[s]
+        rest = whose[place] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
         while rest:
             low = _lowest(rest)
             rest &= rest - one

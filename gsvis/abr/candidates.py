@@ -214,9 +214,9 @@ class CandidateStore:
         """Room to rank in, one for each thread, which stays what it is when asked for again; see `_kernels.rank`."""
         local = self._scratch
         for name, size, kinds in (
-            ("slots", slots, (np.uint64, np.uint64, np.uint64, np.uint8, np.float32)),
+            ("slots", slots, (*4 * (np.uint64,), np.uint8, np.float32)),
             ("units", units, (np.float32, np.int32, np.int32)),
-            ("entries", 4 * units, (np.int32, np.int32)), ("keys", keys, (np.int64, np.float64)),
+            ("entries", 4 * units, (np.int32, np.int32, np.uint64)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip
             if len(getattr(local, name, ((),))[0]) < size:
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))

@@ -13,13 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr import _kernels as kernels
-from gsvis.abr.candidates import RINGS, Candidates, CandidateStore
+from gsvis.abr.candidates import Candidates, CandidateStore
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.policies import UtilityConfig, table
 
 __all__ = ["Batch", "Planner"]
 
 I32 = NDArray[np.int32]
+
+_NOTHING = np.zeros(0, np.int32), np.zeros(0, np.uint64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +73,8 @@ class Planner:
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self._candidates: Candidates | None = None
         self._eye, self._planes = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
-        self._owed, self._inside = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
-        self._plan, self._place = np.zeros(0, np.int32), 0
+        self._owed = np.zeros(0, np.uint64)
+        self._plan, self._place = _NOTHING, 0
         self._least, self._whole = 0, True
         self._waits = np.empty((len(store.ending), 2), np.int32)
         self._records = store.sizes, index.term_offsets, index.term_bytes
@@ -80,7 +82,7 @@ class Planner:
     @property
     def done(self) -> bool:
         """Whether all that the view asks for has been taken."""
-        return self._whole and self._place == len(self._plan)
+        return self._whole and self._place == len(self._plan[0])
 
     def aim(self, cell: int, eye: ArrayLike, planes: ArrayLike, regime: str = "high") -> None:
         """Turn to a view; the next records are ranked for it.
@@ -98,7 +100,7 @@ class Planner:
         if self._candidates is None or self._candidates.cell != cell:
             self._enter(candidates)
         self._candidates, self._eye, self._planes = candidates, *view
-        self._plan, self._place, self._least, self._whole = np.zeros(0, np.int32), 0, 0, False
+        self._plan, self._place, self._least, self._whole = _NOTHING, 0, 0, False
 
     def take(self, budget: float) -> Batch:
         """The next records, of at most so many bytes; from now on they count as held.
@@ -115,18 +117,18 @@ class Planner:
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._waits), np.int32)
         queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
-        cell = candidates.words, self._inside, self._owed, candidates.active, len(self._table) // RINGS
+        cell = candidates.words, self._owed, candidates.active
         while not self.done:
-            if self._place == len(self._plan):
+            if self._place == len(self._plan[0]):
                 self._rank(candidates, max(self.reach, budget - total))
             rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
             links = candidates.union, *self.store.links, self._waits
             self._place, *found, size = kernels.take(
-                self._plan, self._place, candidates.units, cell, self.holdings.words, self._records, links,
+                self._plan, self._place, cell, self.holdings.words, self._records, links,
                 budget - total, (*rest, queue),
             )  # fmt: skip
             taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
-            if self._place < len(self._plan):
+            if self._place < len(self._plan[0]):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
         return Batch(gaussians, terms, dropped, total)
@@ -134,7 +136,7 @@ class Planner:
     def _enter(self, candidates: Candidates) -> None:
         """Begin with the units of another cell."""
         self._waits[:, 0] = kernels.UNKNOWN
-        self._owed, self._inside = candidates.owing.copy(), np.empty_like(candidates.owing)
+        self._owed = candidates.owing.copy()
         if self.holdings.sent_terms.any():
             kernels.forget_paid(
                 candidates.words, candidates.active, self.holdings.sent_terms, self.store.index.term_offsets, self._owed
@@ -145,6 +147,6 @@ class Planner:
         room = store.room(len(c.words), len(c), self._keys)
         self._plan, self._least, self._whole = kernels.rank(
             c.units, c.runs, (c.words, c.places, c.term_bytes), self._owed, self.holdings.words,
-            (self._eye, self._planes, store.bodies), self._table, (float(enough), self._least), (self._inside, *room),
+            (self._eye, self._planes, store.bodies), self._table, (float(enough), self._least), room,
         )  # fmt: skip
         self._place = 0

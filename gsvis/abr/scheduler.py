@@ -25,6 +25,8 @@ __all__ = ["Scheduler", "SchedulerConfig"]
 
 F64 = NDArray[np.float64]
 
+_REACH = 0.4  # seconds of data that are ranked at a time: most views last no longer
+
 
 @dataclass(frozen=True)
 class SchedulerConfig:
@@ -205,7 +207,7 @@ class Scheduler:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
         planes = np.stack([self.view.planes(pose.position, pose.quat) for pose in poses])
-        self._planner.reach = self.record_rate
+        self._planner.reach = _REACH * self.record_rate
         self._planner.aim(self.cell, now.position, planes, self.regime)
         self._aimed = self.cell, now, then, self.regime
         self.plans += 1
