@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
+import struct
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -22,6 +26,7 @@ __all__ = ["ABORT", "protocols"]
 ABORT = "gsvis.abort"
 
 _MOST_PIECES = 1024  # frames of one message
+_AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
 _MOST_PENDING = 1 << 20  # bytes of answers to pings that nobody reads
 
 
@@ -48,9 +53,18 @@ class _Watch:
         if self._full is not None and now - self._full >= self._stall_s:
             waiting = self._transport.get_write_buffer_size()
             self._log("cut", logging.WARNING, reason="does not read", peer=_peer(self._transport), waiting=waiting)
-            self._transport.abort()
+            _cut(self._transport)
             return
         self._timer = self._loop.call_later(self._stall_s / 4, self._look)
+
+
+def _cut(transport: Any) -> None:
+    """End a connection and forget what waits to be sent, in the kernel, too."""
+    found = transport.get_extra_info("socket")
+    if found is not None:
+        with suppress(OSError):
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+    transport.abort()
 
 
 def _peer(transport: Any) -> str:
@@ -72,7 +86,7 @@ def protocols(limits: Limits, log: EventLog) -> tuple[type[asyncio.Protocol], ty
             peer = _peer(transport)
             if len(self.connections) > 2 * limits.connections:
                 log("cut", logging.WARNING, reason="too many connections", peer=peer)
-                transport.abort()
+                _cut(transport)
                 return
             self._watch = _Watch(self.loop, transport, limits.stall_s, log)
             self._first = self.loop.call_later(limits.handshake_s, self._too_late, peer)
@@ -81,7 +95,7 @@ def protocols(limits: Limits, log: EventLog) -> tuple[type[asyncio.Protocol], ty
             cycle: Any = self.cycle
             if cycle is None:
                 log("cut", logging.INFO, reason="no request in time", peer=peer)
-                self.transport.abort()
+                _cut(self.transport)
 
         def connection_lost(self, exc: Exception | None) -> None:
             self._end()
@@ -136,14 +150,14 @@ def protocols(limits: Limits, log: EventLog) -> tuple[type[asyncio.Protocol], ty
             super().handle_ping()
             if self.transport.get_write_buffer_size() > _MOST_PENDING:
                 log("cut", logging.WARNING, reason="pings and does not read", peer=self._peer)
-                self.transport.abort()
+                _cut(self.transport)
 
         def handle_cont(self, event: Frame) -> None:
             super().handle_cont(event)
             if len(self.frames) > _MOST_PIECES:
                 log("cut", logging.WARNING, reason="a message in too many pieces", peer=self._peer)
                 self.frames = []
-                self.transport.abort()
+                _cut(self.transport)
 
         async def send(self, message: Any) -> None:
             await super().send(message)
@@ -152,7 +166,7 @@ def protocols(limits: Limits, log: EventLog) -> tuple[type[asyncio.Protocol], ty
 
         async def run_asgi(self) -> None:
             scope: Any = self.scope
-            scope["extensions"][ABORT] = self.transport.abort
+            scope["extensions"][ABORT] = partial(_cut, self.transport)
             await super().run_asgi()
 
     return Plain, Socket

@@ -162,7 +162,7 @@ class StreamClient:
             **options,
         ) as socket:  # fmt: skip
             hello = Hello(self.view) if self.receiver is None else self.receiver.hello(self.view)
-            await socket.send(hello.to_bytes())
+            await _say(socket, hello.to_bytes())
             welcome = await _next(socket)
             if self.receiver is None:
                 self.receiver = Receiver(welcome)
@@ -170,7 +170,7 @@ class StreamClient:
                 self.receiver = Receiver(welcome)
                 self.restarts += 1
             self.connections += 1
-            await socket.send(Ack(0).to_bytes())
+            await _say(socket, Ack(0).to_bytes())
             telling = asyncio.create_task(self._tell(socket, pose))
             try:
                 while True:
@@ -179,7 +179,7 @@ class StreamClient:
                     self.nbytes += received.nbytes
                     if on_batch is not None:
                         on_batch(received)
-                    await socket.send(Ack(received.sequence).to_bytes())
+                    await _say(socket, Ack(received.sequence).to_bytes())
             except asyncio.CancelledError:
                 await _leave(socket)
                 raise
@@ -212,6 +212,12 @@ async def _next(socket: ClientConnection) -> bytes:
         fault = ServerFault.parse(data)
         raise ProtocolError(fault.line, fault.code)
     return data
+
+
+async def _say(socket: ClientConnection, data: bytes) -> None:
+    """Send; where the connection has ended, what the server said last is still to be read, and says why."""
+    with suppress(ConnectionClosed):
+        await socket.send(data)
 
 
 async def _leave(socket: ClientConnection) -> None:

@@ -262,7 +262,7 @@ class Connection:
                     if sender.outstanding < before:
                         self._moved = t
                 else:
-                    sender.on_pose(self._pose_clock.at(t, said.time_ms), said.position, said.quat)
+                    sender.on_pose(self._pose_clock.at(t, said.time_ms), self._served.within(said.position), said.quat)
                     self._has_pose = self._fresh = True
             except ValueError as error:
                 raise ProtocolError(f"{type(said).__name__}: {error}") from error

@@ -29,7 +29,7 @@ class Limits:
         stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
             client does not read.
         tick_s: Least seconds between two batches of one client while the link is busy.
-        batch_bytes: Most bytes of one batch.
+        batch_bytes: Most bytes of one batch, about.
     """
 
     connections: int = 100

@@ -5,9 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.errors import GsvisError
 from gsvis.package import Package
@@ -15,6 +19,9 @@ from gsvis.serve._log import EventLog
 from gsvis.stream import StreamedScene
 
 __all__ = ["Scenes", "ServedScene", "open_scenes"]
+
+
+_REACH = 100.0
 
 
 @dataclass(eq=False)
@@ -43,6 +50,17 @@ class ServedScene:
         if self.opened is None:
             raise RuntimeError(f"{self.name} is not open")
         return self.opened
+
+    def within(self, position: ArrayLike) -> NDArray[np.float64]:
+        """A position, moved to the border of what can be computed with: a hundred times the size of the scene."""
+        return np.clip(np.asarray(position, np.float64), *self._bounds)
+
+    @cached_property
+    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        grid = self.scene.index.grid
+        low, high = grid.centres.min(axis=0) - grid.cell_size, grid.centres.max(axis=0) + grid.cell_size
+        reach = _REACH * float((high - low).max())
+        return low - reach, high + reach
 
     def refuse(self, line: str) -> None:
         """Serve it to nobody else from now on."""
