@@ -137,6 +137,7 @@ def prune(
     counts: Sequence[int],
     *,
     share: float = 0.2,
+    looks: int | None = None,
     background: ArrayLike = _BLACK,
     progress: Progress = silent,
 ) -> list[NDArray[np.bool_]]:
@@ -152,7 +153,10 @@ def prune(
         gaussians: N Gaussians.
         views: Cameras, or photographs, of which the cameras alone are used.
         counts: Sizes wanted, falling, each 1 to N.
-        share: Most of what is left that one round takes away, in (0, 1); each round costs a pass over all views.
+        share: Most of what is left that one round takes away, in (0, 1); each round costs a pass over its views.
+        looks: Views of a round, where there are more than it can afford; None for all of them in every round. The
+            rounds then take turns through the views, the first, which decides what is never looked at again, with three
+            times as many; and what a round has found counts on in later ones, half as much in each.
         background: (3,) RGB behind everything.
         progress: Called with stage "prune", in views of all rounds.
 
@@ -160,29 +164,48 @@ def prune(
         A mask (N,) for each count, each a subset of the one before; the same whatever the order of the Gaussians.
 
     Raises:
-        ValueError: If the counts do not fall or `share` is out of range.
+        ValueError: If the counts do not fall, or `share` or `looks` is out of range.
     """
     if not 0.0 < share < 1.0:
         raise ValueError(f"share: expected a value in (0, 1), got {share!r}")
     schedule = _schedule(len(gaussians), counts, share)
     cameras = views.cameras if isinstance(views, PosedImages) else views
-    total, kept = len(schedule) * len(cameras), np.arange(len(gaussians))
+    turns = _turns(len(cameras), len(schedule), looks)
+    total, before, kept = sum(map(len, turns)), 0, np.arange(len(gaussians))
+    values = np.zeros(len(gaussians))
     masks = {}
     progress("prune", 0, total)
-    for number, size in enumerate(schedule):
+    for turn, size in zip(turns, schedule, strict=True):
 
-        def told(stage: str, done: int, of: int, before: int = number * len(cameras)) -> None:
+        def told(stage: str, done: int, of: int, before: int = before) -> None:
             if done:
                 progress("prune", before + done, total)
 
+        before += len(turn)
         if size < len(kept):
             left = gaussians[kept]
             presence = np.full(len(left), size / len(left), np.float32)
-            values = removal_effects(left, cameras, background=background, presence=presence, progress=told).squared
-            kept = kept[most_important(left, values, size)]
+            effects = removal_effects(left, cameras[turn], background=background, presence=presence, progress=told)
+            found = effects.squared / max(effects.pixels, 1)
+            values = found if looks is None else found + 0.5 * values
+            stays = most_important(left, values, size)
+            kept, values = kept[stays], values[stays]
         masks[size] = np.isin(np.arange(len(gaussians)), kept, assume_unique=True)
     progress("prune", total, total)
     return [masks[count].copy() for count in counts]
+
+
+def _turns(cameras: int, rounds: int, looks: int | None) -> list[NDArray[np.int64]]:
+    """Which cameras each round looks from."""
+    if looks is None:
+        return [np.arange(cameras)] * rounds
+    _check.positive_int("looks", looks)
+    order, turns, begin = np.random.default_rng(0).permutation(cameras), [], 0
+    for number in range(rounds):
+        count = min(looks if number else 3 * looks, cameras)
+        turns.append(np.sort(np.take(order, np.arange(begin, begin + count), mode="wrap")))
+        begin += count
+    return turns
 
 
 def _schedule(n: int, counts: Sequence[int], share: float) -> list[int]:

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io.atomic import atomic_path
 from gsvis.progress import Progress, silent
@@ -53,6 +54,7 @@ class LevelsConfig:
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
         most_share: Of all Gaussians of a level, how many may be cloned at a time.
         prune_share: Of what is left, how much one round of the choice of frozen Gaussians takes away.
+        looks: Views of such a round; None for all. See `prune`.
         evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
         seed: Of training.
         backend: Of the rasterizer.
@@ -66,6 +68,7 @@ class LevelsConfig:
     threshold: float = 4e-4
     most_share: float = 0.01
     prune_share: float = 0.2
+    looks: int | None = None
     evaluate_every: int = 500
     seed: int = 0
     backend: str = "auto"
@@ -95,6 +98,8 @@ class LevelsConfig:
             raise ValueError(f"merged: expected a share in [0, 1], got {self.merged!r}")
         if not 0.0 < self.prune_share < 1.0:
             raise ValueError(f"prune_share: expected a share in (0, 1), got {self.prune_share!r}")
+        if self.looks is not None:
+            _check.positive_int("looks", self.looks)
         self.training(2, 1)
 
     def sizes(self, count: int) -> list[tuple[int, int, int]]:
@@ -165,6 +170,7 @@ def train_levels(
     config: LevelsConfig | None = None,
     *,
     held_out: PosedImages | None = None,
+    choose_by: Cameras | None = None,
     work: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> TrainedLevels:
@@ -175,6 +181,8 @@ def train_levels(
         views: What lower levels are to look like: photographs, or `render_views` of the scene.
         config: Sizes and training; the defaults of `LevelsConfig` if None.
         held_out: Views to measure on, never trained on.
+        choose_by: Cameras by which the frozen Gaussians are chosen; None for those of the views, at half their size.
+            What none of them sees well is given up first, so they should be many and lie everywhere.
         work: A folder for unfinished work, to go on from where it is there; it must be of the same scene, views and
             configuration. It stays when all is done.
         progress: Called with stages "prune" and "train NAME".
@@ -189,7 +197,7 @@ def train_levels(
     sizes = config.sizes(len(scene))
     if work is not None:
         Path(work).mkdir(parents=True, exist_ok=True)
-    masks = _subsets(scene, views, sizes, config.prune_share, work, progress)
+    masks = _subsets(scene, views, choose_by, sizes, config, work, progress)
     top = len(sizes)
     first = np.full(len(scene), top, np.uint8)
     owns: list[Gaussians] = []
@@ -227,19 +235,26 @@ def train_levels(
 def _subsets(
     scene: Gaussians,
     views: PosedImages,
+    choose_by: Cameras | None,
     sizes: list[tuple[int, int, int]],
-    share: float,
+    config: LevelsConfig,
     work: str | os.PathLike[str] | None,
     progress: Progress,
 ) -> dict[int, Mask]:
     """Nested masks by their size, from a file of the same run if there is one."""
     counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
-    cameras = _halved(views.cameras)
+    cameras = _halved(views.cameras) if choose_by is None else choose_by
+
+    def chosen() -> list[Mask]:
+        return prune(scene, cameras, counts, share=config.prune_share, looks=config.looks, progress=progress)
+
     if work is None:
-        return dict(zip(counts, prune(scene, cameras, counts, share=share, progress=progress), strict=True))
+        return dict(zip(counts, chosen(), strict=True))
     path = Path(work) / "subsets.npz"
-    digest = hashlib.sha256(json.dumps([scene_hash(scene), counts, share]).encode())
-    for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
+    shape = cameras.width, cameras.height
+    rules = [scene_hash(scene), counts, config.prune_share, config.looks, shape]
+    digest = hashlib.sha256(json.dumps(rules).encode())
+    for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)
     key = digest.hexdigest()
     if path.exists():
@@ -258,7 +273,7 @@ def _subsets(
                 "delete it to begin anew, or name another folder"
             )
         return dict(zip(counts, bits, strict=True))
-    masks = prune(scene, cameras, counts, share=share, progress=progress)
+    masks = chosen()
     with atomic_path(path) as partial, partial.open("wb") as file:
         np.savez(file, key=np.frombuffer(key.encode(), np.uint8), masks=np.packbits(np.stack(masks), axis=1))
     return dict(zip(counts, masks, strict=True))

@@ -118,6 +118,33 @@ def test_pruning_nests_and_takes_one_of_two_twins() -> None:
         np.testing.assert_array_equal(mask, again)
 
 
+def test_pruning_takes_turns_through_its_views() -> None:
+    g, cameras = scene("blobs", n=60), views(20)
+    calls: list[tuple[str, int, int]] = []
+    masks = prune(g, cameras, (40, 20), share=0.3, looks=4, progress=lambda *call: calls.append(call))
+    assert [int(mask.sum()) for mask in masks] == [40, 20]
+    assert not (masks[1] & ~masks[0]).any()
+    assert calls[-1][1:] == (24, 24)  # three rounds more than the first, which has twelve
+    turn = np.random.default_rng(1).permutation(60)
+    for mask, turned in zip(masks, prune(g[turn], cameras, (40, 20), share=0.3, looks=4), strict=True):
+        np.testing.assert_array_equal(mask[turn], turned)
+    once = prune(g, cameras, (40,), share=0.5)[0]
+    np.testing.assert_array_equal(prune(g, cameras, (40,), share=0.5, looks=20)[0], once)  # one round of all
+
+
+def test_what_an_early_round_saw_outlasts_a_later_that_looks_away() -> None:
+    """Two heaps, each seen from its own side alone: rounds that look from one side do not give up the other."""
+    heaps = scene("blobs", n=30)
+    shift = np.array([40.0, 0.0, 0.0])
+    means = np.concatenate([heaps.means - shift, heaps.means + shift])
+    twice = [np.concatenate([getattr(heaps, name)] * 2) for name in ("quats", "scales", "opacities", "sh0", "shN")]
+    g = Gaussians(means, *twice)
+    sides = [Cameras.orbit(side, 3.0, 2, width=40, height=30) for side in (-shift, shift)]
+    cameras = Cameras(*(np.concatenate([getattr(c, name) for c in sides]) for name in ("viewmats", "Ks")), 40, 30)
+    kept = prune(g, cameras, (20,), share=0.45, looks=1)[0]
+    assert min(kept[:30].sum(), kept[30:].sum()) >= 5
+
+
 def test_pruning_refuses() -> None:
     g, cameras = scene("blobs", n=20), views(1)
     assert [m.sum() for m in prune(g, cameras, (20, 20))] == [20, 20]
@@ -128,3 +155,5 @@ def test_pruning_refuses() -> None:
         prune(g, cameras, (0,))
     with pytest.raises(ValueError, match=r"^share: expected a value in \(0, 1\), got 1.0"):
         prune(g, cameras, (5,), share=1.0)
+    with pytest.raises(ValueError, match=r"^looks: expected an integer of at least 1"):
+        prune(g, cameras, (5,), looks=0)

@@ -213,6 +213,17 @@ def test_a_finished_run_is_not_worked_out_again(
     assert again.histories == first.histories or all(np.isnan(r.psnr) for r in again.histories["low"])
 
 
+def test_other_cameras_may_choose(scene: Gaussians, views: PosedImages, brief: Levels, tmp_path: Path) -> None:
+    half = Cameras(views.cameras.viewmats, views.cameras.Ks * np.array([0.5, 0.5, 1.0])[:, None], 12, 10)
+    assert equal(train_levels(scene, views, BRIEF, choose_by=half).levels, brief)
+    below = Cameras.orbit((0, 0, 0), 3.0, 5, elevation=-60.0, width=16, height=12)
+    other = train_levels(scene, views, replace(BRIEF, looks=3), choose_by=below, work=tmp_path).levels
+    assert other.counts == brief.counts
+    assert not np.array_equal(other.first, brief.first)
+    with pytest.raises(ValueError, match=r"work: expected .* got another run's"):
+        train_levels(scene, views, replace(BRIEF, looks=3), work=tmp_path)
+
+
 def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tmp_path: Path) -> None:
     train_levels(scene, views, BRIEF, work=tmp_path)
     others: list[tuple[Gaussians, PosedImages, LevelsConfig]] = [
@@ -290,6 +301,7 @@ def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views:
         ({"merged": 1.5}, "merged: expected a share in"),
         ({"prune_share": 0.0}, "prune_share: expected a share in"),
         ({"prune_share": 1.0}, "prune_share: expected a share in"),
+        ({"looks": 0}, "looks: expected an integer of at least 1"),
         ({"threshold": 0.0}, "threshold: expected a finite number > 0"),
         ({"most_share": 0.0}, "most_share: expected a share in"),
         ({"seed": -1}, "seed: expected"),
