@@ -3,11 +3,11 @@
 Synthetic cells: showroom LOD 3 in the order of a package, levels by opacity times cross-section (18.7% and 34.9%),
 nested; each cell sees the given share of the scene that is nearest to it, in four weight classes at random (so most
 words have four units), and a tenth of three terms for each Gaussian. `--package` measures a prepared scene with the
-visible sets of its cells as well. Cold: candidates of the cell (sets of cells in memory), a new client, its first 100 ms
-at 10 Mbit/s; for a package, also with sets and classes still to be decoded. Along recorded walks, their middle moved to
-the middle cell: every tick of 100 ms with all that belongs to it, from pose to acknowledgement, cells entered included;
-alone, and for 50 clients turn by turn. Thread time, so that what else the machine does counts less. The bare measure:
-one pass over what ranking must read, as a sum in NumPy.
+visible sets of its cells as well. Cold: candidates of the cell (sets of cells in memory), a new client, its first 100
+ms at 10 Mbit/s; for a package, also with sets and classes still to be decoded. Along recorded walks, their middle moved
+to the middle cell: every tick of 100 ms with all that belongs to it, from pose to acknowledgement, cells entered
+included; alone, and for 50 clients turn by turn. Thread time, so that what else the machine does counts less. The bare
+measure: one pass over what ranking must read, as a sum in NumPy.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.abr.candidates import CandidateStore, Candidates
+from gsvis.abr.candidates import Candidates, CandidateStore
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.index import CellMembers, SceneIndex, extents
 from gsvis.abr.policies import POLICIES
@@ -177,7 +177,11 @@ def main() -> None:
         details["decoded_ms"] = start
     for scene_name, index in indices.items():
         walks = walks_of(data, index, args.seconds, 8)
-        details[scene_name] = {"scene": index.as_dict(), "cells": index.grid.as_dict(), "walks": [repr(w) for w in walks]}
+        details[scene_name] = {
+            "scene": index.as_dict(),
+            "cells": index.grid.as_dict(),
+            "walks": [repr(w) for w in walks],
+        }
         for policy in POLICIES:
             ticks(index, policy, walks[0].cut(0.0, 3.0))  # compiles
             first, (along, scheduler) = cold(index, policy, walks[0], args.repeats), ticks(index, policy, walks[0])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gsvis.abr.classes import Classes, FieldOfView, classify
     from gsvis.abr.estimate import Ewma, HarmonicMean, RobustMpc, ThroughputEstimator, estimator
     from gsvis.abr.holdings import Holdings
-    from gsvis.abr.index import CellMembers, CellSets, SceneIndex, streaming_order
+    from gsvis.abr.index import CellMembers, CellSets, SceneIndex
     from gsvis.abr.planner import Batch, Planner
     from gsvis.abr.policies import POLICIES, UtilityConfig
     from gsvis.abr.predict import KalmanPose, LastPose, LinearPose, Pose, PosePredictor, predictor
@@ -65,7 +65,6 @@ __all__ = [
     "paired_difference",
     "predictor",
     "quality_of_experience",
-    "streaming_order",
 ]
 
 _HOMES = {
@@ -74,7 +73,7 @@ _HOMES = {
     "classes": ("Classes", "FieldOfView", "classify"),
     "estimate": ("Ewma", "HarmonicMean", "RobustMpc", "ThroughputEstimator", "estimator"),
     "holdings": ("Holdings",),
-    "index": ("CellMembers", "CellSets", "SceneIndex", "streaming_order"),
+    "index": ("CellMembers", "CellSets", "SceneIndex"),
     "planner": ("Batch", "Planner"),
     "policies": ("POLICIES", "UtilityConfig"),
     "predict": ("KalmanPose", "LastPose", "LinearPose", "Pose", "PosePredictor", "predictor"),

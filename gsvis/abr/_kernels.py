@@ -1,7 +1,8 @@
 """Kernels of planning: sets of 64 Gaussians that travel together, ranked by what they give, and the next that fit.
 
 Sets are packed words (see `gsvis.visibility._kernels_store`). A unit is a word with a mask: members of one weight class
-and one code, (ring L + first level) L + last level. A bucket is a gain rounded to 32 steps for each halving, 0 the largest.
+and one code, (ring L + first level) L + last level. A bucket is a gain rounded to 32 steps for each halving, 0 is the
+largest. Arrays go one by one into what runs often, as numba counts references when it takes them out of tuples.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def add_words(words, seen, fresh):
 
 @njit(**_OPTIONS)
 def ring_units(fresh, every, found):
-    """The units of neighbours: what of those of all Gaussians (`every`) is `fresh`. Found, and gives, as `cell_units`."""
+    """The units of neighbours: of those of all Gaussians (`every`) what is `fresh`. Gives what `cell_units` gives."""
     words, masks, areas, pixels, codes = every
     out_words, out_masks, out_areas, out_pixels, out_codes = found
     filled = 0
@@ -281,7 +282,7 @@ def _touching(words, places, xs, ys, zs, sizes, planes, sides, inside):
 
 @njit(**_OPTIONS)
 def _gather(words, owed, gaussians, gone, free, due, open_):
-    """What is neither held nor gone (`free`), what is owed and not gone (`due`), and either, for the words of a cell."""
+    """What is neither held nor gone (`free`), what is owed and not gone (`due`), and either: for words (S,)."""
     for s in range(len(words)):
         w = words[s]
         free[s], due[s] = ~(gaussians[w] | gone[w]), owed[s] & ~gone[w]
@@ -379,7 +380,8 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
         table: (4 L L, 2, 2) int32, what is added to a bucket: by code, geometry or terms, in view or out of view.
         limits: (bytes that suffice, least key).
         work: (inside, free, due, open (S,) uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets,
-            chosen (U,) int32; keys and entries (4 U,) int32, bits (4 U,) uint64; counts (K,) int64, sizes (K,) float64).
+            chosen (U,) int32; keys and entries (4 U,) int32, bits (4 U,) uint64; counts (K,) int64, sizes (K,)
+            float64): see `CandidateStore.room`.
 
     Returns:
         The plan, the key up to which it goes, and whether it has all that is left. The plan is entries (P,) int32, the

@@ -88,7 +88,10 @@ class Candidates:
     @property
     def nbytes(self) -> int:
         """Bytes in memory."""
-        return sum(array.nbytes for array in (*self.units, *self.runs, self.words, self.places, self.own, self.union, self.active))
+        return sum(
+            array.nbytes
+            for array in (*self.units, *self.runs, self.words, self.places, self.own, self.union, self.active)
+        )
 
 
 class CandidateStore:
@@ -206,8 +209,9 @@ class CandidateStore:
             kernels.active_words(ids, self._owners, active, owing)
         places = np.concatenate([self.spheres[words].T, self.spreads[words][None], self.word_bytes[words][None]])
         return Candidates(
-            cell, words, places, own.words[words], owing[words], slots, masks, areas, pixels, codes, starts, slots[starts[:-1]], seen,
-            active, terms * self.term_size / max(ones(owing), 1), _level_bytes(sums, levels) + terms * self.term_size,
+            cell, words, places, own.words[words], owing[words], slots, masks, areas, pixels, codes, starts,
+            slots[starts[:-1]], seen, active, terms * self.term_size / max(ones(owing), 1),
+            _level_bytes(sums, levels) + terms * self.term_size,
         )  # fmt: skip
 
     def room(self, slots: int, units: int, keys: int) -> tuple[Any, ...]:
@@ -218,14 +222,13 @@ class CandidateStore:
             ("units", units, (np.float32, np.int32, np.int32)),
             ("entries", 4 * units, (np.int32, np.int32, np.uint64)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip
-            if len(getattr(local, name, ((),))[0]) < size:
+            if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
         parts = (local.slots, slots), (local.units, units), (local.entries, 4 * units), (local.keys, keys)
         return tuple(array[:size] for arrays, size in parts for array in arrays)
 
     def _units(self, members: CellMembers, weights: F32) -> tuple[Any, ...]:
         """Units of what one cell sees, ring 0."""
-        index = self.index
         found = _empty(len(members.classes))
         scene = self._strengths, self._pairs, self._mixed
         count = kernels.cell_units((members.words, members.classes), scene, weights, found)

@@ -18,6 +18,7 @@ from gsvis import _check
 from gsvis.abr import _kernels as kernels
 from gsvis.abr.candidates import RINGS, ring_cells
 from gsvis.abr.index import SceneIndex
+from gsvis.abr.predict import finite_vector
 from gsvis.visibility._codec import ids_of
 
 __all__ = ["ADJACENT", "FOV", "NONE", "PERIPHERAL", "Classes", "FieldOfView", "classify"]
@@ -88,8 +89,7 @@ class FieldOfView:
             position: (3,) eye.
             quat: (4,) wxyz, world from camera, any length but 0.
         """
-        eye = _check.floats("position", position, (3,), np.float64)
-        w, x, y, z = _check.floats("quat", quat, (4,), np.float64).tolist()
+        eye, (w, x, y, z) = finite_vector("position", position, 3), finite_vector("quat", quat, 4).tolist()
         if not (length := math.hypot(w, x, y, z)) > 0:
             raise ValueError("quat: expected a rotation, got a zero quaternion")
         w, x, y, z = w / length, x / length, y / length, z / length

@@ -2,7 +2,7 @@
 
 Plain arrays without geometry or colours, so a package can give them from a part of its files. Scene frame and units,
 bytes as they travel. Any order of ids is served right; 64 with consecutive ids are ranked together, so records should
-stand in `streaming_order`. This module knows no file and no client.
+stand in the order of a package (`gsvis.package.order`). This module knows no file and no client.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gsvis.scene.levels import Levels
 from gsvis.visibility._codec import pack, word_count
 from gsvis.visibility.cells import CellGrid
 
-__all__ = ["CellMembers", "CellSets", "SceneIndex", "extents", "nearest_replacements", "streaming_order"]
+__all__ = ["CellMembers", "CellSets", "SceneIndex", "extents", "nearest_replacements"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -271,33 +271,6 @@ def extents(g: Gaussians) -> tuple[F32, F32]:
     most = float(np.finfo(np.float32).max)
     radii, areas = EXTENT * s.max(axis=1, initial=0.0), 2.0 * np.pi * pairs / 3.0
     return np.minimum(radii, most).astype(np.float32), np.minimum(areas, most).astype(np.float32)
-
-
-def streaming_order(levels: Levels, *, block: int = 256) -> I64:
-    """(N,) the order in which records should stand: 64 neighbours in it are alike in levels, place and what they cover.
-
-    By levels, then along a Morton curve in blocks, within a block by opacity times cross-section, largest first.
-
-    Args:
-        levels: The scene.
-        block: Gaussians in a block; a multiple of 64.
-    """
-    if _check.positive_int("block", block) % 64:
-        raise ValueError(f"block: expected a multiple of 64, got {block}")
-    union = levels.union
-    low, high = union.bounds(0.98) if len(union) else (np.zeros(3), np.ones(3))
-    steps = np.clip((union.means - low) / np.maximum(high - low, 1e-12).max(), 0.0, 1.0) * 1023
-    curve = np.zeros(len(union), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            curve |= ((steps[:, axis].astype(np.int64) >> bit) & 1) << (3 * bit + axis)
-    strength = union.opacities.astype(np.float64) * extents(union)[1]
-    group = levels.first.astype(np.int64) * 16 + levels.last
-    order = np.lexsort((np.arange(len(union)), curve, group))
-    grouped = group[order]
-    starts = np.searchsorted(grouped, grouped)
-    blocks = (np.arange(len(union)) - starts) // block
-    return np.asarray(order[np.lexsort((np.arange(len(union)), -strength[order], blocks, grouped))])
 
 
 def nearest_replacements(levels: Levels) -> tuple[I64, I32]:

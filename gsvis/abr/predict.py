@@ -36,8 +36,7 @@ class Pose:
         Raises:
             ValueError: If a shape is wrong, a value is not finite, or the quaternion is 0.
         """
-        place = _check.floats("position", position, (3,), np.float64)
-        turn = _check.floats("quat", quat, (4,), np.float64).tolist()
+        place, turn = finite_vector("position", position, 3), finite_vector("quat", quat, 4).tolist()
         most = max(abs(value) for value in turn)
         if not most > 0:
             raise ValueError("quat: expected a rotation, got a zero quaternion")
@@ -245,6 +244,14 @@ def rotation_vector(quat: F64) -> F64:
 def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     length = math.sqrt(w * w + x * x + y * y + z * z)
     return w / length, x / length, y / length, z / length
+
+
+def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
+    """What `_check.floats` gives for a vector of float64, at once for one that is right already."""
+    right = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,)
+    if right and math.isfinite(sum(np.asarray(value).tolist())):
+        return np.asarray(value)
+    return _check.floats(name, value, (length,), np.float64)
 
 
 def _time(t: float) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis.abr.index import CellMembers, SceneIndex, nearest_replacements, streaming_order
+from gsvis.abr.index import CellMembers, SceneIndex, nearest_replacements
+from gsvis.package.order import in_package_order
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.visibility.cells import CellGrid
@@ -41,10 +42,7 @@ def random_levels(rng: np.random.Generator, count: int, levels: int, *, ordered:
     first[:levels], last[:levels] = np.arange(levels), levels - 1
     names = tuple(f"level {k}" for k in range(levels))
     made = Levels(union, first, last, names)
-    if not ordered:
-        return made
-    order = streaming_order(made, block=64)
-    return Levels(union[order], first[order], last[order], names)
+    return in_package_order(made) if ordered else made
 
 
 def random_index(

@@ -85,6 +85,34 @@ def test_batches_together_are_one_order_whatever_their_sizes(seed, policy, budge
         assert batch.bytes <= budgets[k % len(budgets)]
 
 
+@settings(max_examples=6)
+@given(st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.floats(50, 3e4))
+def test_what_is_beyond_reach_follows_in_the_same_order(seed, policy, regime, reach) -> None:
+    index = scenes.random_index(seed, count=6000, shape=(2, 2, 1), share=0.7)
+    store, view = CandidateStore(index), some_view(index, seed, regime)
+    assert len(store.of(view.cell).run_slots) > 90  # enough for a sample of them
+    whole = taken(aimed(store, view, policy, reach=1e12), [1e12])
+    parts = taken(aimed(store, view, policy, reach=reach), [4000.0])
+    for name in ("gaussians", "terms", "dropped"):
+        assert joined(parts, name) == joined(whole, name)
+
+
+def test_cells_that_see_nothing_have_nothing_to_send() -> None:
+    index = scenes.random_index(8, count=100, share=0.0)
+    planner = aimed(CandidateStore(index), some_view(index, 8), "utility")
+    assert len(planner.take(1e6)) == 0
+    assert planner.done
+
+
+@FEW
+@given(st.integers(0, 10_000), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8))
+def test_the_cell_of_a_position_is_the_one_it_is_in_or_the_nearest(seed, x, y, z) -> None:
+    index, position = scenes.random_index(seed, count=10), np.array([x, y, z])
+    inside = int(index.grid.cell_at(position[None])[0])
+    apart = np.linalg.norm(index.grid.centres - position, axis=1)
+    assert index.cell_of(position) == (inside if inside >= 0 else int(apart.argmin()))
+
+
 @FEW
 @given(st.integers(0, 10_000), st.sampled_from(POLICIES))
 def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, policy) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gsvis.abr.candidates import CandidateStore
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.index import nearest_replacements, streaming_order
+from gsvis.abr.index import nearest_replacements
 from gsvis.abr.policies import POLICIES, REGIMES, lowest_last, offsets, pairs, regime_of
 from gsvis.abr.predict import exponential
 from gsvis.abr.scheduler import Scheduler, SchedulerConfig
@@ -181,13 +181,3 @@ def test_everything_that_ends_early_is_replaced_from_the_level_above(seed: int, 
         assert len(found) or not len(enters)
         assert np.isin(found, enters).all()
     assert (np.diff(starts)[~ending] == 0).all()
-
-
-def test_streaming_order_is_a_permutation_by_levels() -> None:
-    levels = scenes.random_levels(np.random.default_rng(0), 1000, 3, ordered=False)
-    order = streaming_order(levels)
-    assert sorted(order.tolist()) == list(range(1000))
-    group = levels.first[order] * 16 + levels.last[order]
-    assert (np.diff(group.astype(int)) >= 0).all()
-    with pytest.raises(ValueError, match=r"^block"):
-        streaming_order(levels, block=100)
