@@ -137,11 +137,14 @@ class Sender:
         """
         before = self.meter.outstanding
         found = self.meter.on_ack(t, sequence)
-        self.scheduler.on_ack(t, before - self.meter.outstanding, 0.0 if found is None else found[1])
+        self.scheduler.on_ack(t, before - self.meter.outstanding)
+        if found is not None:
+            self.scheduler.on_transfer(*found)
 
     def allowance(self) -> float:
-        """Bytes that may be sent now."""
-        return self.scheduler.allowance()
+        """Bytes that may be sent now, so that the link has work for the window and for a round trip, and no more."""
+        scheduler = self.scheduler
+        return max(0.0, self.rate * (scheduler.config.window + self.meter.round_trip) - scheduler.outstanding)
 
     def next_message(self, t: float, budget: float | None = None) -> Message | None:
         """The next batch.
