@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.abr import BandwidthTrace, SchedulerConfig, load_trace, paired_difference
+from gsvis.abr import BandwidthTrace, SchedulerConfig, UtilityConfig, load_trace, paired_difference
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path
 from gsvis.package import Package
@@ -76,11 +76,16 @@ def main() -> None:
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
     parser.add_argument("--every", type=float, default=0.5, help="seconds between images after the first 3 s")
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--policy", default="utility")
+    parser.add_argument("--policy", default=SchedulerConfig.policy)
+    parser.add_argument("--estimator", default=SchedulerConfig.estimator)
+    parser.add_argument("--peripheral", type=float, default=UtilityConfig.peripheral, help="factor of `utility`")
+    parser.add_argument("--adjacent", type=float, default=UtilityConfig.adjacent, help="factor of `utility`")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="folder where finished walks are kept: a killed run goes on")
     options = parser.parse_args()
     config = SessionConfig(seconds=options.seconds, every=options.every)
+    utility = UtilityConfig(peripheral=options.peripheral, adjacent=options.adjacent)
+    scheduling = SchedulerConfig(policy=options.policy, estimator=options.estimator, utility=utility)
     named = [word.partition("=")[::2] for word in options.packages]
     links = recorded_links(options.links)
     begun = time.perf_counter()
@@ -88,7 +93,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
         for w in range(options.walks):
             for k, (name, package) in enumerate(named):
-                job = pool.submit(walked, name, package, w, k, options.links, config, options.policy, options.cache)
+                job = pool.submit(walked, name, package, w, k, options.links, config, scheduling, options.cache)
                 jobs[job] = name, w
         rows: list[dict[str, Any]] = []
         for job in as_completed(jobs):
@@ -97,7 +102,8 @@ def main() -> None:
             print(f"{name}, {WALKS[w]}: {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
     rows.sort(key=lambda row: (row["scene"], row["walk"], row["link"], row["system"]))
     details = {
-        "config": asdict(config), "policy": options.policy, "round_trip": ROUND_TRIP, "walks": WALKS[: options.walks],
+        "config": asdict(config), "scheduler": asdict(scheduling), "round_trip": ROUND_TRIP,
+        "walks": WALKS[: options.walks],
         "links": [{"name": link.trace.name, "mean_mbit_per_s": link.trace.bytes_between(0, 60) / 60 / 125e3}
                   for link in links],
         "scenes": {name: about(package) for name, package in named},
@@ -153,10 +159,26 @@ def brought(name: str, g: Gaussians, walk: int, start: float, seconds: float) ->
 
 
 def walked(
-    name: str, package: str, walk: int, visit: int, count: int, config: SessionConfig, policy: str, cache: Path | None
+    name: str,
+    package: str,
+    walk: int,
+    visit: int,
+    count: int,
+    config: SessionConfig,
+    scheduling: SchedulerConfig,
+    cache: Path | None,
 ) -> list[dict[str, Any]]:
     """One walk through one scene, over all links, by all systems."""
-    said = [name, Package.open(package).manifest.scene, WALKS[walk], visit, count, asdict(config), policy, SEED]
+    said = [
+        name,
+        Package.open(package).manifest.scene,
+        WALKS[walk],
+        visit,
+        count,
+        asdict(config),
+        asdict(scheduling),
+        SEED,
+    ]
     key = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
     kept = None if cache is None else cache / f"{name}-{walk}-{key}.json"
     if kept is not None and kept.exists():
@@ -178,7 +200,7 @@ def walked(
         for link in recorded_links(count):
             later = link.from_time(visit * config.seconds)
             deliveries = (
-                Adaptive(scene, config.view, SchedulerConfig(policy=policy), name=OURS),
+                Adaptive(scene, config.view, scheduling, name=OURS),
                 WholeFile(contents, file_size, "streamed SOG of this level of detail"),
                 MortonProgressive(contents, *sizes),
             )
