@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.abr import _kernels as kernels
+from gsvis.abr._kernels_plan import SEVERAL
 from gsvis.abr.index import CellMembers, SceneIndex
 from gsvis.visibility._codec import word_count
 from gsvis.visibility._kernels_store import count as ones
@@ -139,7 +140,7 @@ class CandidateStore:
         offsets, owners = index.replaced
         numbers = np.searchsorted(self.ending, owners).astype(np.int32)
         starts = np.append(index.replacement_offsets[self.ending], len(index.replacement_ids))
-        only = np.full(len(index), kernels.SEVERAL, np.int32)
+        only = np.full(len(index), SEVERAL, np.int32)
         counts = np.diff(offsets)
         only[counts == 0], only[counts == 1] = -1, numbers[offsets[:-1][counts == 1]]
         self.links = only, offsets, numbers, self.ending, starts, index.replacement_ids
@@ -215,7 +216,7 @@ class CandidateStore:
         )  # fmt: skip
 
     def room(self, slots: int, units: int, keys: int) -> tuple[Any, ...]:
-        """Room to rank in, one for each thread, which stays what it is when asked for again; see `_kernels.rank`."""
+        """Room to rank in, one for each thread, the same when asked for again; see `_kernels_plan.rank`."""
         local = self._scratch
         for name, size, kinds in (
             ("slots", slots, (*4 * (np.uint64,), np.uint8, np.float32)),

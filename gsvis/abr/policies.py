@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.abr import _kernels as kernels
+from gsvis.abr._kernels_plan import NEVER
 from gsvis.abr.candidates import RINGS
 
 __all__ = ["GROUPS", "POLICIES", "REGIMES", "UtilityConfig", "lowest_last", "offsets", "pairs", "regime_of"]
@@ -158,7 +159,7 @@ def table(
     What is not sent, terms of what neighbours see and Gaussians that end below `lowest_last`, has a key that is none.
     """
     found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
-    out = np.full((RINGS, levels, levels, 2, 2), kernels.NEVER, np.int32)
+    out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
     for last in range(least, levels):
         out[0, :, last] = found[:2].transpose(1, 2, 0)
         out[1:, :, last, kernels.GEOMETRY] = found[2:, :, kernels.GEOMETRY, None]

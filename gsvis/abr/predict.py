@@ -251,7 +251,7 @@ def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
     right = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,)
     if right and math.isfinite(sum(np.asarray(value).tolist())):
         return np.asarray(value)
-    return _check.floats(name, value, (length,), np.float64)
+    return np.asarray(_check.floats(name, value, (length,), np.float64))
 
 
 def _time(t: float) -> float:
