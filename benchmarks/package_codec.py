@@ -3,7 +3,8 @@
 One scene a run, as one level, its colours without view dependence, or the SRBF colours that `gsvis color` wrote
 (`--colors FILE`). Cameras: drawn from seed 3 in navigable space, 480 x 360. Bytes: parts as they lie on disk, rows of
 chunks included. Time: 50,000 Gaussians spread over all chunks, from the bytes of a batch (planes under zstd) to the
-arrays that a rasteriser takes; against that, the bare decompression of the same bytes.
+arrays that a rasteriser takes; against that, the bare decompression of the same bytes. Beside it the same scene as SPZ
+and SOG, without and with its SH colours, and all bytes of a package that `gsvis prepare` made of it (`--package DIR`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from gsvis.io import load_scene, save_scene
 from gsvis.package import (
     RECORD_BYTES,
     Contents,
+    Package,
     PackageOrder,
     base_rgb,
     decode_records,
@@ -36,12 +38,19 @@ from gsvis.scene.sh import SH_C0
 
 SCENES = {"showroom": ("showroom", 3, "+z"), "nika": ("nika_sh3", 0, "-y"), "nika-small": ("nika_sh3", 2, "-y")}
 BATCH = 50_000
+TOLD = {
+    "spz_base": "SPZ, base colours alone",
+    "sog_base": "SOG, base colours alone",
+    "spz_sh": "SPZ with SH",
+    "sog_sh": "SOG with SH",
+}
 
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--scene", choices=tuple(SCENES), default="showroom")
     parser.add_argument("--colors", type=Path, help="what gsvis color wrote with --precision exact for that scene")
+    parser.add_argument("--package", type=Path, help="what gsvis prepare wrote of that scene")
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--variant", choices=("rgb", "hsl"), default="rgb", help="layout, where there are no --colors")
     options = parser.parse_args()
@@ -68,8 +77,12 @@ def main() -> None:
             geometry = sum(block.gaussians.nbytes for block in m.blocks) / len(package)
             tables = sum(part.nbytes for part, _ in m.tables) / len(package)
             terms = sum(part.nbytes for block in m.blocks for part, _ in block.terms) / len(package)
-        save_scene(levels.union, Path(place) / "s.spz")
-        spz = (Path(place) / "s.spz").stat().st_size / len(g)
+        others = {}
+        flat = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
+        for suffix in ("spz", "sog"):
+            for told, scene in (("base", flat), *((("sh", g),) if g.sh_degree else ())):
+                save_scene(scene, Path(place) / f"s.{suffix}")
+                others[f"{suffix}_{told}"] = (Path(place) / f"s.{suffix}").stat().st_size
     ids = np.random.default_rng(0).choice(len(g), min(BATCH, len(g)), replace=False)
     chunks, rows = np.unique(contents.chunks[ids], return_inverse=True)
     table, rows = contents.table[chunks], rows.astype(np.int32)
@@ -91,6 +104,11 @@ def main() -> None:
             found.append(1e3 * (time.process_time() - start))
         return min(found)
 
+    whole = None if options.package is None else sizes_of(options.package)
+    rivals = {told: others[name] for name, told in TOLD.items() if name in others}
+    if whole is not None:
+        rivals["package with levels, terms, visible sets"] = whole["all"]
+        rivals["records, rows of chunks and terms of that"] = whole["records"] + whole["chunks"] + whole["terms"]
     timings = measure_in_turn({"ready": ready, "decompressed": decompressed}, repeats=15, warmup=3)
     name = f"{options.scene}, {colors.variant}"
     write_result(
@@ -105,16 +123,34 @@ def main() -> None:
              "reached": cost.psnr, "unit": "dB", "better": "higher"},
             {"name": f"the worst of them, {name}", "target": None, "reached": cost.worst, "unit": "dB",
              "better": "higher"},
+            *({"name": f"{told}, {options.scene}", "target": None, "reached": size / len(g),
+               "unit": "bytes a Gaussian of the scene", "better": "lower"} for told, size in rivals.items()),
             {"name": f"{len(ids):,} Gaussians ready to draw, {name}", "target": 50.0,
              "reached": 1e3 * timings["ready"].median, "unit": "ms", "better": "lower"},
         ],
         {
             "gaussians": len(g), "chunks": len(contents.table), "geometry_bytes": geometry, "table_bytes": tables,
-            "term_bytes": terms, "spz_bytes_with_its_sh": spz, "sh_degree": g.sh_degree, "terms": packed.num_terms,
+            "term_bytes": terms, "files": others, "package": whole, "sh_degree": g.sh_degree, "terms": packed.num_terms,
             "batch_bytes": len(planes), "ready_cpu_ms": cpu_ms(),
             "decompress_ms": 1e3 * timings["decompressed"].median, **timings,
         },
     )  # fmt: skip
+
+
+def sizes_of(folder: Path) -> dict[str, int]:
+    """Bytes of a package by what they hold."""
+    with Package.open(folder) as package:
+        m = package.manifest
+        sizes = {
+            "records": sum(block.gaussians.nbytes for block in m.blocks),
+            "chunks": sum(part.nbytes for part, _ in m.tables),
+            "terms": sum(part.nbytes for block in m.blocks for part, _ in block.terms),
+            "visible_sets": 0 if m.visibility is None else m.visibility.nbytes,
+            "active_terms": 0 if m.active_terms is None else m.active_terms.nbytes,
+            "manifest": len(m.to_json()),
+        }
+        counts = {"gaussians": m.gaussians, "terms_counted": m.terms, "levels": len(m.names)}
+    return {**sizes, "all": sum(sizes.values()), **counts}
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
     ]
     show(
         facts(f"{source.name}: package", rows),
-        facts("", stages, ("stage", "", "time")),
+        facts("", stages),
         *(f" {remark}" for remark in prepared.remarks),
     )
 
@@ -113,7 +113,7 @@ def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estim
         rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
     show(
         facts(f"{source.name}: what it would cost", rows),
-        facts("", stages, ("stage", "", "about", "time")),
+        facts("", stages),
         " Nothing was written.",
     )
 

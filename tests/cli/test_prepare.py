@@ -10,12 +10,14 @@ import pytest
 from gsvis.cli import main
 from gsvis.io.levels import load_levels
 from gsvis.package import Package
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 
 Capture = pytest.CaptureFixture[str]
-WALL = "builtin:wall_with_hole"  # the smallest
+SCENE = "builtin:wall_with_hole"
 TINY = ["--cells", "2", "--face-size", "16", "--max-viewpoints", "1", "--workers", "1"]
 QUICK = [*TINY, "--max-terms", "0", "--steps", "2", "--views", "2", "--size", "24x20"]
-BOX = ["--box", "-1", "-4", "1", "1", "-1", "2"]
+BOX = ["--box", "1", "1", "1", "7", "3", "2"]
 FLAT = ["--levels", "none", "--max-terms", "0"]
 
 
@@ -26,6 +28,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     from gsvis.prepare import PrepareConfig
 
+    made = replace(two_rooms(1000, sh_degree=1), navigable=NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12))
+    monkeypatch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
     for name in ("warm_sets", "warm_levels", "warm_colors"):
         monkeypatch.setattr(f"gsvis.cli.prepare.{name}", lambda config, status: None)
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
@@ -55,7 +59,7 @@ def refused(capsys: Capture, *words: object) -> str:
 
 def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys: Capture) -> None:
     target = tmp_path / "new" / "s.gsvis"
-    text, _ = run(capsys, WALL, "-o", target, *QUICK, "--metres-per-unit", "0.5")
+    text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--metres-per-unit", "0.5")
     assert max(map(len, text.splitlines())) <= 80
     for told in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 metres", "s.gsvis.work", "made"):
         assert told in text
@@ -63,11 +67,11 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
         assert package.manifest.names == ("low", "medium", "high")
         assert package.verify().cells == 2
         about = package.manifest.info.provenance
-    assert (about["scene"], about["config"]["levels"]["iterations"]) == (WALL, 2)
+    assert (about["scene"], about["config"]["levels"]["iterations"]) == (SCENE, 2)
     assert str(tmp_path) not in json.dumps(about)
     assert main(["verify", str(target)]) == 0
     assert "0.5" in capsys.readouterr().out
-    again, _ = run(capsys, WALL, "-o", target, *QUICK, "--metres-per-unit", "0.5")
+    again, _ = run(capsys, SCENE, "-o", target, *QUICK, "--metres-per-unit", "0.5")
     assert again.count("there already") == 6
     assert main(["unpack", str(target), "-o", str(tmp_path / "levels"), "--json"]) == 0
     out = tmp_path / "again.gsvis"
@@ -82,7 +86,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
 
 def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: Capture) -> None:
     target = tmp_path / "s.gsvis"
-    words = [WALL, "-o", target, *TINY, *FLAT, "--epsilon", "0.1"]
+    words = [SCENE, "-o", target, *TINY, *FLAT, "--epsilon", "0.1"]
     asked = json.loads(run(capsys, *words, "--json", "--dry-run")[0])
     assert list(tmp_path.iterdir()) == []
     assert (asked["format"], asked["version"]) == ("gsvis-preparation-estimate", 1)
@@ -107,28 +111,28 @@ def test_it_says_what_is_kept_when_it_is_stopped(
 
     with monkeypatch.context() as patched:
         patched.setattr("gsvis.prepare.stages.measure_cost", stop)
-        _, err = run(capsys, WALL, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, code=130)
+        _, err = run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, code=130)
     assert "kept in s.gsvis.work; the same command goes on there" in err
-    found = json.loads(run(capsys, WALL, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])
+    found = json.loads(run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])
     assert [stage["name"] for stage in found["stages"] if not stage["reused"]] == ["cost", "package"]
 
 
 def test_wrong_arguments_are_refused_at_once(tmp_path: Path, capsys: Capture) -> None:
     target = tmp_path / "s.gsvis"
-    words = [WALL, "-o", target]
+    words = [SCENE, "-o", target]
     assert "--levels: expected each below the next" in refused(capsys, *words, "--levels", "0.5", "0.2")
     assert "expected shares in (0, 1]" in refused(capsys, *words, "--levels", "2")
-    assert "larger shares" in refused(capsys, *words, "--levels", "0.00005", *TINY)
+    assert "larger shares" in refused(capsys, *words, "--levels", "0.001", *TINY)
     assert "--steps: expected none with --levels none" in refused(capsys, *words, "--levels", "none", "--steps", "7")
     assert "no such file" in refused(capsys, tmp_path / "none.ply", "-o", target)
     assert "no such file" in refused(capsys, *words, "--photos", tmp_path / "none")
     assert "--up: expected one of" in refused(capsys, *words, "--up", "q")
     assert "--views: expected none with --photos" in refused(capsys, *words, "--photos", tmp_path, "--views", "3")
     (tmp_path / "file").write_text("mine")
-    assert "expected a folder" in refused(capsys, WALL, "-o", tmp_path / "file")
+    assert "expected a folder" in refused(capsys, SCENE, "-o", tmp_path / "file")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").touch()
-    assert "thesis.txt" in refused(capsys, WALL, "-o", tmp_path / "other")
+    assert "thesis.txt" in refused(capsys, SCENE, "-o", tmp_path / "other")
     (tmp_path / "s.gsvis.work").write_text("mine")
     assert "s.gsvis.work" in refused(capsys, *words)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other", "s.gsvis.work"]
