@@ -83,7 +83,8 @@ def _lead(document: dict[str, Any]) -> str:
     first = visits[0]["systems"]
     others = " and ".join(escape(s["system"]) for s in first[1:])
     versus = f", beside {others}" if others else ""
-    many = f" for {config['seconds']:g} s" if len(visits) == 1 else f", {len(visits)} scenes of {config['seconds']:g} s"
+    seconds = f"{config['seconds']:g} s"
+    many = f" for {seconds}," if len(visits) == 1 else f" through {len(visits)} scenes, {seconds} in each,"
     return (
         f"<p class='lead'>A viewer walks along a recorded path{many} while {escape(first[0]['system'])} sends the scene"
         f" over a recorded link of {link['mean_mbit_per_s']:.1f} Mbit/s on average{versus}. What each client holds is"

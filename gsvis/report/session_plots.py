@@ -175,9 +175,8 @@ def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:
         at = k * visits[0][0].config.seconds
         axes.axvline(at, color=theme.ink, linewidth=1.0, dashes=(2, 2))
         axes.annotate(
-            "a new scene", (at, 1.0), xycoords=("data", "axes fraction"), xytext=(4, -2), textcoords="offset points",
-            ha="left", va="top", fontsize=9, color=theme.muted,
-            bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
+            "a new scene", (at, 1.0), xycoords=("data", "axes fraction"), xytext=(3, 1), textcoords="offset points",
+            ha="left", va="bottom", fontsize=9, color=theme.muted,
         )  # fmt: skip
 
 
