@@ -23,7 +23,7 @@ from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
     from gsvis.report.session_document import Visit
-    from gsvis.simulate import Link, SessionConfig
+    from gsvis.simulate import Delivery, Link, SessionConfig
     from gsvis.stream import StreamedScene
 
 __all__ = ["run_simulate"]
@@ -187,7 +187,7 @@ def _visited(
 
     contents = place.scene.contents
     stage = Stage(contents, place.reference)
-    deliveries = (
+    deliveries: tuple[Delivery, ...] = (
         Adaptive(place.scene, config.view, SchedulerConfig(policy=command.policy)),
         WholeFile(contents, *place.whole_file),
         MortonProgressive(contents),
