@@ -141,14 +141,7 @@ def sizes_of(folder: Path) -> dict[str, int]:
     """Bytes of a package by what they hold."""
     with Package.open(folder) as package:
         m = package.manifest
-        sizes = {
-            "records": sum(block.gaussians.nbytes for block in m.blocks),
-            "chunks": sum(part.nbytes for part, _ in m.tables),
-            "terms": sum(part.nbytes for block in m.blocks for part, _ in block.terms),
-            "visible_sets": 0 if m.visibility is None else m.visibility.nbytes,
-            "active_terms": 0 if m.active_terms is None else m.active_terms.nbytes,
-            "manifest": len(m.to_json()),
-        }
+        sizes = {**m.sizes(), "manifest": len(m.to_json())}
         counts = {"gaussians": m.gaussians, "terms_counted": m.terms, "levels": len(m.names)}
     return {**sizes, "all": sum(sizes.values()), **counts}
 

@@ -11,7 +11,7 @@ from gsvis.cli.source import check_folder
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.package import Manifest, Package, unpack_package
 
-__all__ = ["run_unpack", "run_verify"]
+__all__ = ["run_unpack", "run_verify", "sizes_told"]
 
 
 def run_verify(command: Verify) -> None:
@@ -43,6 +43,7 @@ def run_verify(command: Verify) -> None:
         ("terms", f"{found.terms:,}, variant {manifest.grids.variant}"),
         ("cells", f"{found.cells:,}" if found.cells else "no visible sets"),
         ("parts", f"{found.parts:,}, {size_of(found.nbytes)}"),
+        *sizes_told(manifest),
         ("up", ", ".join(f"{v:g}" for v in manifest.info.up)),
         ("metres per unit", f"{metres:g}" if metres else "not known"),
         ("cost of rounding", f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}" if cost else "not measured"),
@@ -83,11 +84,23 @@ def run_unpack(command: Unpack) -> None:
     )
 
 
+def sizes_told(manifest: Manifest) -> list[tuple[str, str]]:
+    """Rows that tell where the bytes of a package are."""
+    sizes, n = manifest.sizes(), max(1, manifest.gaussians)
+    records = sizes["records"] + sizes["chunks"]
+    rows = [("  records", f"{size_of(records)}, {records / n:.1f} bytes a Gaussian")]
+    for name, told in (("terms", "terms"), ("visibility", "visible sets"), ("active_terms", "active terms")):
+        if sizes[name]:
+            rows.append((f"  {told}", size_of(sizes[name])))
+    return rows
+
+
 def _facts(manifest: Manifest) -> dict[str, Any]:
     info = manifest.info
     return {
         "levels": [{"name": n, "gaussians": c} for n, c in zip(manifest.names, manifest.counts, strict=True)],
         "variant": manifest.grids.variant,
+        "sizes": manifest.sizes(),
         "up": list(info.up),
         "metres_per_unit": info.metres_per_unit,
         "cost": None if info.cost is None else asdict(info.cost),

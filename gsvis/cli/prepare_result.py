@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Prepare
+from gsvis.cli.package import sizes_told
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
 from gsvis.scene.navigable import NavigableSpace
@@ -47,6 +48,7 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
                 "cost": None if cost is None else asdict(cost),
                 "parts": prepared.parts,
                 "parts_kept": prepared.parts_kept,
+                "sizes": m.sizes(),
                 "bytes": prepared.nbytes,
                 "bytes_kept": prepared.nbytes_kept,
                 "stages": [asdict(stage) for stage in prepared.stages],
@@ -69,6 +71,7 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
         told = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
         rows.append(("cost of rounding", told))
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
+    rows += sizes_told(m)
     if prepared.parts_kept:
         rows.append(("as before", f"{prepared.parts_kept:,} of the parts, {size_of(prepared.nbytes_kept)}"))
     if not command.discard:

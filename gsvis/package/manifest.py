@@ -158,6 +158,16 @@ class Manifest:
             if blob is not None:
                 yield from blob.parts
 
+    def sizes(self) -> dict[str, int]:
+        """Bytes of the parts by what they hold: "records", "chunks", "terms", "visibility" and "active_terms"."""
+        return {
+            "records": sum(block.gaussians.nbytes for block in self.blocks),
+            "chunks": sum(part.nbytes for part, _ in self.tables),
+            "terms": sum(part.nbytes for block in self.blocks for part, _ in block.terms),
+            "visibility": 0 if self.visibility is None else self.visibility.nbytes,
+            "active_terms": 0 if self.active_terms is None else self.active_terms.nbytes,
+        }
+
     def to_json(self) -> bytes:
         """The file; the same manifest gives the same bytes."""
         layout = RecordLayout.of(self.grids.variant)

@@ -23,11 +23,13 @@ def test_verify_tells_what_a_package_is(package: Path, capsys: pytest.CaptureFix
     assert main(["verify", str(package)]) == 0
     told = capsys.readouterr().out
     assert "Every part is whole." in told
+    assert "bytes a Gaussian" in told
     assert "low " in told
     (package / "parts" / "stray.arrow").write_bytes(b"")
     assert main(["verify", str(package), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["gaussians"], found["strays"], found["cost"]) == (120, 1, None)
+    assert sum(found["sizes"].values()) == sum(p.stat().st_size for p in (package / "parts").iterdir())
     assert [level["name"] for level in found["levels"]] == list(NAMES)
 
 
