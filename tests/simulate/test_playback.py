@@ -109,6 +109,13 @@ def test_the_same_session_gives_the_same_arrivals(scene: StreamedScene) -> None:
     assert np.array_equal(first.times, second.times)
 
 
+def test_a_link_that_stalls_is_used_again(scene: StreamedScene) -> None:
+    stalled = Link(BandwidthTrace([0.5, 5.5, 10.0], [0.03, 0.0, 0.03]), 0.04)
+    p = play(adaptive(scene), stalled, walk(), size_of(scene), seconds=8.0)
+    assert p.bytes_at(8.0) - p.bytes_at(5.5) > 0.5 * 2.5 * 3750.0
+    assert p.twice == 0
+
+
 def test_a_faster_link_has_everything_sooner(scene: StreamedScene) -> None:
     slow, fast = (play(MortonProgressive(scene.contents), link, walk(), size_of(scene)) for link in (SLOW, FAST))
     assert np.all(fast.gaussian_at <= slow.gaussian_at)
@@ -118,3 +125,8 @@ def test_a_faster_link_has_everything_sooner(scene: StreamedScene) -> None:
 def test_times_out_of_range_are_refused(scene: StreamedScene, seconds: float, tick: float) -> None:
     with pytest.raises(ValueError, match="expected seconds > 0"):
         play(adaptive(scene), FAST, walk(), size_of(scene), seconds=seconds, tick=tick)
+
+
+def test_messages_of_no_duration_are_refused(scene: StreamedScene) -> None:
+    with pytest.raises(ValueError, match="piece: expected seconds > 0"):
+        Adaptive(scene, QUICK.view, piece=0.0)
