@@ -1,4 +1,4 @@
-"""Walks over bad links: whatever is lost and however often a client comes back, nothing is sent twice, nothing missed."""
+"""Walks over bad links: whatever is lost, however often a client comes back, nothing comes twice and nothing is missed."""
 
 from __future__ import annotations
 
