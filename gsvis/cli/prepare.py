@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -40,6 +39,7 @@ def run_prepare(command: Prepare) -> None:
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
     from gsvis.prepare import estimate_preparation, prepare_package
+    from gsvis.prepare.work import WorkFolder
 
     config = _checked(command)
     workers = local_workers(command.workers, command.max_memory)
@@ -52,6 +52,9 @@ def run_prepare(command: Prepare) -> None:
         status("space", 0, 1)
         space = free_space(source, command.box, command.up)
         status("space", 1, 1)
+        work = WorkFolder(command.out).path
+        if work.exists():
+            status.line(f"what {work.name} keeps is taken from there, as far as it fits")
         about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}
         try:
             if command.dry_run:
@@ -71,8 +74,9 @@ def run_prepare(command: Prepare) -> None:
         except KeyboardInterrupt:
             if command.dry_run:
                 raise
-            kept = f"{Path(os.path.abspath(command.out)).name}.work"
-            raise KeyboardInterrupt(f"what was finished is kept in {kept}; the same command goes on there") from None
+            raise KeyboardInterrupt(
+                f"what was finished is kept in {work.name}; the same command goes on there"
+            ) from None
         if not command.dry_run and command.discard:
             shutil.rmtree(prepared.work, ignore_errors=True)
     if command.dry_run:

@@ -44,6 +44,7 @@ _SAID = {
     "prune": "choosing what stays",
     "train": "training",
     "measure": "measuring",
+    "order": "putting the scene in order",
     "cost": "measuring what rounding costs",
     "package": "writing the package",
 }

@@ -87,8 +87,8 @@ def prepare_package(
         photos: Photographs with their cameras, to train levels on; None draws the scene.
         about: Anything that JSON can say, to be kept in the package.
         workers: Who looks for visible sets; None means this process.
-        progress: Called with the stages "views" or "photos", "prune", "train NAME", "measure", "cells", "store",
-            "importance", "price", "fit", "terms", "cost" and "package".
+        progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
+            "cells", "store", "importance", "price", "fit", "terms", "cost" and "package".
 
     Returns:
         What the package holds and what had to be done for it.

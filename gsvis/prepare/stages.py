@@ -108,10 +108,12 @@ class Stages:
 
     def kept_levels(self) -> Levels | None:
         """The levels, in the order of a package, if nothing has to be trained for them."""
-        if isinstance(self.scene, Levels):
-            return in_package_order(self.scene)
-        if self.config.levels is None:
-            return in_package_order(Levels.single(self.scene))
+        if isinstance(self.scene, Levels) or self.config.levels is None:
+            self.progress("order", 0, 1)
+            given = self.scene if isinstance(self.scene, Levels) else Levels.single(self.scene)
+            found = in_package_order(given)
+            self.progress("order", 1, 1)
+            return found
         folder = self.work.at(self.levels_name)
         try:
             return load_levels(folder) if (folder / MAP).exists() else None
