@@ -142,6 +142,16 @@ def test_a_server_of_the_record_says_the_same_bytes(vector: dict[str, Any], tmp_
                 assert message.data == data
 
 
+def test_the_page_shows_the_bytes_around_the_rows(vector: dict[str, Any]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "streaming.md").read_text(encoding="utf-8")
+    (data, *_) = (bytes.fromhex(step["bytes"]) for step in vector["steps"] if "gaussians" in step)
+    told = page.split("```")[1].split("\n160  ")[0]
+    for name, place in (("body", 48), ("rows", 136)):
+        told = told.replace(f"[{name}, i64]", data[place : place + 8].hex())
+    lines = [line.partition(" ")[2].replace(" ", "") for line in told.strip().splitlines()]
+    assert "".join(lines) == data[8:168].hex()
+
+
 if __name__ == "__main__":
     if sys.argv[1:] != ["--write"]:
         raise SystemExit("python tests/stream/test_vector.py --write")

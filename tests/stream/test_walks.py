@@ -1,4 +1,4 @@
-"""Walks over bad links: whatever is lost, however often a client comes back, nothing comes twice and nothing is missed."""
+"""Walks over bad links: whatever is lost, however often a client comes back, nothing comes twice, nothing is missed."""
 
 from __future__ import annotations
 
