@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
@@ -34,6 +35,9 @@ def run_serve(command: Serve) -> None:
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
     config = AppConfig(token, command.origins, limits, SchedulerConfig(policy=command.policy))
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
+    for path in (command.ssl_certfile, command.ssl_keyfile):
+        if path is not None:
+            Path(path).open("rb").close()  # the error of OpenSSL would not name it
     with open_scenes(command.package, max_cache_bytes=command.cache) as scenes:
         try:
             server = Server(scenes, config, address, planners=command.planners)

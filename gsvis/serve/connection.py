@@ -28,7 +28,6 @@ __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 
 _LEAST_BUDGET = 4096.0  # bytes that may go out when nothing is under way, however slow the link seems
 _MOST_HEARD = 256  # poses and acknowledgements that wait to be looked at
-_SOON = 0.1  # of a tick: how soon after a batch the next may follow when the link runs dry
 _ROUND = 1.0  # seconds after which a client is looked after even if nothing happens
 _FAREWELL = 1.0  # seconds that the last words may take
 
@@ -207,17 +206,13 @@ class Connection:
 
     async def _talk(self) -> None:
         """Plan and send until something ends it."""
-        tick = self._setting.limits.tick_s
         while True:
             now = self._setting.clock()
             self._look_after(now)
             self._take_in()
-            if now - self._planned < _SOON * tick or not self._wants(now):
-                due = self._planned + tick if self._has_pose else now + _ROUND
-                await self._wait(min(max(due - now, _SOON * tick), _ROUND))
+            if (wait := self._idle_for(now)) > 0.0:
+                await self._wait(wait)
                 continue
-            if now - self._planned < 2 * tick + _ROUND:
-                self._setting.metrics.late.observe(max(0.0, now - self._planned - tick))
             self._planned, self._fresh = now, False
             message, seconds = await self._apart(self._plan)
             self._dry = message is None
@@ -225,15 +220,25 @@ class Connection:
             if message is not None:
                 await self._peer.send(message.data)
                 self._count(message)
+                await asyncio.sleep(0)  # the others, too, have something to send
 
-    def _wants(self, now: float) -> bool:
-        """Whether it is time for a batch: a tick has passed, or the link runs dry."""
-        sender = self._sender
+    def _idle_for(self, now: float) -> float:
+        """Seconds until it is time for a batch, if nothing happens before; 0 for now."""
+        sender, tick = self._sender, self._setting.limits.tick_s
         if not self._has_pose or (sender.done and not self._fresh):
-            return False
-        if now - self._planned >= self._setting.limits.tick_s:
-            return True
-        return not self._dry and 2 * sender.outstanding <= sender.allowance()
+            return _ROUND
+        if self._dry:
+            return max(self._planned + tick - now, 0.0)
+        piece = self._piece()
+        room = sender.allowance()
+        if sender.outstanding == 0 or room >= piece:
+            return 0.0
+        return max(self._planned + tick - now, 0.0) if 2 * room >= piece else _ROUND
+
+    def _piece(self) -> float:
+        """Bytes of a batch: what the link carries in a tick. Were it all that may be under way, it would run dry."""
+        limits = self._setting.limits
+        return min(max(self._sender.rate * limits.tick_s, _LEAST_BUDGET), float(limits.batch_bytes))
 
     def _plan(self) -> tuple[Message | None, float]:
         """The next batch, and how long it took; perhaps in another thread."""
@@ -241,7 +246,7 @@ class Connection:
         budget = sender.allowance()
         if sender.outstanding == 0:
             budget = max(budget, _LEAST_BUDGET)
-        message = sender.next_message(began, min(budget, float(self._setting.limits.batch_bytes)))
+        message = sender.next_message(began, min(budget, self._piece()))
         return message, self._setting.clock() - began
 
     def _count(self, message: Message) -> None:
@@ -285,12 +290,15 @@ class Connection:
         """Until the bell rings, at most so long."""
         loop = asyncio.get_running_loop()
         self._bell = loop.create_future()
-        timer = loop.call_later(seconds, self._ring)
+        due = loop.time() + seconds
+        timer = loop.call_at(due, self._ring)
         try:
             await self._bell
         finally:
             timer.cancel()
             self._bell = None
+        if (late := loop.time() - due) >= 0.0:
+            self._setting.metrics.late.observe(late)
 
     def _ring(self) -> None:
         if self._bell is not None and not self._bell.done():

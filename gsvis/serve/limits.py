@@ -28,7 +28,7 @@ class Limits:
         idle_s: Seconds of silence after which a client is gone.
         stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
             client does not read.
-        tick_s: Least seconds between two batches of one client while the link is busy.
+        tick_s: Seconds of its link that a batch of a client takes, about; it is planned anew so often.
         batch_bytes: Most bytes of one batch, about.
     """
 

@@ -110,7 +110,6 @@ class SlowLink:
         parts = urlsplit(url)
         self._to, self._rate = (parts.hostname, parts.port), bytes_per_s
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(30.0)
         self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}{parts.path}"
         self._open = threading.Event()
         self.go_on()
@@ -124,18 +123,25 @@ class SlowLink:
 
     def close(self) -> None:
         self.go_on()
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)  # ends the wait for a client
         self._listener.close()
 
     def _accept(self) -> None:
         while True:
             try:
                 near, _ = self._listener.accept()
-                near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
-                far = socket.socket()
-                far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)  # or all would wait in here
-                far.connect(self._to)
             except OSError:
                 return
+            near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
+            far = socket.socket()
+            far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)  # or all would wait in here
+            try:
+                far.connect(self._to)
+            except OSError:  # nobody there just now
+                near.close()
+                far.close()
+                continue
             for source, sink in ((near, far), (far, near)):
                 source.settimeout(None)
                 threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()

@@ -1,0 +1,155 @@
+"""`gsvis serve` as a process: it says where it is, ends well, and what kills it costs a client nothing but time."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import shutil
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main
+from gsvis.serve import ClientConfig, StreamClient, fetch
+from tests.serve.servers import VIEW, has_all, patient, slow_link, still
+from tests.stream.worlds import package_of
+
+PLAIN = {**os.environ, "PYTHONWARNINGS": "error", "GSVIS_DEBUG": ""}
+PLAIN.pop("GSVIS_TOKEN", None)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("served") / "room.gsvis"
+    package_of(folder, 6000, stores=False).close()
+    return folder
+
+
+@contextmanager
+def process(*arguments: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server and its address."""
+    command = [sys.executable, "-m", "gsvis.cli", "serve", *map(str, arguments), "--json"]
+    running = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment
+    )
+    try:
+        assert running.stdout is not None
+        told = ""
+        while not told.endswith("}\n"):
+            line = running.stdout.readline()
+            assert line, running.stderr.read() if running.stderr else ""
+            told += line
+        yield running, json.loads(told)["url"]
+    finally:
+        running.kill()
+        running.communicate()
+
+
+@pytest.fixture
+def failed(capsys: pytest.CaptureFixture[str]) -> Iterator[Callable[..., str]]:
+    """Runs the command here, where it has to fail; what it says."""
+    loggers = [logging.getLogger(name) for name in ("gsvis", "uvicorn")]
+    before = [(list(one.handlers), one.propagate, one.level) for one in loggers]
+
+    def run(*arguments: object) -> str:
+        assert main(["serve", *map(str, arguments)]) == 2
+        return capsys.readouterr().err
+
+    yield run
+    for one, (handlers, propagate, level) in zip(loggers, before, strict=True):
+        one.handlers, one.propagate = handlers, propagate
+        one.setLevel(level)
+
+
+def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
+    with process(package, "--port", 0, GSVIS_TOKEN="word-of-mouth") as (running, url):
+        assert url.startswith("ws://127.0.0.1:")
+        client, _ = patient(url, package, config=ClientConfig(token="word-of-mouth"))
+        assert has_all(client.receiver, package)
+        running.send_signal(signal.SIGTERM)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 0
+    assert "word-of-mouth" not in said
+    for event in ("ready scene=room", "listening url=ws://127.0.0.1", "opened client=1", "closed client=1", "stopped"):
+        assert event in said
+    assert all(line[:4].isdecimal() and " INFO " in line for line in said.splitlines()), said
+
+
+def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(package: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    came: list[int] = []
+
+    async def stream(first: subprocess.Popen[str], url: str, after: ExitStack) -> StreamClient:
+        client = StreamClient(url, VIEW, ClientConfig(first_wait_s=0.05, give_up_s=120.0))
+
+        def look(received: object) -> None:
+            came.extend(received.gaussians.tolist())  # type: ignore[attr-defined]
+            if first.poll() is None:
+                first.kill()  # while more is under way
+                first.wait()
+            if has_all(client.receiver, package):
+                client.stop()
+
+        running = asyncio.create_task(client.run(still, seconds=180.0, on_batch=look))
+        while first.poll() is None:
+            await asyncio.sleep(0.02)
+        assert not has_all(client.receiver, package)
+        await asyncio.to_thread(after.enter_context, process(package, "--port", port))
+        await running
+        return client
+
+    with process(package, "--port", port) as (first, url), slow_link(url, 200e3) as link, ExitStack() as after:
+        client = asyncio.run(stream(first, link.url, after))
+    assert client.connections == 2
+    assert client.restarts == 0
+    assert has_all(client.receiver, package)
+    assert len(came) == len(set(came)) == len(client.receiver.holdings.received)
+
+
+def test_what_cannot_be_served_is_told_in_one_line(
+    package: Path, tmp_path: Path, failed: Callable[..., str]
+) -> None:  # fmt: skip
+    assert "no such file" in failed(tmp_path / "none.gsvis")
+    damaged = tmp_path / "room.gsvis"
+    shutil.copytree(package, damaged)
+    part = max((damaged / "parts").iterdir())
+    part.write_bytes(b"x" * part.stat().st_size)
+    assert "content that fits its name" in failed(damaged)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert "address already in use" in failed(package, "--port", taken.getsockname()[1])
+    assert "ssl_certfile" in failed(package, "--ssl-keyfile", "key.pem")
+    assert "no such file" in failed(package, "--ssl-certfile", tmp_path / "none.pem")
+
+
+def test_tls(package: Path, tmp_path: Path) -> None:
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("no openssl to make a certificate with")
+    key, chain = tmp_path / "key.pem", tmp_path / "chain.pem"
+    subprocess.run(
+        [
+            *(openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=127.0.0.1"),
+            *("-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(chain)),
+        ],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    with process(package, "--port", 0, "--ssl-certfile", chain, "--ssl-keyfile", key) as (running, url):
+        assert url.startswith("wss://")
+        trusting = ssl.create_default_context(cafile=str(chain))
+        client, _ = patient(url, package, config=ClientConfig(tls=trusting))
+        assert has_all(client.receiver, package)
+        with pytest.raises(ConnectionError, match="certificate"):
+            fetch(url, VIEW, still, 5.0, ClientConfig(give_up_s=0.1))
+        running.send_signal(signal.SIGINT)
+        running.communicate(timeout=60)
+    assert running.returncode == 0

@@ -1,0 +1,85 @@
+"""End to end between two network namespaces, over a cable whose rate follows a recorded trace: needs Linux and root.
+
+How well the simulation agrees is measured by benchmarks/shaped_link.py; here: all is well formed, and the laws of the
+link hold.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks._shaped_link import PAYLOAD, SERVER, shaped_link, why_not
+from gsvis.abr.traces import BandwidthTrace, load_trace
+from gsvis.serve import Address, ClientConfig, Server, StreamClient, open_scenes
+from tests.serve.servers import VIEW, still
+from tests.stream.worlds import package_of
+
+SECONDS = 5.0
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("large") / "large.gsvis"
+    package_of(folder, 60_000, stores=False).close()
+    return folder
+
+
+def exchanged(package: Path, trace: BandwidthTrace) -> tuple[StreamClient, np.ndarray]:
+    """A client at one end of the link for some seconds; when how much came."""
+    reason = why_not()
+    if reason is not None:
+        pytest.skip(reason)
+    came: list[tuple[float, int]] = []
+    stopped = threading.Event()
+    with open_scenes([package]) as scenes, shaped_link() as link:
+        server = link.at("server", lambda: Server(scenes, address=Address(SERVER, 0)))()
+        running = link.at("server", server.run)
+
+        async def stream() -> StreamClient:
+            client = StreamClient(server.url, VIEW, ClientConfig(poses_per_s=10.0))
+            start = time.monotonic()
+            threading.Thread(target=link.follow, args=(trace, start, stopped), daemon=True).start()
+            await client.run(
+                still, seconds=SECONDS, on_batch=lambda got: came.append((time.monotonic() - start, got.nbytes))
+            )
+            return client
+
+        link.rate(trace.rate_at(0.0))
+        client = link.at("client", lambda: asyncio.run(stream()))()
+        stopped.set()
+        server.stop()
+        running()
+    return client, np.array(came)
+
+
+def check(client: StreamClient, came: np.ndarray, trace: BandwidthTrace) -> None:
+    assert client.connections == 1
+    assert client.receiver is not None
+    assert client.nbytes == came[:, 1].sum()
+    gaussians, _ = client.receiver.scene()
+    assert len(gaussians) == len(client.receiver.shown()) > 0
+    for t, total in zip(came[:, 0], np.cumsum(came[:, 1]), strict=True):  # no link brings more than it carries
+        assert total <= 1.05 * trace.bytes_between(0.0, float(t) + 0.1) + 16_000
+    assert client.nbytes >= 0.3 * PAYLOAD * trace.bytes_between(0.0, SECONDS)  # even on a busy machine
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_a_recorded_link(large: Path, realdata: Path) -> None:
+    trace = load_trace(realdata / "traces" / "cooked_3gp" / "norway_tram_10")
+    client, came = exchanged(large, trace)
+    check(client, came, trace)
+
+
+@pytest.mark.slow
+def test_a_link_that_falls_silent_and_comes_back(large: Path) -> None:
+    trace = BandwidthTrace([1.5, 2.5, 20.0], [2.0, 0.0, 2.0])
+    client, came = exchanged(large, trace)
+    check(client, came, trace)
+    assert came[-1, 0] > 3.0
