@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from gsvis.abr._kernels import BUCKETS, GEOMETRY, INSIDE, LEAST
+from gsvis.abr._kernels import BUCKETS, GEOMETRY, INSIDE, LEAST, TERMS
 from gsvis.visibility._kernels_store import _lowest, _ones
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -117,12 +117,11 @@ def _touching(words, places, xs, ys, zs, sizes, planes, sides, inside):
 
 
 @njit(**_OPTIONS)
-def _gather(words, owed, gaussians, gone, free, due, open_):
-    """What is neither held nor gone (`free`), what is owed and not gone (`due`), and either: for words (S,)."""
+def _gather(words, owed, gaussians, gone, free, due):
+    """What is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
     for s in range(len(words)):
         w = words[s]
         free[s], due[s] = ~(gaussians[w] | gone[w]), owed[s] & ~gone[w]
-        open_[s] = free[s] | due[s]
 
 
 @njit(**_OPTIONS)
@@ -155,16 +154,18 @@ def _limit(units, runs, state, table, limits, sizes):
     """A key before which there is about as much as suffices, as told by some of the words; at most all keys."""
     masks, codes, buckets = units
     starts, run_slots = runs
-    open_, sides, word_bytes = state
+    free, due, sides, word_bytes, term_bytes = state
     enough, least = limits
     sizes[:] = 0.0
     for r in range(0, len(run_slots), _SAMPLE):
         s = run_slots[r]
         side = 0 if sides[s] else 1
         for u in range(starts[r], starts[r + 1]):
-            key = table[codes[u], GEOMETRY, side] + buckets[u]
-            if key < NEVER:
-                sizes[key] += np.float64(_ones(masks[u] & open_[s])) * word_bytes[s]
+            for kind in range(2):
+                key = table[codes[u], kind, side] + buckets[u]
+                if key < NEVER:
+                    left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
+                    sizes[key] += np.float64(_ones(left)) * (word_bytes[s] if kind == GEOMETRY else term_bytes)
     total = 0.0
     for key in range(least, len(sizes)):
         total += _SAMPLE * sizes[key]
@@ -182,16 +183,17 @@ def _choose(units, runs, state, table, limit, chosen):
     """
     masks, codes, buckets = units
     starts, run_slots = runs
-    open_, sides, _ = state
+    free, due, sides, _, _ = state
     filled, every = 0, True
     for r in range(len(run_slots)):
         s = run_slots[r]
-        rest = open_[s]
+        rest, fresh = free[s] | due[s], free[s]
         if not rest:
             continue
         side, before = 0 if sides[s] else 1, filled
         for u in range(starts[r], starts[r + 1]):
-            key = table[codes[u], GEOMETRY, side] + buckets[u]
+            kind = GEOMETRY if masks[u] & fresh else TERMS
+            key = table[codes[u], kind, side] + buckets[u]
             if key < limit:
                 chosen[filled] = u
                 filled += 1 if masks[u] & rest else 0
@@ -215,7 +217,7 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
         view: (eye (3,) float32, planes (F, 5, 4) float32, bodies (4, 64 W)).
         table: (4 L L, 2, 2) int32, what is added to a bucket: by code, geometry or terms, in view or out of view.
         limits: (bytes that suffice, least key).
-        work: (inside, free, due, open (S,) uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets,
+        work: (inside, free, due (S,) uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets,
             chosen (U,) int32; keys and entries (4 U,) int32, bits (4 U,) uint64; counts (K,) int64, sizes (K,)
             float64): see `CandidateStore.room`.
 
@@ -227,16 +229,16 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
     words, places, term_bytes = cell
     eye, planes, bodies = view
     enough, least = limits
-    inside, free, due, open_, sides, squares, gains, buckets, chosen, keys, entries, whose, counts, sizes = work
+    inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, whose, counts, sizes = work
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
-    _gather(words, owed, held[0], held[2], free, due, open_)
+    _gather(words, owed, held[0], held[2], free, due)
     sides[:] = 0
     for f in range(len(planes)):
         _look(x, y, z, places[3], planes[f], sides)
     _squares(x, y, z, places[4], eye, squares)
     _gains(slots, areas, pixels, squares, gains)
     _buckets(gains.view(np.int32), buckets)
-    state = (open_, sides, word_bytes)
+    state = (free, due, sides, word_bytes, term_bytes)
     limit = _limit((masks, codes, buckets), runs, state, table, limits, sizes)
     count, whole = _choose((masks, codes, buckets), runs, state, table, limit, chosen)
     _touching(words, places, bodies[0], bodies[1], bodies[2], bodies[3], planes, sides, inside)

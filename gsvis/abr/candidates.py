@@ -219,7 +219,7 @@ class CandidateStore:
         """Room to rank in, one for each thread, the same when asked for again; see `_kernels_plan.rank`."""
         local = self._scratch
         for name, size, kinds in (
-            ("slots", slots, (*4 * (np.uint64,), np.uint8, np.float32)),
+            ("slots", slots, (*3 * (np.uint64,), np.uint8, np.float32)),
             ("units", units, (np.float32, np.int32, np.int32)),
             ("entries", 4 * units, (np.int32, np.int32, np.uint64)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip

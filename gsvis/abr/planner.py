@@ -75,7 +75,7 @@ class Planner:
         self._eye, self._planes = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
         self._owed = np.zeros(0, np.uint64)
         self._plan, self._place = _NOTHING, 0
-        self._least, self._whole = 0, True
+        self._least, self._whole, self._wanted = 0, True, 0.0
         self._waits = np.empty((len(store.ending), 2), np.int32)
         self._records = store.sizes, index.term_offsets, index.term_bytes
 
@@ -100,7 +100,7 @@ class Planner:
         if self._candidates is None or self._candidates.cell != cell:
             self._enter(candidates)
         self._candidates, self._eye, self._planes = candidates, *view
-        self._plan, self._place, self._least, self._whole = _NOTHING, 0, 0, False
+        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
     def take(self, budget: float) -> Batch:
         """The next records, of at most so many bytes; from now on they count as held.
@@ -120,7 +120,8 @@ class Planner:
         cell = candidates.words, self._owed, candidates.active
         while not self.done:
             if self._place == len(self._plan[0]):
-                self._rank(candidates, max(self.reach, budget - total))
+                self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # a view that lasts is ranked seldom
+                self._rank(candidates, self._wanted)
             rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
             links = candidates.union, *self.store.links, self._waits
             self._place, *found, size = kernels.take(

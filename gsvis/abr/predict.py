@@ -248,9 +248,10 @@ def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, 
 
 def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
     """What `_check.floats` gives for a vector of float64, at once for one that is right already."""
-    right = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,)
-    if right and math.isfinite(sum(np.asarray(value).tolist())):
-        return np.asarray(value)
+    given = np.asarray(value) if isinstance(value, np.ndarray) else None
+    if given is not None and given.dtype == np.float64 and given.shape == (length,):
+        if math.isfinite(sum(given.tolist())):
+            return given
     return np.asarray(_check.floats(name, value, (length,), np.float64))
 
 
