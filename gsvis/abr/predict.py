@@ -221,7 +221,7 @@ def product(a: F64, b: F64) -> F64:
 
 def conjugate(quat: F64) -> F64:
     """The inverse of a unit quaternion."""
-    return quat * _CONJUGATE
+    return np.asarray(quat * _CONJUGATE)
 
 
 def exponential(vector: F64) -> F64:
@@ -248,9 +248,9 @@ def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, 
 
 def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
     """What `_check.floats` gives for a vector of float64, at once for one that is right already."""
-    given = np.asarray(value) if isinstance(value, np.ndarray) else None
-    if given is not None and given.dtype == np.float64 and given.shape == (length,):
-        if math.isfinite(sum(given.tolist())):
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,):
+        given: F64 = value
+        if all(map(math.isfinite, given.tolist())):
             return given
     return np.asarray(_check.floats(name, value, (length,), np.float64))
 
