@@ -79,8 +79,8 @@ def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, An
         ready.append(time.thread_time() - start)
         s = Sections.parse(message.data, scene.about)
         parts = {
-            "records": s.records.nbytes, "terms": s.term_records.nbytes, "chunks": len(s.rows) * CHUNK_ROW.itemsize,
-            "axes": s.axes.nbytes,
+            "records": s.records.nbytes, "terms": -(-len(s.terms) * scene.about.term_bits // 8),
+            "chunks": len(s.rows) * CHUNK_ROW.itemsize, "axes": s.axes.nbytes,
         }  # fmt: skip
         fixed = FIXED_BYTES - 8
         parts |= {"fixed": fixed, "ids": len(message.data) - fixed - sum(parts.values())}

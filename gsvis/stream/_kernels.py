@@ -268,3 +268,32 @@ def gather(rows, places, out):
         for k in range(width):
             out[at + k] = rows[place, k]
         at += width
+
+
+@njit(**_OPTIONS)
+def pack_rows(rows, bits, out):
+    """The lowest bits of each of rows (M, B) as one string of bits, lowest first, in `out`, zero before."""
+    count, width = rows.shape
+    for i in range(count):
+        for b in range(width):
+            left = min(8, bits - 8 * b)
+            bit = i * bits + 8 * b
+            value = np.uint16(rows[i, b]) & np.uint16((1 << left) - 1)
+            value <<= np.uint16(bit & 7)
+            out[bit >> 3] |= np.uint8(value & np.uint16(255))
+            if (bit & 7) + left > 8:
+                out[(bit >> 3) + 1] |= np.uint8(value >> np.uint16(8))
+
+
+@njit(**_OPTIONS)
+def unpack_rows(data, bits, rows):
+    """The other way: rows (M, B) of a string of bits that is long enough."""
+    count, width = rows.shape
+    for i in range(count):
+        for b in range(width):
+            left = min(8, bits - 8 * b)
+            bit = i * bits + 8 * b
+            value = np.uint16(data[bit >> 3])
+            if (bit & 7) + left > 8:
+                value |= np.uint16(data[(bit >> 3) + 1]) << np.uint16(8)
+            rows[i, b] = np.uint8((value >> np.uint16(bit & 7)) & np.uint16((1 << left) - 1))

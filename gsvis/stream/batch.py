@@ -47,7 +47,7 @@ _ARROW = bytes.fromhex(
 _BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
 _NUMBER = struct.Struct("<q")
 _ENDS = struct.Struct("<6i")  # where the rows begin and end
-_IDS = struct.Struct("<I5B")  # how many are gone; orders of the codes of chunks, Gaussians, terms, owners, gone
+_IDS = struct.Struct("<2I5B")  # how many terms, and gone; orders of the codes of chunks, Gaussians, terms, owners, gone
 _ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
 
 FIXED_BYTES = _ROWS_AT + _IDS.size + 8
@@ -88,7 +88,7 @@ class Sections:
         Args:
             about: Of the scene.
         """
-        pieces = self._ids(about), self.rows, self.records, self.term_records, self.axes
+        pieces = self._ids(about), self.rows, self.records, _packed(self.term_records, about.term_bits), self.axes
         rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
         ends = [0]
         for row in rows:
@@ -106,7 +106,7 @@ class Sections:
         most = sum(len(ids) for ids in lists) * kernels.MOST_BITS // 8 + 8
         out, orders = np.empty(_IDS.size + most, np.uint8), np.empty(5, np.uint8)
         bits = kernels.write_ids(*lists, _share(about), orders, out[_IDS.size :])
-        out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.gone), *orders.tolist()), np.uint8)
+        out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.terms), len(self.gone), *orders.tolist()), np.uint8)
         return out[: _IDS.size - (-bits // 8)]
 
     @classmethod
@@ -133,28 +133,40 @@ class Sections:
         if data[: len(head)] != head or ends[0] != 0 or any(b < a for a, b in pairwise(ends)) or not whole:
             _refuse(sequence, "five rows that fill the message", "others")
         rows = [np.frombuffer(data, np.uint8, stop - start, _ROWS_AT + start) for start, stop in pairwise(ends)]
-        widths = CHUNK_ROW.itemsize, RECORD_BYTES, about.term_bytes, max(about.axis_bytes, 1)
+        widths = CHUNK_ROW.itemsize, RECORD_BYTES, 1, max(about.axis_bytes, 1)
         for row, width in zip(rows[1:], widths, strict=True):
             if len(row) % width:
                 _refuse(sequence, f"a multiple of {width} bytes", f"{len(row)}")
-        counts = [len(row) // width for row, width in zip(rows[1:], widths, strict=True)]
-        chunks, gaussians, terms, owners, gone = _ids_of(sequence, rows[0], counts, about)
-        if counts[3] > (counts[2] if about.axis_bytes else 0):
-            _refuse(sequence, f"axes of at most {counts[2]} Gaussians", f"{counts[3]}")
-        axes = rows[4].reshape(counts[3], -1) if counts[3] else np.zeros((0, about.axis_bytes), np.uint8)
-        records, term_records = (rows[k + 1].reshape(counts[k], widths[k]) for k in (1, 2))
+        c, g, _, k = (len(row) // width for row, width in zip(rows[1:], widths, strict=True))
+        chunks, gaussians, terms, owners, gone = _ids_of(sequence, rows[0], c, g, about)
+        m, bits = len(terms), about.term_bits
+        if len(rows[3]) != -(-m * bits // 8):
+            _refuse(sequence, f"{-(-m * bits // 8):,} bytes of terms", f"{len(rows[3]):,}")
+        if k > (m if about.axis_bytes else 0):
+            _refuse(sequence, f"axes of at most {m} Gaussians", f"{k}")
+        term_records = np.empty((m, about.term_bytes), np.uint8)
+        kernels.unpack_rows(rows[3], bits, term_records)
+        axes = rows[4].reshape(k, -1) if k else np.zeros((0, about.axis_bytes), np.uint8)
+        records = rows[2].reshape(g, RECORD_BYTES)
         return cls(
             sequence, chunks, rows[1].view(CHUNK_ROW), gaussians, records, terms, owners, term_records, axes, gone
         )
 
 
-def _ids_of(sequence: int, data: U8, counts: list[int], about: SceneHeader) -> list[I64]:
+def _packed(records: U8, bits: int) -> U8:
+    """Records of terms without the bits that fill their bytes."""
+    out = np.zeros(-(-len(records) * bits // 8), np.uint8)
+    kernels.pack_rows(records, bits, out)
+    return out
+
+
+def _ids_of(sequence: int, data: U8, chunks: int, gaussians: int, about: SceneHeader) -> list[I64]:
     """Ids of chunks, Gaussians, terms, owners, and those that are gone."""
     if len(data) < _IDS.size:
         _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
-    gone, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
+    terms, gone, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
     n, t = about.gaussians, about.terms
-    lengths = [counts[0], counts[1], counts[2], counts[2], gone]
+    lengths = [chunks, gaussians, terms, terms, gone]
     limits = [n, n, t, n, n]
     if max(orders) > kernels.MOST_ORDER or sum(lengths) > 8 * len(data):
         _refuse(sequence, f"{sum(lengths):,} ids", f"{len(data):,} bytes")

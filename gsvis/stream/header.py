@@ -79,6 +79,11 @@ class SceneHeader:
         return TermLayout.of(self.grids).nbytes
 
     @property
+    def term_bits(self) -> int:
+        """Bits of it, which are what travels."""
+        return int(TermLayout.of(self.grids).widths.sum())
+
+    @property
     def axis_bytes(self) -> int:
         """Bytes of the colour axes of a Gaussian, which come with its first term."""
         return 2 * self.grids.kind.num_axes
@@ -92,7 +97,7 @@ class SceneHeader:
             "chunks": self.chunks,
             "levels": [{"name": name, "count": count} for name, count in zip(self.names, self.counts, strict=True)],
             "record_bytes": RECORD_BYTES,
-            "term_bytes": self.term_bytes,
+            "term_bits": self.term_bits,
             "axis_bytes": self.axis_bytes,
             "colors": asdict(self.grids),
             "up": list(self.up),
@@ -139,7 +144,7 @@ class SceneHeader:
             tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
             said.number("metres_per_unit"), identity,
         )  # fmt: skip
-        sizes = RECORD_BYTES, found.term_bytes, found.axis_bytes
-        if tuple(said.integer(f"{key}_bytes", 0, 64) for key in ("record", "term", "axis")) != sizes:
-            raise ProtocolError(f"WELCOME: expected records of {sizes} bytes, got others")
+        sizes = RECORD_BYTES, found.term_bits, found.axis_bytes
+        if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits", "axis_bytes")) != sizes:
+            raise ProtocolError(f"WELCOME: expected records, terms and axes of {sizes}, got others")
         return found
