@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
@@ -23,6 +24,7 @@ from gsvis.train.levels import LevelsConfig
 from gsvis.visibility.build import Workers
 from gsvis.visibility.colors import ColorConfig, ViewSampling
 from gsvis.visibility.pvs import PvsConfig
+from tests.train.photo_files import write_transforms
 
 FEW = ViewSampling(2, 24, 20)
 CONFIG = PrepareConfig(
@@ -191,6 +193,27 @@ def test_levels_that_are_there_are_taken_as_they_are_in_any_order(rooms: Occlude
             assert package.manifest.names == ("few", "all")
             assert package.manifest.scene == scene_hash(in_package_order(levels).union)
     assert some["a"] == some["b"]
+
+
+def test_photographs_train_levels_and_another_photograph_trains_them_again(
+    rooms: OccluderScene, tmp_path: Path
+) -> None:
+    (tmp_path / "capture").mkdir()
+    photos = write_transforms(tmp_path / "capture", 9)
+    config = replace(CONFIG, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
+    out = tmp_path / "s.gsvis"
+    g = Gaussians(  # in front of these cameras
+        rooms.gaussians.means * 0.2,
+        *(getattr(rooms.gaussians, name) for name in ("quats", "scales", "opacities", "sh0")),
+    )
+    found = prepare_package(g, out, rooms.navigable, config, photos=photos)
+    assert found.quality is not None
+    assert found.quality["cameras"] == "photographs"
+    assert len(found.quality["psnr_photographs"]) == 3
+    assert new(prepare_package(g, out, rooms.navigable, config, photos=photos)) == []
+    picture = sorted(photos.rglob("*.png"))[0]
+    Image.fromarray(255 - np.asarray(Image.open(picture))).save(picture)
+    assert new(prepare_package(g, out, rooms.navigable, config, photos=photos))[0] == "levels"
 
 
 def test_an_edit_of_the_scene_is_seen(tmp_path: Path) -> None:
