@@ -117,26 +117,33 @@ def write(values, order, out, bit):
     """
     byte, filled = bit >> 3, bit & 7
     word = np.uint64(out[byte]) if filled else np.uint64(0)
-    one, eight = np.uint64(1), np.uint64(8)
+    one = np.uint64(1)
     for i in range(len(values)):
         w = np.uint64(values[i]) + (one << np.uint64(order))
         n = _length(np.int64(w))
-        filled += n - order - 1
-        while filled >= 8:
-            out[byte] = np.uint8(word & np.uint64(255))
-            word >>= eight
-            byte += 1
-            filled -= 8
-        word |= (((w & ((one << np.uint64(n - 1)) - one)) << one) | one) << np.uint64(filled)
-        filled += n
-        while filled >= 8:
-            out[byte] = np.uint8(word & np.uint64(255))
-            word >>= eight
-            byte += 1
-            filled -= 8
-    if filled:
-        out[byte] = np.uint8(word & np.uint64(255))
+        zeros = n - order - 1
+        if zeros + n > 32:  # rare: what is there first, so that there is room
+            while filled >= 8:
+                byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
+            filled += zeros
+            zeros = 0
+            while filled >= 8:
+                byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
+        word |= (((w & ((one << np.uint64(n - 1)) - one)) << one) | one) << np.uint64(filled + zeros)
+        filled += zeros + n
+        while filled >= 32:
+            for _ in range(4):
+                byte, word = _flush(out, byte, word), word >> np.uint64(8)
+            filled -= 32
+    while filled > 0:
+        byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
     return 8 * byte + filled
+
+
+@njit(inline="always")
+def _flush(out, byte, word):
+    out[byte] = np.uint8(word & np.uint64(255))
+    return byte + 1
 
 
 @njit(**_OPTIONS)
@@ -272,17 +279,19 @@ def gather(rows, places, out):
 
 @njit(**_OPTIONS)
 def pack_rows(rows, bits, out):
-    """The lowest bits of each of rows (M, B) as one string of bits, lowest first, in `out`, zero before."""
+    """The lowest bits of each of rows (M, B), B at most 8, as one string of bits, lowest first, into words of zeros."""
     count, width = rows.shape
+    mask = ~np.uint64(0) >> np.uint64(64 - bits)
+    bit = 0
     for i in range(count):
+        word = np.uint64(0)
         for b in range(width):
-            left = min(8, bits - 8 * b)
-            bit = i * bits + 8 * b
-            value = np.uint16(rows[i, b]) & np.uint16((1 << left) - 1)
-            value <<= np.uint16(bit & 7)
-            out[bit >> 3] |= np.uint8(value & np.uint16(255))
-            if (bit & 7) + left > 8:
-                out[(bit >> 3) + 1] |= np.uint8(value >> np.uint16(8))
+            word |= np.uint64(rows[i, b]) << np.uint64(8 * b)
+        word &= mask
+        out[bit >> 6] |= word << np.uint64(bit & 63)
+        if (bit & 63) + bits > 64:
+            out[(bit >> 6) + 1] = word >> np.uint64(64 - (bit & 63))
+        bit += bits
 
 
 @njit(**_OPTIONS)

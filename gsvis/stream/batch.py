@@ -155,9 +155,9 @@ class Sections:
 
 def _packed(records: U8, bits: int) -> U8:
     """Records of terms without the bits that fill their bytes."""
-    out = np.zeros(-(-len(records) * bits // 8), np.uint8)
-    kernels.pack_rows(records, bits, out)
-    return out
+    words = np.zeros(-(-len(records) * bits // 64), "<u8")
+    kernels.pack_rows(records, bits, words)
+    return words.view(np.uint8)[: -(-len(records) * bits // 8)]
 
 
 def _ids_of(sequence: int, data: U8, chunks: int, gaussians: int, about: SceneHeader) -> list[I64]:

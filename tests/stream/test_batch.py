@@ -135,8 +135,9 @@ def test_ids_past_the_scene_are_refused() -> None:
 def test_rows_of_bits_come_back(bits: int, count: int, seed: int) -> None:
     rows = np.random.default_rng(seed).integers(0, 256, (count, -(-bits // 8)), np.uint8)
     rows[:, -1] &= 255 >> (-bits % 8)
-    out, back = np.zeros(-(-bits * count // 8), np.uint8), np.empty_like(rows)
-    kernels.pack_rows(rows, bits, out)
+    words, back = np.zeros(-(-bits * count // 64), np.uint64), np.empty_like(rows)
+    kernels.pack_rows(rows, bits, words)
+    out = words.view(np.uint8)[: -(-bits * count // 8)]
     wanted = np.unpackbits(rows, axis=1, bitorder="little")[:, :bits].reshape(-1)
     np.testing.assert_array_equal(out, np.packbits(wanted, bitorder="little"))
     kernels.unpack_rows(out, bits, back)
