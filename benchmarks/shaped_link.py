@@ -94,6 +94,7 @@ def main() -> None:
         (served,) = scenes.values()
         path = walk(scenes, args.seconds)
         size = served.scene.about.gaussians, served.scene.about.terms
+        exchange(link, scenes, BandwidthTrace.constant(100.0), path, 2.0)  # kernels
         for name in args.traces:
             trace = load_trace(folder / name)
             simulated = play(

@@ -102,8 +102,7 @@ class StreamClient:
         Args:
             pose: Where the viewer is.
             seconds: How long; inf until `stop`.
-            on_batch: Called with each batch once it has been taken in, before it is acknowledged: the server waits for
-                whoever takes long.
+            on_batch: Called with each batch once it has been taken in.
 
         Raises:
             ProtocolError: If the server refuses this client, or does not speak the protocol.
@@ -177,9 +176,9 @@ class StreamClient:
                     data = await _next(socket)
                     received = self.receiver.receive(data)
                     self.nbytes += received.nbytes
+                    await _say(socket, Ack(received.sequence).to_bytes())
                     if on_batch is not None:
                         on_batch(received)
-                    await _say(socket, Ack(received.sequence).to_bytes())
             except asyncio.CancelledError:
                 await _leave(socket)
                 raise

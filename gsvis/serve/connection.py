@@ -290,15 +290,12 @@ class Connection:
         """Until the bell rings, at most so long."""
         loop = asyncio.get_running_loop()
         self._bell = loop.create_future()
-        due = loop.time() + seconds
-        timer = loop.call_at(due, self._ring)
+        timer = loop.call_later(seconds, self._ring)
         try:
             await self._bell
         finally:
             timer.cancel()
             self._bell = None
-        if (late := loop.time() - due) >= 0.0:
-            self._setting.metrics.late.observe(late)
 
     def _ring(self) -> None:
         if self._bell is not None and not self._bell.done():

@@ -105,7 +105,7 @@ class Metrics:
         parts_bytes: Bytes of them.
         faults: Damaged parts and other faults of scenes, by scene.
         planning: Seconds from the decision to send to the batch as bytes.
-        late: Seconds by which a client was looked after later than was due.
+        late: Seconds by which the event loop does later what is due, asked five times a second.
     """
 
     def __init__(self) -> None:
@@ -123,7 +123,7 @@ class Metrics:
         self.parts_bytes = Counter("gsvis_parts_bytes_total", "Bytes of files of packages.")
         self.faults = Counter("gsvis_scene_faults_total", "Damaged parts and other faults of scenes.", label="scene")
         self.planning = Histogram("gsvis_planning_seconds", "From the decision to send to the batch as bytes.")
-        self.late = Histogram("gsvis_late_seconds", "By how much later than due a client was looked after.")
+        self.late = Histogram("gsvis_late_seconds", "By how much later than due the event loop does something.")
 
     def text(self) -> str:
         """What `/metrics` answers."""

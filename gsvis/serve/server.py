@@ -23,6 +23,7 @@ from gsvis.serve.scenes import ServedScene
 
 __all__ = ["Address", "Server"]
 
+_LOOK_S = 0.2
 _STOP_S = 3  # seconds that connections have to end when the server stops
 
 
@@ -123,12 +124,26 @@ class Server:
         if self.config.token is None and not _is_loopback(self._socket.getsockname()[0]):
             self._log("open", logging.WARNING, why="everybody who reaches this address can stream: no token is set")
         try:
-            asyncio.run(self._server.serve([self._socket]))
+            asyncio.run(self._serve())
         finally:
             self._socket.close()
             if self._threads is not None:
                 self._threads.shutdown(wait=False, cancel_futures=True)
             self._log("stopped", clients=int(self.metrics.clients.value()))
+
+    async def _serve(self) -> None:
+        watching = asyncio.create_task(self._watch_lateness())
+        try:
+            await self._server.serve([self._socket])
+        finally:
+            watching.cancel()
+
+    async def _watch_lateness(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            due = loop.time() + _LOOK_S
+            await asyncio.sleep(_LOOK_S)
+            self.metrics.late.observe(max(0.0, loop.time() - due))
 
     def stop(self) -> None:
         """Ask it to end, from any thread."""

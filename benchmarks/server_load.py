@@ -1,0 +1,250 @@
+"""How many viewers does one server core sustain at 10 Mbit/s each, and what breaks when there are more?
+
+A server process pinned to one core; viewers in another process, each behind a link of its own that carries 10 Mbit/s:
+they do not decode, they acknowledge a batch when such a link would have brought it, and say ten times a second where
+they are on a walk through the cells. One that has been sent everything for its view comes back with nothing. Reported
+for each number of viewers: the rate that reached them, how late the server looks after them, its seconds of CPU for a
+megabyte, and the peer: the bare copy of as many bytes into as many sockets. The machine may be busy with other things;
+CPU seconds count only those of the server, so `viewers by CPU` says what a whole core would carry.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, write_result
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.package import Package
+from gsvis.stream import Ack, Hello, PoseAt
+
+MBIT = 10.0
+VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+IDLE_S = 3.0  # a viewer that has been sent nothing for so long has all that its view asks for
+
+
+class Viewer:
+    """One viewer behind a link of its own."""
+
+    def __init__(self, url: str, stops: np.ndarray, up: np.ndarray, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self._url, self._up, self._turn = url, up, rng.uniform(0.0, 6.28)
+        apart = np.linalg.norm(stops - stops[rng.integers(len(stops))], axis=1)
+        self._stops = stops[np.argsort(apart)[:8]]
+        self.bytes, self.opened = 0, 0
+        self._free, self._last = 0.0, 0.0
+        self._saying: set[asyncio.Future[None]] = set()
+
+    def pose(self, t: float) -> bytes:
+        """Half a cell a second from cell to cell, turning by 30 degrees a second."""
+        along = min(0.5 * t, len(self._stops) - 1.001) if len(self._stops) > 1 else 0.0
+        k = int(along)
+        place = self._stops[k] + (along - k) * (self._stops[min(k + 1, len(self._stops) - 1)] - self._stops[k])
+        angle = self._turn + 0.52 * t
+        axis = np.sin(angle / 2) * self._up
+        quat = (float(np.cos(angle / 2)), float(axis[0]), float(axis[1]), float(axis[2]))
+        return PoseAt(int(1e3 * t), tuple(float(v) for v in place), quat).to_bytes()
+
+    async def run(self, until: float) -> None:
+        while time.monotonic() < until:
+            try:
+                await self._once(until)
+            except (ConnectionClosed, OSError, asyncio.TimeoutError):
+                await asyncio.sleep(0.1)
+
+    async def _once(self, until: float) -> None:
+        async with connect(
+            self._url, compression=None, max_size=None, ping_interval=None, proxy=None, close_timeout=0.1
+        ) as ws:
+            await ws.send(Hello(VIEW).to_bytes())
+            self.opened += 1
+            self._last = time.monotonic()
+            telling = asyncio.create_task(self._tell(ws))
+            try:
+                while (now := time.monotonic()) < until and now - self._last < IDLE_S:
+                    try:
+                        data = await asyncio.wait_for(ws.recv(), 0.25)
+                    except asyncio.TimeoutError:
+                        continue
+                    self._last = now = time.monotonic()
+                    self._free = max(self._free, now) + len(data) / (MBIT * 125_000)
+                    self.bytes += len(data)
+                    sequence = int.from_bytes(data[4:8], "little")
+                    asyncio.get_running_loop().call_at(
+                        asyncio.get_running_loop().time() + self._free - now, self._acknowledge, ws, sequence
+                    )
+            finally:
+                telling.cancel()
+
+    def _acknowledge(self, ws: Any, sequence: int) -> None:
+        task = asyncio.ensure_future(self._send(ws, Ack(sequence).to_bytes()))
+        self._saying.add(task)
+        task.add_done_callback(self._saying.discard)
+
+    async def _send(self, ws: Any, data: bytes) -> None:
+        with suppress(ConnectionClosed):
+            await ws.send(data)
+
+    async def _tell(self, ws: Any) -> None:
+        start = time.monotonic()
+        while True:
+            await self._send(ws, self.pose(time.monotonic() - start))
+            await asyncio.sleep(0.1)
+
+
+async def crowd(url: str, count: int, package: Path, seconds: float, warm: float) -> dict[str, Any]:
+    """Rates of viewers between the warm-up and the end, and what the server counted in between."""
+    with Package.open(package) as opened:
+        grid = opened.visibility.grid
+        centres, up = grid.centres, grid.up
+    viewers = [Viewer(url, centres, up, seed) for seed in range(count)]
+    begin = time.monotonic()
+    running = [asyncio.create_task(viewer.run(begin + warm + seconds)) for viewer in viewers]
+    await asyncio.sleep(warm)
+    before, bytes_before, t0 = await asyncio.to_thread(counted, url), [v.bytes for v in viewers], time.monotonic()
+    own = resource.getrusage(resource.RUSAGE_SELF)
+    await asyncio.sleep(max(begin + warm + seconds - time.monotonic() - 0.2, 1.0))
+    after, t1 = await asyncio.to_thread(counted, url), time.monotonic()
+    got = np.array([v.bytes for v in viewers]) - np.array(bytes_before)
+    mine = resource.getrusage(resource.RUSAGE_SELF)
+    await asyncio.gather(*running)
+    late = {k: after["late"][k] - before["late"].get(k, 0.0) for k in after["late"]}
+    return {
+        "seconds": t1 - t0,
+        "mbit_per_s": (got / (t1 - t0) / 125_000).tolist(),
+        "mbytes": float(got.sum() / 1e6),
+        "late": late,
+        "planning_s": after["planning"] - before["planning"],
+        "batches": after["batches"] - before["batches"],
+        "opened": sum(v.opened for v in viewers),
+        "viewers_cpu_s": mine.ru_utime + mine.ru_stime - own.ru_utime - own.ru_stime,
+    }
+
+
+def counted(url: str) -> dict[str, Any]:
+    """The metrics of the server that matter here."""
+    with urllib.request.urlopen(url.replace("ws:", "http:").replace("/stream", "/metrics"), timeout=60) as answer:
+        text = answer.read().decode()
+    late = {bound: float(count) for bound, count in re.findall(r'gsvis_late_seconds_bucket\{le="(.*?)"\} (\S+)', text)}
+    planning, batches = (
+        float(re.search(rf"^{name} (\S+)$", text, re.MULTILINE)[1])
+        for name in ("gsvis_planning_seconds_sum", "gsvis_batches_total")
+    )
+    return {"late": late, "planning": planning, "batches": batches}
+
+
+def quantile(late: dict[str, float], share: float) -> float:
+    """The bound of the histogram below which this share lies, seconds."""
+    total = late["+Inf"]
+    return next((float(bound) for bound, count in late.items() if bound != "+Inf" and count >= share * total), np.inf)
+
+
+def cpu_of(pid: int) -> float:
+    """Seconds of CPU of a process."""
+    words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def memory_of(pid: int) -> float:
+    """Resident megabytes of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def measured(package: Path, count: int, core: int, seconds: float, warm: float) -> dict[str, Any]:
+    """One number of viewers against a fresh server."""
+    command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", "0", "--json", "--clients", "400"]
+    server = subprocess.Popen(
+        ["taskset", "-c", str(core), *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
+    try:
+        told = ""
+        while not told.endswith("}\n"):
+            told += server.stdout.readline()
+        url = json.loads(told)["url"]
+        asyncio.run(crowd(url, 1, package, 3.0, 0.5))  # kernels and cells
+        memory, marks = memory_of(server.pid), []
+
+        async def both() -> dict[str, Any]:
+            async def watch() -> None:
+                await asyncio.sleep(warm)
+                marks.append((time.monotonic(), cpu_of(server.pid)))
+                await asyncio.sleep(max(seconds - 0.3, 0.5))
+                marks.append((time.monotonic(), cpu_of(server.pid)))
+
+            found, _ = await asyncio.gather(crowd(url, count, package, seconds, warm), watch())
+            return found
+
+        found = asyncio.run(both())
+        (t0, c0), (t1, c1) = marks
+        rates = np.array(found["mbit_per_s"])
+        cpu_per_mb = (c1 - c0) / (t1 - t0) / max(found["mbytes"] / found["seconds"], 1e-9)
+        return {
+            **found,
+            "viewers": count,
+            "median_mbit_per_s": float(np.median(rates)),
+            "tenth_mbit_per_s": float(np.quantile(rates, 0.1)),
+            "late_median_s": quantile(found["late"], 0.5),
+            "late_95_s": quantile(found["late"], 0.95),
+            "server_cpu_share": (c1 - c0) / (t1 - t0),
+            "cpu_s_per_mb": cpu_per_mb,
+            "viewers_by_cpu": 1.0 / (cpu_per_mb * MBIT / 8.0),
+            "memory_mb_per_viewer": (memory_of(server.pid) - memory) / count,
+        }
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+def main() -> None:
+    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
+    parser.add_argument("package", type=Path)
+    parser.add_argument("--viewers", type=int, nargs="+", default=[10, 25, 50, 75, 100])
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--warm", type=float, default=10.0, help="seconds before anything counts")
+    parser.add_argument("--core", type=int, default=0)
+    args = parser.parse_args()
+    figures, details = [], {"package": args.package.name, "mbit_per_s": MBIT, "load_before": os.getloadavg()[0]}
+    for count in args.viewers:
+        found = measured(args.package, count, args.core, args.seconds, args.warm)
+        details[str(count)] = found
+        for told, key, target, unit, better in (
+            ("median rate of a viewer", "median_mbit_per_s", 0.9 * MBIT if count <= 50 else None, "Mbit/s", "higher"),
+            ("rate of the slowest tenth", "tenth_mbit_per_s", None, "Mbit/s", "higher"),
+            ("looked after too late, 95th percentile", "late_95_s", None, "s", "lower"),
+            ("server's CPU for a megabyte", "cpu_s_per_mb", None, "s", "lower"),
+            ("viewers by CPU", "viewers_by_cpu", 50.0, "viewers a core", "higher"),
+            ("memory", "memory_mb_per_viewer", None, "MB a viewer", "lower"),
+        ):
+            figures.append(
+                {
+                    "name": f"{count} viewers: {told}",
+                    "target": target,
+                    "reached": found[key],
+                    "unit": unit,
+                    "better": better,
+                }
+            )
+    write_result(args.out, "How many viewers at 10 Mbit/s does one server core sustain?", figures, details)
+
+
+if __name__ == "__main__":
+    main()
