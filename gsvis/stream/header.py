@@ -10,6 +10,7 @@ import hashlib
 import json
 import struct
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 import pyarrow as pa
 
@@ -73,17 +74,17 @@ class SceneHeader:
             hashlib.sha256(said.encode()).hexdigest(),
         )  # fmt: skip
 
-    @property
+    @cached_property
     def term_bytes(self) -> int:
         """Bytes of the record of a term."""
         return TermLayout.of(self.grids).nbytes
 
-    @property
+    @cached_property
     def term_bits(self) -> int:
         """Bits of it, which are what travels."""
         return int(TermLayout.of(self.grids).widths.sum())
 
-    @property
+    @cached_property
     def axis_bytes(self) -> int:
         """Bytes of the colour axes of a Gaussian, which come with its first term."""
         return 2 * self.grids.kind.num_axes
