@@ -37,6 +37,7 @@ from gsvis.abr import BandwidthTrace, SchedulerConfig, UtilityConfig, load_trace
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path
 from gsvis.package import Package
+from gsvis.package.manifest import MANIFEST
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
@@ -80,11 +81,12 @@ def main() -> None:
     parser.add_argument("--estimator", default=SchedulerConfig.estimator)
     parser.add_argument("--peripheral", type=float, default=UtilityConfig.peripheral, help="factor of `utility`")
     parser.add_argument("--adjacent", type=float, default=UtilityConfig.adjacent, help="factor of `utility`")
+    parser.add_argument("--beyond", type=float, default=UtilityConfig.beyond, help="factor of `utility`")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="folder where finished walks are kept: a killed run goes on")
     options = parser.parse_args()
     config = SessionConfig(seconds=options.seconds, every=options.every)
-    utility = UtilityConfig(peripheral=options.peripheral, adjacent=options.adjacent)
+    utility = UtilityConfig(peripheral=options.peripheral, adjacent=options.adjacent, beyond=options.beyond)
     scheduling = SchedulerConfig(policy=options.policy, estimator=options.estimator, utility=utility)
     named = [word.partition("=")[::2] for word in options.packages]
     links = recorded_links(options.links)
@@ -171,7 +173,7 @@ def walked(
     """One walk through one scene, over all links, by all systems."""
     said = [
         name,
-        Package.open(package).manifest.scene,
+        hashlib.sha256((Path(package) / MANIFEST).read_bytes()).hexdigest(),
         WALKS[walk],
         visit,
         count,
