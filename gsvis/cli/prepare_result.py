@@ -77,8 +77,13 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
     if not command.discard:
         rows.append(("kept beside it", f"{prepared.work.name}, {size_of(prepared.work_bytes)}; may be deleted"))
     rows.append(("time", clock(seconds)))
+    given = source.levels is not None or not command.levels
     stages = [
-        (_CALLED[stage.name], "there already" if stage.reused else "made", clock(stage.seconds))
+        (
+            _CALLED[stage.name],
+            "as given" if stage.name == "levels" and given else "there already" if stage.reused else "made",
+            clock(stage.seconds),
+        )
         for stage in prepared.stages
     ]
     show(
