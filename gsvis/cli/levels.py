@@ -262,7 +262,15 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
                 said = stage, done
                 stop_if_asked()
 
-            trained = train_levels(g, drawn.views, plan.config, held_out=drawn.held_out, work=work, progress=told)
+            trained = train_levels(
+                g,
+                drawn.views,
+                plan.config,
+                held_out=drawn.held_out,
+                choose_by=drawn.choose_by,
+                work=work,
+                progress=told,
+            )
         if drawn.held_out is not None:
             quality = measure_levels(trained.levels, drawn.held_out, photographs=drawn.photographs, progress=status)
         record = record_of(command, plan, trained, quality)

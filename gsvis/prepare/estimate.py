@@ -33,10 +33,10 @@ __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
 # Measured on nika LOD 0 and showroom LOD 3 (docs/design/020), in times of one view of the whole scene at that size.
 _PRUNED_VIEW = 0.6  # a round of the choice of what stays, at half the size
-_STEP = 3.0  # a step of training, in which Gaussians of the level alone are drawn
+_STEP, _STEP_SHARE = 0.55, 1.55  # a step of training, and for each share of the scene that its level has
 _WEIGHED_VIEW = 2.0  # a view that tells what Gaussians count
 # Seconds for each Gaussian and core.
-_BASE_FIT, _TERMS_FIT, _RECORDS = 4e-5, 2.5e-4, 6e-6
+_BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
 _TERM_OF_CELL = 6e-8  # seconds for each term that a cell sees
 
 _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
@@ -167,9 +167,10 @@ class _Estimator:
         rounds = math.ceil(
             math.log(min(f for _, f, _ in _sizes(stages)) / self.counts[-1]) / math.log(1 - config.prune_share)
         )
+        # The first round of the choice looks from three times as many views.
         left = 1.0 if not (begun / "subsets.npz").exists() else 0.0
-        steps = config.iterations * sum(c / self.counts[-1] for c in self.counts[:-1])
-        looks = views.count * (1.0 + left * rounds * _PRUNED_VIEW) + steps * _STEP
+        steps = config.iterations * sum(_STEP + _STEP_SHARE * c / self.counts[-1] for c in self.counts[:-1])
+        looks = views.count * (1.0 + left * (rounds + 2) * _PRUNED_VIEW) + steps
         seconds = looks * self.view_seconds(views)
         state = "to do" if left else "begun"
         what = f"{sizes}; {config.iterations:,} steps each"

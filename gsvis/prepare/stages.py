@@ -45,7 +45,7 @@ from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["StageRecord", "Stages"]
 
-_VERSIONS = {"levels": 1, "sets": 1, "colors": 1, "terms": 1, "cost": 1}  # raised whenever a stage finds something else
+_VERSIONS = {"levels": 2, "sets": 1, "colors": 1, "terms": 1, "cost": 1}  # raised whenever a stage finds something else
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,14 @@ class Stages:
         self.remarks += views.remarks
         for last in (False, True):
             try:
-                trained = train_levels(self.scene, views.views, self.config.levels, work=begun, progress=self.progress)
+                trained = train_levels(
+                    self.scene,
+                    views.views,
+                    self.config.levels,
+                    choose_by=views.choose_by,
+                    work=begun,
+                    progress=self.progress,
+                )
                 break
             except FormatError:  # what an earlier run left is damaged
                 shutil.rmtree(begun, ignore_errors=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.render.rasterizer import rasterize
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.images import PosedImages, render_views
@@ -22,6 +23,7 @@ from gsvis.visibility.colors import ViewSampling
 __all__ = ["LevelViews", "drawn_views", "photograph_views"]
 
 _EVERY = 8  # of photographs, how many are trained on before one is held out
+_CHOOSE = 4  # cameras to choose by for each to train on
 _UNLIKE = 12.0  # dB; photographs of another scene, or in another frame, are not met better
 _DARK = 1.0 / 255.0
 
@@ -35,6 +37,7 @@ class LevelViews:
         held_out: Images to measure on; None for none.
         cameras_from: Where their cameras come from, in words.
         photographs: Whether the images are photographs.
+        choose_by: Further cameras, to choose by what stays; None where those of the images have to serve.
         remarks: Sentences that the user should read.
     """
 
@@ -42,6 +45,7 @@ class LevelViews:
     held_out: PosedImages | None
     cameras_from: str
     photographs: bool
+    choose_by: Cameras | None = None
     remarks: tuple[str, ...] = ()
 
 
@@ -58,7 +62,8 @@ def drawn_views(
     Args:
         g: The scene.
         space: Where eyes may be.
-        sampling: Cameras to train on; those to measure on come from its next stream.
+        sampling: Cameras to train on; those to measure on come from its next stream, and from the one after it four
+            times as many at half the size to choose by: what few of them see well is given up first.
         held_out: How many of these; 0 for none.
         progress: Called with stage "views".
 
@@ -78,7 +83,9 @@ def drawn_views(
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene show nothing of it; is the up axis right?")
     told_space = f"drawn at random where eyes may be ({space.rule})"
-    return LevelViews(found[0], found[1] if held_out else None, told_space, False)
+    small = {"width": max(sampling.width // 2, 1), "height": max(sampling.height // 2, 1)}
+    many = replace(sampling, count=_CHOOSE * sampling.count, stream=sampling.stream + 2, **small)
+    return LevelViews(found[0], found[1] if held_out else None, told_space, False, many.cameras(g, space))
 
 
 def photograph_views(
@@ -112,4 +119,4 @@ def photograph_views(
     likeness = mean_psnr(g, held_out)
     if likeness < _UNLIKE:
         remarks.append(f"The scene is unlike the photographs ({likeness:.1f} dB): {wrong}")
-    return LevelViews(views, held_out, "photographs", True, tuple(remarks))
+    return LevelViews(views, held_out, "photographs", True, remarks=tuple(remarks))

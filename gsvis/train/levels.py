@@ -54,7 +54,8 @@ class LevelsConfig:
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
         most_share: Of all Gaussians of a level, how many may be cloned at a time.
         prune_share: Of what is left, how much one round of the choice of frozen Gaussians takes away.
-        looks: Views of such a round; None for all. See `prune`.
+        looks: Views of such a round, see `prune`; None for all, or for as many as there are images to train on where
+            other cameras choose.
         evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
         seed: Of training.
         backend: Of the rasterizer.
@@ -244,15 +245,16 @@ def _subsets(
     """Nested masks by their size, from a file of the same run if there is one."""
     counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
     cameras = _halved(views.cameras) if choose_by is None else choose_by
+    looks = len(views) if config.looks is None and choose_by is not None else config.looks
 
     def chosen() -> list[Mask]:
-        return prune(scene, cameras, counts, share=config.prune_share, looks=config.looks, progress=progress)
+        return prune(scene, cameras, counts, share=config.prune_share, looks=looks, progress=progress)
 
     if work is None:
         return dict(zip(counts, chosen(), strict=True))
     path = Path(work) / "subsets.npz"
     shape = cameras.width, cameras.height
-    rules = [scene_hash(scene), counts, config.prune_share, config.looks, shape]
+    rules = [scene_hash(scene), counts, config.prune_share, looks, shape]
     digest = hashlib.sha256(json.dumps(rules).encode())
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)
