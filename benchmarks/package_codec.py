@@ -96,13 +96,13 @@ def main() -> None:
         return decode_records(records, table, contents.layout, chunks=rows), base_rgb(records, contents.grids)
 
     def cpu_ms() -> float:
-        """Milliseconds of the processor, which others on the machine do not disturb; the least of 15 calls."""
+        """Milliseconds of the processor, which others on the machine disturb least; the median of 15 calls."""
         found = []
         for _ in range(15):
             start = time.process_time()
             ready()
             found.append(1e3 * (time.process_time() - start))
-        return min(found)
+        return float(np.median(found))
 
     whole = None if options.package is None else sizes_of(options.package)
     rivals = {told: others[name] for name, told in TOLD.items() if name in others}
@@ -125,13 +125,13 @@ def main() -> None:
              "better": "higher"},
             *({"name": f"{told}, {options.scene}", "target": None, "reached": size / len(g),
                "unit": "bytes a Gaussian of the scene", "better": "lower"} for told, size in rivals.items()),
-            {"name": f"{len(ids):,} Gaussians ready to draw, {name}", "target": 50.0,
-             "reached": 1e3 * timings["ready"].median, "unit": "ms", "better": "lower"},
+            {"name": f"{len(ids):,} Gaussians ready to draw, processor time, {name}", "target": 50.0,
+             "reached": cpu_ms(), "unit": "ms", "better": "lower"},
         ],
         {
             "gaussians": len(g), "chunks": len(contents.table), "geometry_bytes": geometry, "table_bytes": tables,
             "term_bytes": terms, "files": others, "package": whole, "sh_degree": g.sh_degree, "terms": packed.num_terms,
-            "batch_bytes": len(planes), "ready_cpu_ms": cpu_ms(),
+            "batch_bytes": len(planes),
             "decompress_ms": 1e3 * timings["decompressed"].median, **timings,
         },
     )  # fmt: skip
