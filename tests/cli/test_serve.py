@@ -84,6 +84,7 @@ def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
     assert all(line[:4].isdecimal() and " INFO " in line for line in said.splitlines()), said
 
 
+@pytest.mark.slow
 def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(package: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
