@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Timing", "add_arguments", "machine", "measure", "measure_in_turn", "realdata", "write_result"]
+__all__ = ["Timing", "add_arguments", "machine", "measure", "measure_in_turn", "need", "realdata", "write_result"]
 
 _ROOT = Path(__file__).resolve().parents[1]
 
@@ -127,6 +127,13 @@ def realdata() -> Path:
         print("skipped: no real data; set GSVIS_REALDATA to the folder that holds scenes/", file=sys.stderr)
         raise SystemExit(0)
     return folder
+
+
+def need(made: object, how: str) -> None:
+    """End well where something was not given that only another command makes: `make bench` runs every benchmark."""
+    if not made:
+        print(f"skipped: give it {how}", file=sys.stderr)
+        raise SystemExit(0)
 
 
 def write_result(

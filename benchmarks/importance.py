@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, need, realdata, write_result
 
 from gsvis.io import load_scene
 from gsvis.scene.cameras import Cameras
@@ -29,8 +29,9 @@ SAID = {
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--scene-file", type=Path, required=True, help="PLY that train_photos.py --scene wrote")
+    parser.add_argument("--scene-file", type=Path, help="PLY that train_photos.py --scene wrote")
     arguments = parser.parse_args()
+    need(arguments.scene_file, "--scene-file, what train_photos.py --scene wrote")
     g = load_scene(arguments.scene_file)
     train, held_out = load_photos(realdata() / "photos/bonsai", size=(400, 266)).views.split(8)
     counts = [round(share * len(g)) for share in SHARES]

@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from _harness import add_arguments, write_result
+from _harness import add_arguments, need, write_result
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.package import Package
@@ -86,8 +86,9 @@ def apart(work: Any, path: Path) -> Any:
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("packages", nargs="+", metavar="NAME=FOLDER")
+    parser.add_argument("packages", nargs="*", metavar="NAME=FOLDER")
     args = parser.parse_args()
+    need(args.packages, "what `gsvis prepare` made")
     figures: list[dict[str, Any]] = []
     details: dict[str, Any] = {}
 

@@ -4,7 +4,7 @@ A server process pinned to one core; viewers in another process, each behind a l
 they do not decode, they acknowledge a batch when such a link would have brought it, and say ten times a second where
 they are on a walk through the cells. One that has been sent everything for its view comes back with nothing. Reported
 for each number of viewers: the rate that reached them, how late the server looks after them, its seconds of CPU for a
-megabyte, and the peer: the bare copy of as many bytes into as many sockets. The machine may be busy with other things;
+megabyte. The machine may be busy with other things;
 CPU seconds count only those of the server, so `viewers by CPU` says what a whole core would carry.
 """
 
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, write_result
+from _harness import add_arguments, need, write_result
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
@@ -216,12 +216,13 @@ def measured(package: Path, count: int, core: int, seconds: float, warm: float) 
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("package", type=Path)
+    parser.add_argument("package", type=Path, nargs="?", help="what `gsvis prepare` made")
     parser.add_argument("--viewers", type=int, nargs="+", default=[10, 25, 50, 75, 100])
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--warm", type=float, default=10.0, help="seconds before anything counts")
     parser.add_argument("--core", type=int, default=0)
     args = parser.parse_args()
+    need(args.package, "what `gsvis prepare` made")
     figures, details = [], {"package": args.package.name, "mbit_per_s": MBIT, "load_before": os.getloadavg()[0]}
     for count in args.viewers:
         found = measured(args.package, count, args.core, args.seconds, args.warm)

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, need, realdata, write_result
 from _shaped_link import PAYLOAD, SERVER, ShapedLink, shaped_link, why_not
 
 from gsvis.abr.classes import FieldOfView
@@ -77,11 +77,12 @@ def exchange(
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("package", type=Path)
+    parser.add_argument("package", type=Path, nargs="?", help="what `gsvis prepare` made")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--traces", nargs="+", default=TRACES, help="under the folder of traces")
     parser.add_argument("--round-trip", type=float, default=0.002, help="of the cable, as the simulator takes it")
     args = parser.parse_args()
+    need(args.package, "what `gsvis prepare` made")
     reason = why_not()
     if reason is not None:
         print(f"skipped: {reason}")

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import zstandard
-from _harness import add_arguments, write_result
+from _harness import add_arguments, need, write_result
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.predict import exponential
@@ -158,10 +158,11 @@ def large(scene: StreamedScene, held: Receiver | None, repeats: int) -> dict[str
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("packages", nargs="+", type=Path, help="what `gsvis prepare` made")
+    parser.add_argument("packages", nargs="*", type=Path, help="what `gsvis prepare` made")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--repeats", type=int, default=9)
     args = parser.parse_args()
+    need(args.packages, "what `gsvis prepare` made")
     figures: list[dict[str, Any]] = []
     details: dict[str, Any] = {}
 

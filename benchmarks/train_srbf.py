@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, need, realdata, write_result
 from numpy.typing import NDArray
 
 from gsvis.color import FitConfig, fit_srbf, quantise, record_bytes, sh_bytes
@@ -52,9 +52,10 @@ def between(cameras: Cameras) -> Cameras:
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--scene-file", type=Path, required=True, help="PLY that train_photos.py --scene wrote")
+    parser.add_argument("--scene-file", type=Path, help="PLY that train_photos.py --scene wrote")
     parser.add_argument("--variants", nargs="+", choices=tuple(POINTS), default=list(POINTS))
     arguments = parser.parse_args()
+    need(arguments.scene_file, "--scene-file, what train_photos.py --scene wrote")
     g = load_scene(arguments.scene_file)
     train, held_out = load_photos(realdata() / "photos/bonsai", size=SIZE).views.split(8)
     targets = np.stack([held_out.image(k) for k in range(len(held_out))])
