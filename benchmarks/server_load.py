@@ -4,8 +4,8 @@ A server process pinned to one core; viewers in another process, each behind a l
 they do not decode, they acknowledge a batch when such a link would have brought it, and say ten times a second where
 they are on a walk through the cells. One that has been sent everything for its view comes back with nothing. Reported
 for each number of viewers: the rate that reached them, how late the server looks after them, its seconds of CPU for a
-megabyte. The machine may be busy with other things;
-CPU seconds count only those of the server, so `viewers by CPU` says what a whole core would carry.
+megabyte. The machine may be busy with other things; CPU seconds count only those of the server, so `viewers by CPU`
+says what a whole core would carry.
 """
 
 from __future__ import annotations
