@@ -65,6 +65,7 @@ class ShapedLink:
         self._ends = tuple(f"gsvis-{os.getpid()}-{end}" for end in "ab")
         self._queue = queue
         self._rate = 0.0
+        self._changes: list[tuple[float, float, float]] = []  # before, after, Mbit/s
 
     def open(self) -> None:
         """Make the namespaces and the cable."""
@@ -94,10 +95,19 @@ class ShapedLink:
 
     def _tc(self, verb: str, mbit_per_s: float) -> None:
         rate = max(mbit_per_s, 0.008)
+        before = time.monotonic()
         limit = max(int(rate * 125_000 * self._queue), 16_000)
         words = f"qdisc {verb} dev veth0 root tbf rate {int(rate * 1e6)}bit burst 6000 limit {limit}"
         _run("ip", "netns", "exec", self._ends[0], "tc", *words.split())
         self._rate = mbit_per_s
+        self._changes.append((before, time.monotonic(), rate))
+
+    def most_bytes(self, start: float, end: float) -> float:
+        """What it can have carried between two monotonic times at most: on a busy machine a change of rate is late."""
+        total, ends = 0.0, [after for _, after, _ in self._changes[1:]] + [end]
+        for (begin, _, rate), stop in zip(self._changes, ends, strict=True):
+            total += 125_000 * rate * max(min(stop, end) - max(begin, start), 0.0)
+        return total
 
     def at(self, end: str, work: Callable[[], T]) -> Callable[[], T]:
         """Start work in a thread at the end "server" or "client".

@@ -44,10 +44,10 @@ class UtilityConfig:
         low: The same under low bandwidth: the less there is, the more goes to what is in view.
     """
 
-    peripheral: float = 0.25
-    adjacent: float = 0.05
+    peripheral: float = 0.1
+    adjacent: float = 0.02
     terms: float = 0.1
-    beyond: float = 0.25
+    beyond: float = 0.05
     medium: float = 1.5
     low: float = 2.0
 

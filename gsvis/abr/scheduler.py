@@ -41,18 +41,20 @@ class SchedulerConfig:
         move: Share of the side of a cell by which it moves before they are.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
         window: Seconds of data that may be under way.
+        piece: Seconds that the link should take for one message: nothing in it is shown before all of it is there.
         start_rate: Bytes of the wire a second that are believed before the first acknowledgement.
         utility: Factors of the policy "utility".
     """
 
     policy: str = "utility"
-    estimator: str = "ewma"
+    estimator: str = "harmonic"
     predictor: str = "kalman"
     lead: float = 0.25
     turn: float = 0.087
     move: float = 0.1
     horizon: float = 3.0
     window: float = 0.3
+    piece: float = 0.05
     start_rate: float = 250e3
     utility: UtilityConfig = field(default_factory=UtilityConfig)
 
@@ -63,7 +65,7 @@ class SchedulerConfig:
         for name in ("lead", "turn", "move"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
-        for name in ("horizon", "window", "start_rate"):
+        for name in ("horizon", "window", "piece", "start_rate"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)!r}")
 
@@ -168,7 +170,7 @@ class Scheduler:
             t: Seconds; not looked at, for the record of who calls.
             size: Bytes of the wire, as told to `on_sent`.
             seconds: From the first byte's departure, or the end of the transfer before, to the last byte's arrival; 0
-                where nobody knows, or `on_transfer` tells: the bytes are then acknowledged, and say nothing of the link.
+                where nobody knows, or `on_transfer` tells: bytes are then acknowledged, and say nothing of the link.
         """
         if seconds > 0:
             self.on_transfer(size, seconds)

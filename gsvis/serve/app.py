@@ -32,7 +32,7 @@ from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve._log import EventLog
 from gsvis.serve._protocols import ABORT
 from gsvis.serve.connection import Connection, GoneError, Setting
-from gsvis.serve.limits import Limits
+from gsvis.serve.limits import Limits, Pace
 from gsvis.serve.metrics import CONTENT_TYPE, Metrics
 from gsvis.serve.parts import respond
 from gsvis.serve.scenes import ServedScene
@@ -77,9 +77,10 @@ class _App:
         metrics: Metrics,
         log: EventLog,
         planners: Executor | None,
+        pace: Pace,
     ) -> None:
         self.scenes, self.config, self.metrics, self.log = scenes, config, metrics, log
-        self.setting = Setting(config.limits, metrics, log, config.scheduler, time.monotonic, planners)
+        self.setting = Setting(config.limits, metrics, log, config.scheduler, time.monotonic, planners, pace)
         self.numbers = itertools.count(1)
         self.clients = 0
 
@@ -244,6 +245,7 @@ def build_app(
     metrics: Metrics | None = None,
     log: EventLog | None = None,
     planners: Executor | None = None,
+    pace: Pace | None = None,
 ) -> Starlette:
     """The application.
 
@@ -253,8 +255,9 @@ def build_app(
         metrics: Where to count; None counts apart.
         log: Where to say what happened.
         planners: Where batches are planned; None plans in the thread of the event loop.
+        pace: How far behind the server is, kept by whoever runs it; None takes it to be on time.
     """
-    app = _App(scenes, config or AppConfig(), metrics or Metrics(), log or EventLog(), planners)
+    app = _App(scenes, config or AppConfig(), metrics or Metrics(), log or EventLog(), planners, pace or Pace())
     return Starlette(
         routes=[
             Route("/", app.index, methods=["GET"]),

@@ -11,14 +11,14 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol, TypeVar
 
 from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve._log import EventLog
-from gsvis.serve.limits import Limits, RateBucket
+from gsvis.serve.limits import Limits, Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
 from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Sender, parse_client
@@ -26,7 +26,6 @@ from gsvis.stream.wire import FAULTS, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 
-_LEAST_BUDGET = 4096.0  # bytes that may go out when nothing is under way, however slow the link seems
 _MOST_HEARD = 256  # poses and acknowledgements that wait to be looked at
 _ROUND = 1.0  # seconds after which a client is looked after even if nothing happens
 _FAREWELL = 1.0  # seconds that the last words may take
@@ -70,6 +69,7 @@ class Setting:
         config: Of the schedulers.
         clock: Seconds that do not fall.
         planners: Where batches are planned; None is the thread of the event loop.
+        pace: How far behind the server is.
     """
 
     limits: Limits
@@ -78,6 +78,7 @@ class Setting:
     config: SchedulerConfig
     clock: Callable[[], float]
     planners: Executor | None = None
+    pace: Pace = field(default_factory=Pace)
 
 
 class PoseClock:
@@ -229,24 +230,18 @@ class Connection:
             return _ROUND
         if self._dry:
             return max(self._planned + tick - now, 0.0)
-        piece = self._piece()
-        room = sender.allowance()
-        if sender.outstanding == 0 or room >= piece:
-            return 0.0
-        return max(self._planned + tick - now, 0.0) if 2 * room >= piece else _ROUND
+        return 0.0 if sender.room(self._piece_s) > 0.0 else _ROUND  # an acknowledgement rings the bell
 
-    def _piece(self) -> float:
-        """Bytes of a batch: what the link carries in a tick. Were it all that may be under way, it would run dry."""
-        limits = self._setting.limits
-        return min(max(self._sender.rate * limits.tick_s, _LEAST_BUDGET), float(limits.batch_bytes))
+    @property
+    def _piece_s(self) -> float:
+        """Seconds of the link that a batch takes: more where the server is behind, for small ones cost as much."""
+        return self._setting.pace.stretched(self._setting.config.piece)
 
     def _plan(self) -> tuple[Message | None, float]:
         """The next batch, and how long it took; perhaps in another thread."""
         sender, began = self._sender, self._setting.clock()
-        budget = sender.allowance()
-        if sender.outstanding == 0:
-            budget = max(budget, _LEAST_BUDGET)
-        message = sender.next_message(began, min(budget, self._piece()))
+        budget = min(sender.room(self._piece_s), float(self._setting.limits.batch_bytes))
+        message = sender.next_message(began, budget)
         return message, self._setting.clock() - began
 
     def _count(self, message: Message) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gsvis import _check
 
-__all__ = ["Limits", "RateBucket"]
+__all__ = ["Limits", "Pace", "RateBucket"]
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Limits:
         idle_s: Seconds of silence after which a client is gone.
         stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
             client does not read.
-        tick_s: Seconds of its link that a batch of a client takes, about; it is planned anew so often.
+        tick_s: Seconds after which a client to whom there was nothing to send is planned for again.
         batch_bytes: Most bytes of one batch, about.
     """
 
@@ -80,3 +80,34 @@ class RateBucket:
             return False
         self._left -= 1.0
         return True
+
+
+class Pace:
+    """How far behind a server is, and how much longer the pieces are that it then sends.
+
+    A batch costs a server about the same however many records it has, so one that is late sends fewer and larger ones:
+    clients get their bytes, a little less often.
+
+    Examples:
+        >>> pace = Pace()
+        >>> pace.stretched(0.05)
+        0.05
+        >>> for _ in range(50):
+        ...     pace.observe(0.03)
+        >>> round(pace.stretched(0.05), 3)
+        0.17
+    """
+
+    _WEIGHT = 0.2  # of the last observation
+    _MOST = 4.0  # pieces in one
+
+    def __init__(self) -> None:
+        self._late = 0.0
+
+    def observe(self, late: float) -> None:
+        """Something was done so many seconds later than it was due."""
+        self._late += self._WEIGHT * (late - self._late)
+
+    def stretched(self, piece: float) -> float:
+        """Seconds of its link that a client's next batch should take, where `piece` is what it should be."""
+        return min(piece + 4.0 * self._late, self._MOST * piece)

@@ -18,6 +18,7 @@ from gsvis import _check
 from gsvis.serve._log import EventLog
 from gsvis.serve._protocols import protocols
 from gsvis.serve.app import AppConfig, build_app
+from gsvis.serve.limits import Pace
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
 
@@ -84,7 +85,10 @@ class Server:
         self._threads = None
         if _check.positive_int("planners", planners, at_least=0):
             self._threads = ThreadPoolExecutor(planners, thread_name_prefix="gsvis-plan")
-        app = build_app(scenes, self.config, metrics=self.metrics, log=self._log, planners=self._threads)
+        self._pace = Pace()
+        app = build_app(
+            scenes, self.config, metrics=self.metrics, log=self._log, planners=self._threads, pace=self._pace
+        )
         limits = self.config.limits
         plain, stream = protocols(limits, self._log)
         open_scenes = [served.opened for served in scenes.values() if served.opened is not None]
@@ -143,7 +147,9 @@ class Server:
         while True:
             due = loop.time() + _LOOK_S
             await asyncio.sleep(_LOOK_S)
-            self.metrics.late.observe(max(0.0, loop.time() - due))
+            late = max(0.0, loop.time() - due)
+            self.metrics.late.observe(late)
+            self._pace.observe(late)
 
     def stop(self) -> None:
         """Ask it to end, from any thread."""

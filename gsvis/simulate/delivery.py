@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.abr.classes import FieldOfView
@@ -19,8 +18,6 @@ from gsvis.stream.scene import StreamedScene
 from gsvis.stream.sender import Sender
 
 __all__ = ["Adaptive", "Delivery", "Parcel"]
-
-_LEAST = 4096.0  # bytes of a message, so that what is around records stays small
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +74,6 @@ class Adaptive:
         scene: What all clients share.
         view: What the client shows.
         config: How the scheduler decides; None means `SchedulerConfig()`.
-        piece: Seconds of the link that a message should take: what is in one is shown when all of it is there.
         name: What reports call it.
 
     Attributes:
@@ -92,12 +88,9 @@ class Adaptive:
         view: FieldOfView,
         config: SchedulerConfig | None = None,
         *,
-        piece: float = 0.05,
         name: str = "gsvis",
     ) -> None:
-        if not (np.isfinite(piece) and piece > 0):
-            raise ValueError(f"piece: expected seconds > 0, got {piece!r}")
-        self.name, self.config, self.piece = name, config or SchedulerConfig(), piece
+        self.name, self.config = name, config or SchedulerConfig()
         self.sender = Sender(scene, view, self.config)
         self._greeted = False
 
@@ -110,18 +103,9 @@ class Adaptive:
         self.sender.on_ack(t, sequence)
 
     def next(self, t: float) -> Parcel | None:
-        """See `Delivery`; the first parcel is WELCOME, which nothing can be drawn from.
-
-        Nothing, too, where so little may be sent that it had better wait for the next acknowledgement.
-        """
-        message, sender = None, self.sender
-        if not self._greeted:
-            message, self._greeted = sender.welcome(t), True
-        else:
-            size, room = max(sender.rate * self.piece, _LEAST), sender.allowance()
-            room = max(room, _LEAST) if sender.outstanding == 0 else room  # a link thought dead is asked once more
-            if room >= 0.5 * size:
-                message = sender.next_message(t, min(size, room))
+        """See `Delivery`; the first parcel is WELCOME, which nothing can be drawn from."""
+        message = self.sender.next_message(t) if self._greeted else self.sender.welcome(t)
+        self._greeted = True
         if message is None:
             return None
         batch = message.batch
@@ -131,4 +115,4 @@ class Adaptive:
         """See `Delivery`."""
         c = self.config
         return {"policy": c.policy, "estimator": c.estimator, "predictor": c.predictor, "lead": c.lead,
-                "window": c.window, "piece": self.piece}  # fmt: skip
+                "window": c.window, "piece": c.piece}  # fmt: skip

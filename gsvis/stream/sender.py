@@ -28,6 +28,9 @@ __all__ = ["Message", "Sender"]
 LEAST = 1024
 """Bytes below which no message is begun."""
 
+PIECE = 4096.0
+"""Bytes that a message should have at least, so that what is around records stays small."""
+
 _FIRST = 1.2  # bytes of a message for each byte of records, before there was one
 _LEARNT = 0.3  # how much of what the last one had is believed
 
@@ -146,18 +149,32 @@ class Sender:
         scheduler = self.scheduler
         return max(0.0, self.rate * (scheduler.config.window + self.meter.round_trip) - scheduler.outstanding)
 
+    def room(self, seconds: float | None = None) -> float:
+        """Bytes that the next message should have.
+
+        Args:
+            seconds: That the link should take for it; None means the `piece` of the scheduler.
+
+        Returns:
+            0 where so little may be sent that it had better wait for the next acknowledgement. Where nothing is under
+            way it is never 0: a link thought dead is asked once more.
+        """
+        size = max(self.rate * (self.scheduler.config.piece if seconds is None else seconds), PIECE)
+        room = max(self.allowance(), PIECE) if self.outstanding == 0 else self.allowance()
+        return min(size, room) if room >= 0.5 * size else 0.0
+
     def next_message(self, t: float, budget: float | None = None) -> Message | None:
         """The next batch.
 
         Args:
             t: Seconds.
-            budget: Bytes that the message should have; None means `allowance`. What chunks and ids add is known only
+            budget: Bytes that the message should have; None means `room`. What chunks and ids add is known only
                 when records have been chosen, so it may have some percent more; what is under way says so.
 
         Returns:
             None where the budget is too small to begin, nothing is left for the view, or no pose has come.
         """
-        room = (self.allowance() if budget is None else budget) - FIXED_BYTES
+        room = (self.room() if budget is None else budget) - FIXED_BYTES
         if room < LEAST - FIXED_BYTES:
             return None
         batch = self.scheduler.next_batch(t, room / self._added)

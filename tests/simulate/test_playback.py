@@ -125,8 +125,3 @@ def test_a_faster_link_has_everything_sooner(scene: StreamedScene) -> None:
 def test_times_out_of_range_are_refused(scene: StreamedScene, seconds: float, tick: float) -> None:
     with pytest.raises(ValueError, match="expected seconds > 0"):
         play(adaptive(scene), FAST, walk(), size_of(scene), seconds=seconds, tick=tick)
-
-
-def test_messages_of_no_duration_are_refused(scene: StreamedScene) -> None:
-    with pytest.raises(ValueError, match="piece: expected seconds > 0"):
-        Adaptive(scene, QUICK.view, piece=0.0)
