@@ -31,7 +31,7 @@ from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
-# Measured on nika LOD 0 and showroom LOD 3 (docs/design/020), in times of one view of the whole scene at that size.
+# Measured on nika LOD 0 and showroom LOD 3 (docs/design/022), in times of one view of the whole scene at that size.
 _PRUNED_VIEW = 0.6  # a round of the choice of what stays, at half the size
 _STEP, _STEP_SHARE = 0.55, 1.55  # a step of training, and for each share of the scene that its level has
 _WEIGHED_VIEW = 2.0  # a view that tells what Gaussians count
