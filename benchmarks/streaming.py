@@ -118,7 +118,9 @@ def main() -> None:
     for name, some in groups:
         figures += compared(name, some, details)
     details["curves_at_steady_rate"] = {name: mean_curves(name, rows) for name, _ in named}
-    details["sessions"] = [{key: row[key] for key in row if key != "curves"} for row in rows]
+    details["paths"] = {f"{row['scene']}, {row['walk']}": row["path"] for row in rows}
+    details["systems"] = {f"{row['scene']}, {row['system']}": row["about"] for row in rows}
+    details["sessions"] = in_lines(rows)
     print(table(named, rows))
     question = "What does a viewer see, and when, while a scene arrives: gsvis beside a whole file and Morton order?"
     write_result(options.out, question, figures, details)
@@ -264,6 +266,17 @@ def steady_figures(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]
                  "reached": values(ours, key).mean(), "unit": unit, "better": "lower"}
             )  # fmt: skip
     return out
+
+
+def in_lines(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of all sessions, one line each."""
+    keys, names = ("scene", "walk", "link", "system"), list(rows[0]["figures"])
+    lines = [[row[key] for key in keys] + [_short(row["figures"][name]) for name in names] for row in rows]
+    return {"columns": [*keys, *names], "rows": lines}
+
+
+def _short(value: float | int | None) -> float | int | None:
+    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def compared(name: str, rows: list[dict[str, Any]], details: dict[str, Any]) -> list[dict[str, Any]]:
