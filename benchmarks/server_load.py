@@ -35,7 +35,7 @@ from gsvis.stream import Ack, Hello, PoseAt
 
 MBIT = 10.0
 VIEW = FieldOfView.of_degrees(90, 70, margin=8)
-IDLE_S = 3.0  # a viewer that has been sent nothing for so long has all that its view asks for
+IDLE_S = 0.5  # a viewer that has been sent nothing for so long has all that its view asks for
 
 
 class Viewer:

@@ -159,6 +159,11 @@ class CandidateStore:
         self._bytes = 0
         self._lock = threading.Lock()
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the candidates kept."""
+        return self._bytes
+
     def of(self, cell: int) -> Candidates:
         """The candidates of a cell.
 

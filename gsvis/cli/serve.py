@@ -38,7 +38,7 @@ def run_serve(command: Serve) -> None:
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:
             Path(path).open("rb").close()  # the error of OpenSSL would not name it
-    with open_scenes(command.package, max_cache_bytes=command.cache) as scenes:
+    with open_scenes(command.package, max_cache_bytes=command.cache, warm=True) as scenes:
         try:
             server = Server(scenes, config, address, planners=command.planners)
         except OSError as error:

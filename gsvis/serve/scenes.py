@@ -13,15 +13,18 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis.abr.classes import FieldOfView
 from gsvis.errors import GsvisError
 from gsvis.package import Package
 from gsvis.serve._log import EventLog
-from gsvis.stream import StreamedScene
+from gsvis.stream import Hello, Sender, StreamedScene
 
 __all__ = ["Scenes", "ServedScene", "open_scenes"]
 
 
 _REACH = 100.0
+_WALK = 8  # cells that a warm-up walks through
+_PIECE = 65536.0  # bytes that it sends in each
 
 
 @dataclass(eq=False)
@@ -61,6 +64,27 @@ class ServedScene:
         low, high = grid.centres.min(axis=0) - grid.cell_size, grid.centres.max(axis=0) + grid.cell_size
         reach = _REACH * float((high - low).max())
         return low - reach, high + reach
+
+    def warm_up(self) -> None:
+        """Make ready what the first viewers would wait for: compiled code, and cells as far as there is room for them.
+
+        Raises:
+            FormatError: If a part that is read for it is damaged.
+        """
+        scene, grid = self.scene, self.scene.index.grid
+        view, holdings = FieldOfView.of_degrees(90.0, 70.0, margin=8.0), b""
+        for _ in range(2):  # a viewer that comes, and one that comes back
+            sender = Sender.greeted(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
+            sender.welcome(0.0)
+            for k, centre in enumerate(grid.centres[:_WALK]):
+                sender.on_pose(0.1 * k, centre, (1.0, 0.1 * k, 0.0, 0.0))
+                message = sender.next_message(0.1 * k + 0.02, _PIECE)
+                sender.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
+            holdings = sender.holdings.to_bytes()
+        for cell in range(len(grid)):
+            if scene.store.nbytes > 0.9 * scene.store.max_bytes:
+                break
+            scene.store.of(cell)
 
     def refuse(self, line: str) -> None:
         """Serve it to nobody else from now on."""
@@ -102,13 +126,18 @@ class Scenes(Mapping[str, ServedScene]):
 
 
 def open_scenes(
-    packages: Sequence[str | PathLike[str]], *, max_cache_bytes: int = 512 << 20, log: EventLog | None = None
+    packages: Sequence[str | PathLike[str]],
+    *,
+    max_cache_bytes: int = 512 << 20,
+    warm: bool = False,
+    log: EventLog | None = None,
 ) -> Scenes:
     """Open packages; one that is damaged is kept as refused, so that the others can be served.
 
     Args:
         packages: Folders. The name of a scene is that of its folder without suffix.
         max_cache_bytes: Most bytes of what is decoded for cells, all scenes together.
+        warm: Whether to make ready what the first viewers would wait for, some seconds for a large scene.
         log: Where to say what happened.
 
     Returns:
@@ -130,24 +159,27 @@ def open_scenes(
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
-            opened = _open(path, max_cache_bytes // len(packages))
+            served = _open(name, path, max_cache_bytes // len(packages), warm)
         except (GsvisError, OSError) as error:
             first = first or error
             log("damaged", logging.ERROR, scene=name, why=str(error))
             found[name] = ServedScene(name, path, None, str(error))
             continue
-        found[name] = ServedScene(name, path, opened)
-        about = opened.about
-        log("ready", scene=name, gaussians=about.gaussians, terms=about.terms, cells=len(opened.index.grid))
+        found[name] = served
+        about = served.scene.about
+        log("ready", scene=name, gaussians=about.gaussians, terms=about.terms, cells=len(served.scene.index.grid))
     if first is not None and all(served.opened is None for served in found.values()):
         raise first
     return Scenes(found.values())
 
 
-def _open(path: Path, max_cache_bytes: int) -> StreamedScene:
+def _open(name: str, path: Path, max_cache_bytes: int, warm: bool) -> ServedScene:
     package = Package.open(path)
     try:
-        return StreamedScene.open(package, max_cache_bytes=max_cache_bytes)
+        served = ServedScene(name, path, StreamedScene.open(package, max_cache_bytes=max_cache_bytes))
+        if warm:
+            served.warm_up()
+        return served
     except BaseException:
         package.close()
         raise

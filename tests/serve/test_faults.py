@@ -16,7 +16,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from gsvis.errors import FormatError, ProtocolError
-from gsvis.serve import Server, fetch
+from gsvis.serve import Server, fetch, open_scenes
 from gsvis.stream import Ack, Hello, PoseAt
 from gsvis.stream.wire import FAULTS, ServerFault
 from tests.serve.servers import (
@@ -332,3 +332,17 @@ def test_memory_does_not_grow_with_clients_that_come_and_go(plain: Path) -> None
         time.sleep(0.1)
         gc.collect()
         assert sum(type(thing) is Sender for thing in gc.get_objects()) <= 1
+
+
+def test_a_scene_that_cannot_be_made_ready_is_refused_at_once(
+    plain: Path, celled: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def damaged(self: object, *_: object) -> None:
+        raise FormatError("sets.pvs", "cell 3", "a set that fits its hash", "another")
+
+    with open_scenes([celled], warm=True) as scenes:
+        (served,) = scenes.values()
+        assert served.scene.store.nbytes > 0
+    monkeypatch.setattr("gsvis.abr.cells.StoreCells.members", damaged)
+    with open_scenes([plain, celled], warm=True) as scenes:
+        assert [served.fault != "" for served in scenes.values()] == [False, True]
