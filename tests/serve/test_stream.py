@@ -54,7 +54,7 @@ def test_clients_do_not_disturb_each_other(plain: Path, celled: Path) -> None:
 
 
 def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
-    with serving(plain) as server, slow_link(server.url, 200e3) as link:
+    with serving(plain) as server, slow_link(server.url, 60e3) as link:
         whole, _ = patient(server.url, plain)
         first = fetch(link.url, VIEW, still, 0.6)
         held = set(first.receiver.holdings.received.tolist())
