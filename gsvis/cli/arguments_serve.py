@@ -51,7 +51,7 @@ class Serve:
     cache: Annotated[int, BYTES, hint("512MB")] = 512_000_000
     """Most memory for what is decoded for cells, beside the records."""
     planners: Annotated[int, WHOLE] = 0
-    """Threads that plan what to send; 0 plans where the sockets are, which is best on one core."""
+    """Threads that plan what to send; 0 plans where the sockets are."""
     json: Flag = False
     """Print one JSON document with the address once it listens."""
     debug: Flag = False

@@ -61,7 +61,7 @@ class Server:
         scenes: As `open_scenes` gives them.
         config: None means `AppConfig()`.
         address: None means `Address()`.
-        planners: Threads that plan; 0 plans in the thread of the event loop, which one core does best.
+        planners: Threads that plan; 0 plans in the thread of the event loop.
 
     Attributes:
         metrics: What it counts.
