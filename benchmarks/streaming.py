@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, need, realdata, write_result
 
 from gsvis.abr import BandwidthTrace, SchedulerConfig, UtilityConfig, load_trace, paired_difference
 from gsvis.io import load_scene, save_scene
@@ -71,7 +71,7 @@ SEED = 7
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument(
-        "packages", nargs="+", metavar="NAME=PACKAGE", help=f"in this order; names: {', '.join(SCENES)}"
+        "packages", nargs="*", metavar="NAME=PACKAGE", help=f"in this order; names: {', '.join(SCENES)}"
     )
     parser.add_argument("--links", type=int, default=sum(KINDS.values()), help="how many of the recorded links")
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
@@ -85,6 +85,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="folder where finished walks are kept: a killed run goes on")
     options = parser.parse_args()
+    need(options.packages, "what `gsvis prepare` made, as NAME=PACKAGE")
     config = SessionConfig(seconds=options.seconds, every=options.every)
     utility = UtilityConfig(peripheral=options.peripheral, adjacent=options.adjacent, beyond=options.beyond)
     scheduling = SchedulerConfig(policy=options.policy, estimator=options.estimator, utility=utility)
