@@ -98,7 +98,7 @@ def test_garbage(
         until(lambda: server.metrics.closed.value(reason) == 1)
         assert server.metrics.clients.value() == 0
         assert any("refused" in record.getMessage() and reason in record.getMessage() for record in caplog.records)
-        assert fetch(server.url, VIEW, still, 0.2).connections == 1
+        assert fetch(server.url, VIEW, still, 1.0).connections == 1
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_first_message_that_is_no_hello(plain: Path, first: bytes, reason: str
 
 def test_holdings_that_cannot_be(plain: Path) -> None:
     with serving(plain) as server:
-        client = fetch(server.url, VIEW, still, 0.3)
+        client = fetch(server.url, VIEW, still, 1.0)
         identity = bytes.fromhex(client.receiver.about.identity)
         with raw(server, Hello(VIEW, identity, b"GVH1 and nonsense").to_bytes()) as ws:
             assert "HELLO" in fault_of(ws).line
@@ -314,7 +314,7 @@ def test_a_fault_of_the_server_is_told_to_nobody_but_the_log(
                 fault = fault_of(ws)
         assert (fault.code, "inside" in fault.line) == (FAULTS["internal"], False)
         assert any("ZeroDivisionError: the inside of it" in record.getMessage() for record in caplog.records)
-        assert fetch(server.url, VIEW, still, 0.2).connections == 1
+        assert fetch(server.url, VIEW, still, 1.0).connections == 1
 
 
 def test_memory_does_not_grow_with_clients_that_come_and_go(plain: Path) -> None:

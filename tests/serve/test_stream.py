@@ -53,10 +53,19 @@ def test_clients_do_not_disturb_each_other(plain: Path, celled: Path) -> None:
         assert server.metrics.opened.value("celled") == 2
 
 
+def after_one_batch(url: str) -> StreamClient:
+    async def stream() -> StreamClient:
+        client = StreamClient(url, VIEW)
+        await client.run(still, seconds=30.0, on_batch=lambda _: client.stop())
+        return client
+
+    return asyncio.run(stream())
+
+
 def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
     with serving(plain) as server, slow_link(server.url, 60e3) as link:
         whole, _ = patient(server.url, plain)
-        first = fetch(link.url, VIEW, still, 0.6)
+        first = after_one_batch(link.url)
         held = set(first.receiver.holdings.received.tolist())
         assert held
         assert not has_all(first.receiver, plain)
@@ -71,7 +80,7 @@ def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
 
 def test_what_is_held_of_another_scene_is_worth_nothing(plain: Path, celled: Path) -> None:
     with serving(celled, plain) as server:
-        other = fetch(server.url, VIEW, still, 0.3)
+        other = fetch(server.url, VIEW, still, 1.0)
         client, _ = patient(server.url + "/plain", plain, receiver=other.receiver)
         assert client.restarts == 1
         assert has_all(client.receiver, plain)
@@ -83,7 +92,7 @@ def test_a_token_opens_the_stream(plain: Path, caplog: pytest.LogCaptureFixture)
             with pytest.raises(ProtocolError, match="a token is needed"):
                 fetch(server.url, VIEW, still, 5.0, ClientConfig(token=wrong))
         right = fetch(server.url, VIEW, still, 0.2, ClientConfig(token="s3cret-word"))
-        in_query = fetch(server.url + "?token=s3cret-word", VIEW, still, 0.2)
+        in_query = fetch(server.url + "?token=s3cret-word", VIEW, still, 1.0)
         assert right.connections == in_query.connections == 1
         said = [record for record in caplog.records if record.name.startswith(("gsvis", "uvicorn"))]
         assert not any("s3cret-word" in record.getMessage() for record in said)
