@@ -13,6 +13,7 @@ from gsvis.abr.predict import exponential
 from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.stream import Hello, Receiver, Sender, StreamedScene, parse_client
 from gsvis.stream.batch import Sections
+from gsvis.stream.sender import PIECE
 from tests.stream.worlds import package_of
 
 VIEW = FieldOfView.of_degrees(80, 60, margin=8)
@@ -145,6 +146,24 @@ def test_messages_are_about_as_large_as_they_should_be(
             assert sender.outstanding == sum(sizes) == sender.wire_bytes
     assert max(sizes) < 1.6 * budget
     assert np.median(sizes) < 1.1 * budget
+
+
+def test_a_link_is_filled_in_pieces_and_asked_again_when_it_seems_dead(scenes: dict[str, StreamedScene]) -> None:
+    sender = Sender(scenes["rgb"], VIEW, SchedulerConfig(start_rate=100e3, window=0.06))
+    sender.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+    assert sender.room() == 100e3 * sender.scheduler.config.piece
+    assert sender.room(0.055) == pytest.approx(100e3 * 0.055)  # a server that is behind sends larger ones
+    assert sender.room(1e-9) == PIECE
+    message = sender.next_message(0.0)
+    assert message is not None
+    assert not sender.done
+    assert sender.room() == 0.0  # what is left of the window is too little: it waits for an acknowledgement
+    assert sender.next_message(0.0) is None
+    sender.on_ack(0.06, message.sequence)
+    assert sender.next_message(0.06) is not None
+    dead = Sender(scenes["rgb"], VIEW, SchedulerConfig(start_rate=1.0))
+    assert dead.allowance() < 1.0
+    assert dead.room() == PIECE
 
 
 def test_holdings_of_another_scene_are_nothing(scenes: dict[str, StreamedScene]) -> None:
