@@ -21,9 +21,20 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Timing", "add_arguments", "machine", "measure", "measure_in_turn", "need", "realdata", "write_result"]
+__all__ = [
+    "Timing",
+    "add_arguments",
+    "machine",
+    "measure",
+    "measure_in_turn",
+    "need",
+    "read_notes",
+    "realdata",
+    "write_result",
+]
 
 _ROOT = Path(__file__).resolve().parents[1]
+_NOTES = ("Given", "Measured", "Defaults chosen on")
 
 
 @dataclass(frozen=True)
@@ -136,6 +147,29 @@ def need(made: object, how: str) -> None:
         raise SystemExit(0)
 
 
+def read_notes(doc: str) -> dict[str, str]:
+    """Return what the docstring of a benchmark says is given, is measured, and where defaults were chosen.
+
+    Args:
+        doc: A docstring that ends with one entry each for "Given", "Measured" and "Defaults chosen on".
+
+    Raises:
+        ValueError: If an entry is missing or empty.
+    """
+    notes: dict[str, str] = {}
+    for line in doc.splitlines():
+        name, colon, text = line.partition(": ")
+        if colon and name in _NOTES:
+            notes[name] = text.strip()
+        elif notes and line.startswith("    "):
+            last = next(reversed(notes))
+            notes[last] = f"{notes[last]} {line.strip()}"
+    missing = [name for name in _NOTES if not notes.get(name)]
+    if missing:
+        raise ValueError(f"docstring: expected lines that begin with {', '.join(_NOTES)}; {', '.join(missing)} missing")
+    return notes
+
+
 def write_result(
     path: Path | None, question: str, figures: Sequence[Mapping[str, Any]], details: Mapping[str, Any]
 ) -> dict[str, Any]:
@@ -162,6 +196,7 @@ def write_result(
         "version": 1,
         "question": question,
         "figures": checked,
+        "notes": read_notes(sys.modules["__main__"].__doc__ or ""),
         "machine": machine(),
         "command": " ".join(["python", os.path.relpath(sys.argv[0], _ROOT), *sys.argv[1:]]),
         "details": details,

@@ -10,6 +10,10 @@ included; alone, and for 50 clients turn by turn. Thread time, so that what else
 walked three times, and a tick is the median (or, where said, the least) of its three. The bare measure: one pass over
 what ranking must read, as a sum in NumPy. The yardstick: a loop of Python, its median over its least, which tells how
 much others slowed the machine.
+
+Given: synthetic cells and levels, or a prepared package; recorded walks moved to the middle cell; a link of 10 Mbit/s.
+Measured: thread time of a cold plan and of a tick.
+Defaults chosen on: showroom LOD 3, the scene that is measured too; four walks of other people.
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
 """How long does `gsvis analyze` take on real scenes, reading and report included?
 
 The whole process, as a user starts it, with compiled kernels already in numba's cache.
+
+Given: showroom LOD 3, nika LOD 0; 16 views of 256 x 192; compiled kernels.
+Measured: seconds of the whole process.
+Defaults chosen on: no scene: the limits are of the plan.
 """
 
 from __future__ import annotations

@@ -9,6 +9,11 @@ straight lines in logarithms.
 
 PSNR and the share of active terms at each epsilon are over the same cameras; values are clipped to [0, 1] as a display
 does. Without `--colors` the colours are fitted here, over the directions and by the importance of other seeded cameras.
+
+Given: rendered views, the FLIP metric as observer, the threshold on its 99th percentile.
+Measured: the epsilon at which the staircase settles; PSNR and share of active terms there.
+Defaults chosen on: nika LOD 0 and flowers LOD 1, the scenes that are measured too: the threshold is a convention, not a
+    finding.
 """
 
 from __future__ import annotations

@@ -6,6 +6,10 @@ drawn from seed 7 in navigable space) see; what a Gaussian counts comes from the
 mean over cameras. "wire" colours are rounded to the records that travel, whose size is counted before entropy coding.
 The ceiling of a variant is what its space can say at all: exact functions of direction in place of terms, base colours
 and axes as fitted.
+
+Given: a scene, the number of terms asked for, direction sets and importance from fitting cameras.
+Measured: PSNR of held-out cameras, bytes of the records.
+Defaults chosen on: nika and flowers, the scenes that are measured too, on other cameras.
 """
 
 from __future__ import annotations

@@ -4,6 +4,10 @@ Showroom LOD 3, eyes drawn in its navigable space. Truth are ray-traced weights 
 384 x 384 rays, and beside it rays to every Gaussian. The z-buffer, hidden point removal for Gaussians, hidden point
 removal of the centres and the hybrid are measured against it: weighted recall is the weight kept over all weight,
 largest weights of the Gaussians and their sums over the rays.
+
+Given: showroom LOD 3, eyes drawn in navigable space.
+Measured: weighted recall and precision against rays; time over that of the rays.
+Defaults chosen on: showroom LOD 3, other eyes.
 """
 
 from __future__ import annotations

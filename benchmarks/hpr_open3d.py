@@ -1,9 +1,14 @@
 """Is hidden point removal at least as fast as Open3D's on a million points, and what is it worth on Gaussians?
 
-Three kinds of cloud at two radii, ours and Open3D's in turn, the sets compared index by index (and by position where
-points coincide). Then showroom LOD 3 and nika LOD 2 from eyes in their navigable space: weighted recall and precision
-against traced weights (a ray to every Gaussian) of the operator on the centres, with a radius calibrated on those very
-weights, and of its adaptation to Gaussians with its defaults; and the time of tracing a cubemap beside theirs.
+Three kinds of cloud from inside and a shell from outside, at two radii, ours and Open3D's in turn, the sets compared
+index by index (and by position where points coincide). Then showroom LOD 3 and nika LOD 2 from eyes in their navigable
+space: weighted recall and precision against traced weights (a ray to every Gaussian) of the operator on the centres,
+with a radius calibrated on those very weights, and of its adaptation to Gaussians with its defaults; and the time of
+tracing a cubemap beside theirs.
+
+Given: clouds of a million points, eyes inside and outside, two radii.
+Measured: time over Open3D's in the same run; on Gaussians recall and precision against rays.
+Defaults chosen on: showroom LOD 3 and nika LOD 2, the scenes that are measured too.
 """
 
 from __future__ import annotations
@@ -29,7 +34,7 @@ Cloud = tuple[np.ndarray, np.ndarray]
 
 
 def clouds(count: int, g: Gaussians, eye: np.ndarray) -> dict[str, Cloud]:
-    """A volume, the walls of a room, and the centres of a real scene with more drawn inside its Gaussians."""
+    """A volume, a room's walls, a real scene with more points drawn inside its Gaussians, a shell seen from outside."""
     rng = np.random.default_rng(0)
     volume = rng.uniform(-1.0, 1.0, (count, 3))
     walls = rng.uniform(-1.0, 1.0, (count, 3))
@@ -39,7 +44,15 @@ def clouds(count: int, g: Gaussians, eye: np.ndarray) -> dict[str, Cloud]:
     spread = np.einsum("nij,nj->ni", g[again].rotations(), g.scales[again] * rng.normal(size=(len(again), 3)))
     scene = np.concatenate([g.means[:count].astype(np.float64), g.means[again] + spread])
     inside = np.array([0.1, 0.2, 0.3])
-    return {"volume": (volume, inside), "room": (walls, inside), "showroom": (scene, eye)}
+    shell = rng.normal(size=(count, 3))
+    shell /= np.linalg.norm(shell, axis=1, keepdims=True)
+    outside = np.array([3.0, 0.2, 0.3])
+    return {
+        "volume": (volume, inside),
+        "room": (walls, inside),
+        "showroom": (scene, eye),
+        "shell from outside": (shell, outside),
+    }
 
 
 def against_open3d(points: np.ndarray, eye: np.ndarray, times: float, repeats: int) -> dict[str, Any]:
@@ -127,13 +140,16 @@ def main() -> None:
             rows[f"{name} x{times:g}"] = row = against_open3d(points, eye, times, options.repeats)
             told = f"{row['ours'].median:.2f} s against {row['open3d'].median:.2f} s"
             print(f"{name} x{times:g}: {row['visible']:,} visible, {told}", file=sys.stderr)
-    ratios = [row["ratio"] for row in rows.values()]
+    inside = [row["ratio"] for name, row in rows.items() if "outside" not in name]
+    outside = [row["ratio"] for name, row in rows.items() if "outside" in name]
     found = {name: on_gaussians(scenes[name], eyes[name]) for name in scenes}
     figures = [
-        {"name": "time over Open3D's, geometric mean of three clouds at two radii", "target": 1.0,
-         "reached": float(np.exp(np.mean(np.log(ratios)))), "unit": "ratio", "better": "lower"},
-        {"name": "time over Open3D's, worst of the six", "target": 1.0, "reached": max(ratios), "unit": "ratio",
-         "better": "lower"},
+        {"name": "time over Open3D's, eye inside, geometric mean of three clouds at two radii", "target": 1.0,
+         "reached": float(np.exp(np.mean(np.log(inside)))), "unit": "ratio", "better": "lower"},
+        {"name": "time over Open3D's, eye inside, worst of the six", "target": 1.0, "reached": max(inside),
+         "unit": "ratio", "better": "lower"},
+        {"name": "time over Open3D's, a shell from outside, worse of two radii", "target": 1.0, "reached": max(outside),
+         "unit": "ratio", "better": "lower"},
     ]  # fmt: skip
     for name, result in found.items():
         for way, means in result["means"].items():

@@ -3,6 +3,10 @@
 Bare subsets of 18.7, 25, 34.9 and 50% of the Gaussians, nothing trained after; ranked by the 255 training photographs
 at 400 x 266 or their cameras alone, judged by mean PSNR on every 8th photograph, which nothing has seen. "rounds" is
 `prune`: removal measured again after each round, at half size.
+
+Given: a trained bonsai, the share kept, training photographs or their cameras.
+Measured: PSNR of bare subsets against held-out photographs.
+Defaults chosen on: bonsai and showroom.
 """
 
 from __future__ import annotations

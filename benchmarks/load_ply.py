@@ -3,6 +3,10 @@
 A million Gaussians of SH degree 3 (248 MB, seeded noise). The peer is `np.fromfile` of the same bytes plus the
 activations in NumPy (exp of the scales, sigmoid of the opacities, unit quaternions) and nothing else: no header, no
 transposition of the SH, no checks. File cache warm, both in turn.
+
+Given: a PLY of a million Gaussians of seeded noise.
+Measured: time over the bare reading of its bytes in the same run.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

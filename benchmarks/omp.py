@@ -3,6 +3,10 @@
 162 directions (vertices of the twice subdivided icosahedron), 324 atoms (each vertex with two decays), 6 terms, every
 core; both on smooth random signals, in turn. Beside it the machine's float32 matrix product (numpy's BLAS) and what of
 its rate the correlation step reaches; and the load of a fit: 320 directions, each signal with its own mask, 4 terms.
+
+Given: random smooth signals, the dictionary, the number of terms.
+Measured: signals a second and error beside scikit-learn's in the same run.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

@@ -5,6 +5,10 @@ One scene a run, as one level, its colours without view dependence, or the SRBF 
 chunks included. Time: 50,000 Gaussians spread over all chunks, from the bytes of a batch (planes under zstd) to the
 arrays that a rasteriser takes; against that, the bare decompression of the same bytes. Beside it the same scene as SPZ
 and SOG, without and with its SH colours, and all bytes of a package that `gsvis prepare` made of it (`--package DIR`).
+
+Given: a scene as one level, the record of 16 bytes.
+Measured: bytes, PSNR of held-out cameras against the unrounded scene, time until 50,000 Gaussians can be drawn.
+Defaults chosen on: nika LOD 2 (bits of the records) and showroom LOD 3.
 """
 
 from __future__ import annotations

@@ -3,6 +3,10 @@
 Runs the command on showroom LOD 3 (747k Gaussians), few cells and few viewpoints each, under caps of 2, 4 and 8 GB,
 with as many workers as the cap allows, and samples the proportional set size (PSS: shared pages are split among those
 who share them) of all its processes together. Peaks shorter than the time between two samples may go unseen.
+
+Given: showroom LOD 3, caps of memory.
+Measured: peak PSS of all processes.
+Defaults chosen on: showroom LOD 3, the scene that is measured too.
 """
 
 from __future__ import annotations

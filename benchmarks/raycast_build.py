@@ -2,6 +2,10 @@
 
 Showroom LOD 2 in a fresh process each: (1) what contributions need, proxies and the ellipsoid hierarchy; (2) the Embree
 tree of all 30 million proxy triangles, which first hits need, with each engine. Compilation is warmed up before.
+
+Given: showroom LOD 2.
+Measured: seconds and memory of proxies and trees.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

@@ -3,7 +3,12 @@
 Showroom LOD 3 from inside: `Tracer.contributions` over Open3D's `list_intersections` alone, on the same rays and the
 same proxies, in one run, lot by lot in turn. Then all hits against trimesh's `intersects_id(multiple_hits=True)`, whose
 `max_hits` is high enough to find them all, among the 100k Gaussians nearest to an eye, because it is slow. Open3D and
-gsvis use all cores; trimesh uses one.
+gsvis use all cores; trimesh uses one. The figure is the median of the eyes' ratios, with the best and the worst eye
+beside it: eyes differ by half.
+
+Given: showroom LOD 3, six eyes, the same rays and proxies for each tracer.
+Measured: time over Open3D's list in the same run, eye by eye.
+Defaults chosen on: showroom LOD 3, other eyes.
 """
 
 from __future__ import annotations
@@ -44,7 +49,7 @@ def main() -> None:
         rows.append({"eye": eye.tolist(), "rays": len(packed), "hits_per_ray": hits, "faces_per_ray": faces,
                      "contributions_s": a, "list_intersections_s": b, "ratio": a / b})  # fmt: skip
         print(f"eye {np.round(eye, 2)}: {len(packed) / a:,.0f} rays/s against {len(packed) / b:,.0f}", file=sys.stderr)
-    ratio = sum(ours) / sum(theirs)
+    ratios = [row["ratio"] for row in rows]
 
     near = np.argsort(np.linalg.norm(g.means - eyes[0], axis=1))[:100_000]
     small = g[np.sort(near)]
@@ -65,8 +70,10 @@ def main() -> None:
         options.out,
         "What does it cost to list what each ray sees?",
         [
-            {"name": "contributions over list_intersections, showroom LOD 3 from inside", "target": 1.5,
-             "reached": ratio, "unit": "ratio", "better": "lower"},
+            {"name": f"contributions over list_intersections, showroom LOD 3, median of {len(rows)} eyes inside",
+             "target": 1.5, "reached": float(np.median(ratios)), "unit": "ratio", "better": "lower"},
+            {"name": "the same, worst eye", "target": None, "reached": max(ratios), "unit": "ratio", "better": "lower"},
+            {"name": "the same, best eye", "target": None, "reached": min(ratios), "unit": "ratio", "better": "lower"},
             {"name": "speed over trimesh all hits, the 100k Gaussians nearest to an eye", "target": 10.0,
              "reached": b / a, "unit": "ratio", "better": "higher"},
         ],

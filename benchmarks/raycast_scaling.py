@@ -2,6 +2,10 @@
 
 Random subsets of showroom LOD 2, 50k to 1.5M, opacity kept, seen from the same eyes inside. If cost is a logarithm
 times the hits, then cost / (hits per ray * log2 N) does not rise while N grows thirtyfold.
+
+Given: random subsets of showroom LOD 2.
+Measured: cost a ray against the number of Gaussians.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

@@ -2,6 +2,10 @@
 
 Showroom LOD 3 and nika LOD 0, cameras sampled in navigable space: of the weight one of them sees, how much belongs to
 Gaussians that the other also calls visible (weighted recall, both ways), and how far apart the images are.
+
+Given: showroom LOD 3 and nika LOD 0, cameras drawn in navigable space.
+Measured: share of the weight that both call visible; PSNR between them.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

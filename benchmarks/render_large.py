@@ -2,6 +2,10 @@
 
 Showroom LOD 2 (1.5M) at 1920 x 1080 from inside: seconds a frame, and the memory that rendering adds to a process that
 holds the scene, over the scene's own bytes. Then random subsets of 50k to 1.5M, and 0.1 to 8 megapixels.
+
+Given: showroom LOD 2, its subsets, image sizes.
+Measured: seconds and added memory of a frame.
+Defaults chosen on: garden_points.npz.
 """
 
 from __future__ import annotations

@@ -4,6 +4,10 @@ Measured here, each in a process of its own: bytes of a package by what they are
 one with every cell decoded, memory of a client that has been sent everything its view asks for. From these, by plain
 proportion: a city of 10^9 Gaussians at the same density, cut into scenes of the size measured. docs/scaling.md puts
 them together with what the other benchmarks measured of processors and links.
+
+Given: packages of showroom and nika.
+Measured: bytes on disk, in a server and in a client; a city of 10^9 follows by proportion, it is not measured.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

@@ -6,6 +6,10 @@ they are on a walk through the cells. One that has been sent everything for its 
 for each number of viewers: the rate that reached them, how late the server looks after them, its seconds of CPU for a
 megabyte. The machine may be busy with other things; CPU seconds count only those of the server, so `viewers by CPU`
 says what a whole core would carry.
+
+Given: a package, the number of viewers, links of 10 Mbit/s, synthetic walks.
+Measured: rate that reaches the viewers, delay, CPU seconds of the server.
+Defaults chosen on: showroom LOD 3.
 """
 
 from __future__ import annotations

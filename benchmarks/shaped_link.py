@@ -3,6 +3,10 @@
 A server and a client at the two ends of a cable between network namespaces, its rate shaped by a token bucket after a
 recorded trace; the same package, path and trace in the simulator. The bucket counts frames, the simulator bytes of
 messages: its trace is scaled by the share of a frame that TCP delivers. Needs Linux, root, `ip` and `tc`.
+
+Given: a package, a recorded trace, a path.
+Measured: largest difference in bytes over time between exchange and simulation.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

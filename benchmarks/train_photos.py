@@ -4,6 +4,10 @@ Bonsai, 292 photographs at 400 x 266, every 8th held out; rules and rates of 3DG
 number of Gaussians bounded. Time counts from the start of the process' work: reading photographs, training, measuring
 and checkpoints all count, compiling kernels does not (one step is taken before). The step is compared with the
 rasterizer's own forward plus backward pass over the same views, turn by turn, at the end of training.
+
+Given: bonsai, its photographs and COLMAP model, at most 200,000 Gaussians.
+Measured: PSNR of every 8th photograph over time; a step over the rasterizer's own passes.
+Defaults chosen on: bonsai, the scene that is measured too.
 """
 
 from __future__ import annotations

@@ -4,6 +4,11 @@ A bonsai trained by `train_photos.py` with SH of degree 3; colours are fitted wh
 Gaussian, joined with the directions from which neighbouring viewpoints between them see it. SH and SRBF renders are
 both compared with every 8th photograph, which neither training nor the fit has seen; images are clipped to [0, 1].
 FLIP stands in for LPIPS, whose weights are not at hand. "wire" is what arrives after rounding to records.
+
+Given: a trained bonsai, the number of terms asked for.
+Measured: PSNR and SSIM against held-out photographs, SH and SRBF; the paper's own bonsai went from 30.543 (3DGS) to
+    30.886 dB (SRBF).
+Defaults chosen on: nika and flowers.
 """
 
 from __future__ import annotations

@@ -14,6 +14,11 @@ A way has settled when its last step (twice the viewpoints, four times the rays)
 first comes down to the second from above, slowly: the rare directions of a Gaussian are those that few places share.
 Gathering casts one ray from each viewpoint to the centre of each Gaussian of the sample: it has no resolution, and a
 fixed sample is what lets many viewpoints be tried.
+
+Given: three scenes, 32 views of 256 x 192 in navigable space, 16,384 viewpoints, 64 rays a face.
+Measured: visible share a view at each resolution; faces over 80, which grow with the number of views; share by solid
+    angle, which settles.
+Defaults chosen on: no scene.
 """
 
 from __future__ import annotations

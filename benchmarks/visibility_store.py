@@ -4,6 +4,10 @@ Takes a store (`--store FILE`, as `gsvis pvs` writes it), or makes one of showro
 viewpoints in each of `--cells` adjacent cells, the rest of the grid left out. Bits count the whole file but weight
 classes and direction sets. A cold query finds no decoded set; a warm one finds them in the cache. The peer is one
 roaring bitmap a cell in scene order, with runs where they pay.
+
+Given: a store of showroom LOD 3.
+Measured: bits for each (cell, visible Gaussian); seconds of queries.
+Defaults chosen on: showroom LOD 3 and shuffled copies, the store that is measured too.
 """
 
 from __future__ import annotations

@@ -1,0 +1,46 @@
+"""Every benchmark says what it is given, what it measures, and on which scenes a default was chosen."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
+BENCHMARKS = sorted(FOLDER.glob("[!_]*.py"))
+
+
+@pytest.fixture(scope="module")
+def harness() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("benchmark_harness", FOLDER / "_harness.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("path", BENCHMARKS, ids=lambda path: path.stem)
+def test_every_benchmark_tells_inputs_from_findings(harness: ModuleType, path: Path) -> None:
+    doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    assert doc is not None
+    assert doc.splitlines()[0].endswith("?"), "a benchmark asks one question"
+    assert list(harness.read_notes(doc)) == ["Given", "Measured", "Defaults chosen on"]
+
+
+def test_lines_that_go_on_belong_to_the_same_entry(harness: ModuleType) -> None:
+    doc = "A question?\n\nGiven: one\n    and two.\nMeasured: three.\nDefaults chosen on: four.\n"
+    assert harness.read_notes(doc) == {"Given": "one and two.", "Measured": "three.", "Defaults chosen on": "four."}
+
+
+@pytest.mark.parametrize(
+    "doc", ["", "A question?", "Given: one.\nMeasured: two.", "Given: \nMeasured: 2\nDefaults chosen on: 3"]
+)
+def test_an_entry_that_is_missing_or_empty_is_named(harness: ModuleType, doc: str) -> None:
+    with pytest.raises(ValueError, match="missing"):
+        harness.read_notes(doc)
