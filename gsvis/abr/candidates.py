@@ -185,7 +185,11 @@ class CandidateStore:
         return made
 
     def build(self, cell: int) -> Candidates:
-        """The candidates of a cell, made anew."""
+        """Return the candidates of a cell, made anew.
+
+        Raises:
+            ValueError: If the cell names Gaussians or terms that the scene does not have.
+        """
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
         own = index.cells.members(cell)
@@ -196,7 +200,7 @@ class CandidateStore:
         for ring in range(1, RINGS):
             fresh = np.zeros_like(seen)
             for other in rings[ring]:
-                kernels.add_words(index.cells.words(other), seen, fresh)
+                kernels.add_words(self._checked_words(index.cells.words(other)), seen, fresh)
             seen |= fresh
             found = _empty(len(self._every[0]))
             count = kernels.ring_units(fresh, self._every, found)
@@ -211,6 +215,7 @@ class CandidateStore:
         active, owing, terms = np.zeros(0, np.uint64), np.zeros_like(seen), 0
         if index.num_terms:
             ids = index.cells.terms(cell)
+            _check.in_range("terms", ids, 0, index.num_terms - 1)
             active, terms = np.zeros(word_count(index.num_terms), np.uint64), len(ids)
             kernels.active_words(ids, self._owners, active, owing)
         places = np.concatenate([self.spheres[words].T, self.spreads[words][None], self.word_bytes[words][None]])
@@ -233,8 +238,20 @@ class CandidateStore:
         parts = (local.slots, slots), (local.units, units), (local.entries, 4 * units), (local.keys, keys)
         return tuple(array[:size] for arrays, size in parts for array in arrays)
 
+    def _checked_words(self, words: Words) -> Words:
+        """The words, if they are a set of Gaussians of the scene: kernels write by what is in them."""
+        n = len(self.index)
+        last, spare = n // 64, n % 64
+        whole = len(words) == word_count(n)
+        if not whole or (last < len(words) and (int(words[last]) >> spare or words[last + 1 :].any())):
+            raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
+        return words
+
     def _units(self, members: CellMembers, weights: F32) -> tuple[Any, ...]:
         """Units of what one cell sees, ring 0."""
+        if ones(self._checked_words(members.words)) != len(members.classes):
+            raise ValueError(f"classes: expected one for each member, got {len(members.classes)}")
+        _check.in_range("classes", members.classes, 0, len(weights) - 1)
         found = _empty(len(members.classes))
         scene = self._strengths, self._pairs, self._mixed
         count = kernels.cell_units((members.words, members.classes), scene, weights, found)

@@ -30,6 +30,7 @@ from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import SceneError
+from gsvis.io._limits import open_regular
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility.store import VisibilityStore
@@ -144,7 +145,7 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
         if target.exists() and given.exists() and target.samefile(given):
             raise ValueError(f"--{name}: expected a file of its own, got {path}, which is read; name another")
     if name == "out" and target.is_file() and target.stat().st_size > 0:
-        with target.open("rb") as file:
+        with open_regular(target) as file:
             if file.read(6) != b"ARROW1":
                 raise ValueError(
                     f"--out: expected a new file or an Arrow file to replace, got {path}, which is something else;"

@@ -26,6 +26,7 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
+from gsvis.io._limits import open_regular
 from gsvis.io.poses import load_path
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
@@ -119,7 +120,7 @@ def _check_target(command: Pvs) -> None:
     try:
         VisibilityStore.open(target).close()
     except FormatError:
-        with target.open("rb") as file:
+        with open_regular(target) as file:
             if file.read(6) != b"\x93GSPVS":  # a damaged store may be replaced
                 raise ValueError(
                     f"--out: expected a new file or a store to replace, got {command.out}, which is something else;"

@@ -7,11 +7,11 @@ import os
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
+from gsvis.io._limits import open_regular
 
 __all__ = ["run_serve"]
 
@@ -37,7 +37,7 @@ def run_serve(command: Serve) -> None:
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:
-            Path(path).open("rb").close()  # the error of OpenSSL would not name it
+            open_regular(path).close()  # the error of OpenSSL would not name it
     with open_scenes(command.package, max_cache_bytes=command.cache, warm=True) as scenes:
         try:
             server = Server(scenes, config, address, planners=command.planners)

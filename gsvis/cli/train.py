@@ -16,6 +16,7 @@ from gsvis.cli.arguments import Train
 from gsvis.cli.source import check_file
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.io._limits import open_regular
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress
@@ -104,7 +105,7 @@ def _checked(command: Train) -> TrainConfig:
 
 def _holds_gaussians(path: Path) -> bool:
     """Whether a file is a PLY of Gaussians, not for instance the points that training starts with."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(1 << 16)
     return head.startswith(b"ply") and b" f_dc_0" in head
 

@@ -19,10 +19,10 @@ import pyarrow as pa
 
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
-from gsvis.io._limits import Budget
+from gsvis.io._limits import Budget, open_regular
 from gsvis.io.atomic import atomic_path
 
-__all__ = ["ArrowFile", "write_arrow"]
+__all__ = ["FAULTS", "ArrowFile", "uncompressed_bytes", "write_arrow"]
 
 _MAGIC = b"ARROW1"
 _HEADER, _CHECKSUM = b"gsvis", b"checksum"
@@ -31,7 +31,8 @@ _DIGITS = 8
 _TAIL = 10  # length of the footer and magic
 _CHUNK = 1 << 24
 _AGAIN = "the file is damaged: copy or write it again"
-_FAULTS = (pa.ArrowException, ValueError, OSError, struct.error, MemoryError, OverflowError)
+FAULTS = (pa.ArrowException, ValueError, OSError, struct.error, MemoryError, OverflowError)
+"""What Arrow and the code here raise at damaged bytes."""
 
 
 def write_arrow(
@@ -81,7 +82,7 @@ class ArrowFile:
 
     def __init__(self, path: str | os.PathLike[str], name: str, version: int) -> None:
         self.path, self._name = Path(path), name
-        with self.path.open("rb") as file:
+        with open_regular(self.path) as file:
             head, self._size = file.read(len(_MAGIC)), os.fstat(file.fileno()).st_size
         if head != _MAGIC or self._size < 16 + _TAIL:
             got = f"{self._size} bytes" if _MAGIC.startswith(head) else f"a file that begins {head!r}"
@@ -110,14 +111,14 @@ class ArrowFile:
         """
         for where, message in self._messages():
             try:
-                promised = _uncompressed_bytes(message)
-            except _FAULTS as error:
+                promised = uncompressed_bytes(message)
+            except FAULTS as error:
                 raise FormatError(self.path, where, "a record batch", str(error), _AGAIN) from error
             budget.claim(promised, where)
             try:
                 batch = pa.ipc.read_record_batch(message, self.schema)
                 batch.validate(full=True)
-            except _FAULTS as error:
+            except FAULTS as error:
                 raise FormatError(self.path, where, "a valid record batch", str(error), _AGAIN) from error
             for name, column in zip(batch.schema.names, batch.columns, strict=True):
                 if _has_nulls(column):
@@ -134,7 +135,7 @@ class ArrowFile:
                 message = reader.read_next_message()
             except StopIteration:
                 return
-            except _FAULTS as error:
+            except FAULTS as error:
                 raise FormatError(self.path, where, "an Arrow message", str(error), _AGAIN) from error
             if number >= 0:
                 if message.type != "record batch":
@@ -145,7 +146,7 @@ class ArrowFile:
     def _read_header(self, end: int, version: int) -> tuple[Fields, pa.Schema]:
         try:
             schema = pa.ipc.read_schema(self._buffer.slice(8, end - 8))
-        except _FAULTS as error:
+        except FAULTS as error:
             raise FormatError(self.path, "byte 8", "an Arrow schema", str(error), _AGAIN) from error
         text = (schema.metadata or {}).get(_HEADER)
         if text is None:
@@ -207,8 +208,11 @@ def _checksum(data: memoryview, places: list[int]) -> int:
     return crc
 
 
-def _uncompressed_bytes(message: pa.Message) -> int:
-    """What the buffers of a record batch will need in memory, as the first eight bytes of each say.
+def uncompressed_bytes(message: pa.Message) -> int:
+    """Return what the buffers of a record batch need in memory, as the first eight bytes of each say.
+
+    Raises:
+        struct.error: If the message is no record batch; `FAULTS` names what else may be raised.
 
     References:
         Apache Arrow columnar format, "Compression" of record batches; FlatBuffers internals, tables and vectors.

@@ -14,23 +14,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
+from gsvis.io._limits import Budget
 
-__all__ = ["Fields", "parse_object"]
+__all__ = ["Fields", "parse_json", "parse_object", "parsed_bytes"]
+
+# Bytes in memory, at most, of what each character of JSON text can become (measured in tests).
+_OBJECT, _LIST, _VALUE, _CHARACTER = 256, 128, 88, 8
 
 
-def parse_object(path: str | os.PathLike[str], data: bytes) -> Fields:
-    """The object that a JSON file holds.
+def parsed_bytes(data: bytes) -> int:
+    """Return at least the bytes that JSON text takes in memory when it is parsed, without parsing it.
+
+    Every value but the first has a comma, a colon or a bracket before it. Characters inside strings are counted too.
+    """
+    values = data.count(b",") + data.count(b":") + 1
+    return _OBJECT * data.count(b"{") + _LIST * data.count(b"[") + _VALUE * values + _CHARACTER * len(data)
+
+
+def parse_json(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None, **options: Any) -> Any:
+    """Return the value that JSON text holds, its memory claimed before it is parsed.
+
+    Args:
+        path: The file, for messages.
+        data: The text.
+        budget: Where memory is claimed; None if the text itself was read from disk and bounds it.
+        **options: Passed on to `json.loads`.
 
     Raises:
-        FormatError: If it is no JSON, nested too deeply, or no object.
+        FormatError: If it is no JSON, nested too deeply, or needs more memory than the budget has.
     """
+    (Budget(path, len(data)) if budget is None else budget).claim(parsed_bytes(data), "JSON")
     try:
-        value = json.loads(data)
+        return json.loads(data, **options)
     except RecursionError as error:
         raise FormatError(path, "", "JSON", "objects nested too deeply") from error
     except ValueError as error:  # includes JSONDecodeError, UnicodeDecodeError and integers of absurd length
-        raise FormatError(path, "", "JSON", str(error), "is the file truncated?") from error
-    return Fields(path, "", value)
+        told = "text that is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+        raise FormatError(path, "", "JSON", told, "is the file truncated?") from error
+
+
+def parse_object(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None) -> Fields:
+    """Return the object that a JSON file holds.
+
+    Args:
+        path: The file, for messages.
+        data: The text.
+        budget: Where memory is claimed; see `parse_json`.
+
+    Raises:
+        FormatError: If it is no JSON, nested too deeply, no object, or needs more memory than the budget has.
+    """
+    return Fields(path, "", parse_json(path, data, budget))
 
 
 class Fields:

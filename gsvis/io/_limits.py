@@ -1,17 +1,32 @@
-"""What a reader may believe: names that stay inside the folder, and memory bounded by the real size of the files.
+"""What a reader may believe: regular files, names that stay inside the folder, memory bounded by the files' real size.
 
 A compressed file says how large it will become. Readers claim that size from a `Budget` before they allocate, so a
 few bytes that promise gigabytes are refused while every real scene passes. This module knows no format.
+docs/design/026-hostile-inputs.md lists what is bounded by what.
 """
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
-from pathlib import PurePosixPath
+import stat
+from io import BufferedReader
+from pathlib import Path, PurePosixPath
 
 from gsvis.errors import FormatError
 
-__all__ = ["MAX_EXPANSION", "MIN_BUDGET", "Budget", "read_whole", "safe_name"]
+__all__ = [
+    "MAX_EXPANSION",
+    "MIN_BUDGET",
+    "Budget",
+    "check_regular",
+    "digest_of",
+    "inside",
+    "open_regular",
+    "read_whole",
+    "safe_name",
+]
 
 MAX_EXPANSION = 256
 """Bytes in memory that one byte on disk may become; real compressed scenes need 3 to 20."""
@@ -79,14 +94,103 @@ def safe_name(path: str | os.PathLike[str], where: str, name: object) -> str:
     return str(PurePosixPath(*parts))
 
 
-def read_whole(path: str | os.PathLike[str], size: int) -> bytes:
-    """All bytes of a file whose size was taken before; a file that has changed meanwhile is refused.
+def inside(path: str | os.PathLike[str], where: str, folder: Path, name: str) -> Path:
+    """Return the path of that name in a folder, unless links lead out of it; a link inside the folder is fine.
+
+    Args:
+        path: The file that holds the name, for the error message.
+        where: The key or entry that holds it.
+        folder: The folder, which may be a link itself.
+        name: A name that `safe_name` gave.
 
     Raises:
-        FormatError: If the file is no longer `size` bytes long.
+        FormatError: If links lead out of the folder. What they lead to is not looked at.
     """
-    with open(path, "rb") as stream:
+    root = Path(os.path.realpath(folder))
+    if not Path(os.path.realpath(root / name)).is_relative_to(root):
+        remedy = "links out of the folder are not followed; copy the file into it"
+        raise FormatError(path, where, f"a file inside {folder}", "a link that leads out of it", remedy)
+    return folder / name
+
+
+_KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def check_regular(path: str | os.PathLike[str]) -> os.stat_result:
+    """Raise unless there is a regular file at `path`; a pipe, a socket or a device would be waited for without end.
+
+    Raises:
+        FormatError: If it is a pipe, a socket or a device.
+        IsADirectoryError: If it is a folder.
+        OSError: If it cannot be looked at.
+    """
+    found = os.stat(path)
+    _refuse_others(path, found)
+    return found
+
+
+def _refuse_others(path: str | os.PathLike[str], found: os.stat_result) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        raise FormatError(path, "", "a regular file", kind, "write its content to a file and give that")
+
+
+def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
+    """Open a regular file to read its bytes: what every reader uses, so that none waits for a pipe.
+
+    Raises:
+        FormatError: If it is a pipe, a socket or a device.
+        IsADirectoryError: If it is a folder.
+        OSError: If it cannot be opened.
+    """
+    check_regular(path)  # before it is opened: opening a device can do something
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+    descriptor = os.open(path, flags)
+    try:
+        _refuse_others(path, os.fstat(descriptor))  # again: it may have been replaced since
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_whole(path: str | os.PathLike[str], most: int | None = None) -> bytes:
+    """Return all bytes of a regular file; one that changes meanwhile is refused.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+
+    Raises:
+        FormatError: If it is no regular file, larger, or its size changes.
+        OSError: If it cannot be read.
+    """
+    with open_regular(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if most is not None and size > most:
+            raise FormatError(path, "", f"at most {most:,} bytes", f"{size:,}")
         data = stream.read(size + 1)
     if len(data) != size:
         raise FormatError(path, "", f"{size:,} bytes", "a file that changes while it is read")
     return data
+
+
+def digest_of(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a regular file as 64 hexadecimal digits.
+
+    Raises:
+        FormatError: If it is no regular file.
+        OSError: If it cannot be read.
+    """
+    digest = hashlib.sha256()
+    with open_regular(path) as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import Budget, read_whole, safe_name
+from gsvis.io._limits import Budget, check_regular, inside, read_whole, safe_name
 
 __all__ = ["FolderStore", "Store", "ZipStore"]
 
@@ -49,13 +49,16 @@ class FolderStore:
     Args:
         folder: The folder.
         path: What error messages call it, such as the path of its meta.json.
+        root: The folder that links may not leave; None is `folder`.
     """
 
-    def __init__(self, folder: Path, path: str | os.PathLike[str]) -> None:
+    def __init__(self, folder: Path, path: str | os.PathLike[str], root: Path | None = None) -> None:
         self.folder, self.path = folder, os.fspath(path)
+        self._root = folder if root is None else root
 
     def _file(self, name: str) -> Path:
-        file = self.folder / name
+        below = self.folder.relative_to(self._root) if self.folder.is_relative_to(self._root) else Path()
+        file = inside(self.path, name, self._root, os.fspath(below / name))
         if not file.is_file():
             raise FormatError(self.path, name, "a file of that name beside the meta data", "none", "is the copy whole?")
         return file
@@ -64,7 +67,7 @@ class FolderStore:
         """Real bytes on disk behind these files.
 
         Raises:
-            FormatError: If one is missing.
+            FormatError: If one is missing, or a link leads out of the folder.
         """
         return sum(self._file(name).stat().st_size for name in dict.fromkeys(names))
 
@@ -72,12 +75,11 @@ class FolderStore:
         """Content of one file.
 
         Raises:
-            FormatError: If it is missing.
+            FormatError: If it is missing, or a link leads out of the folder.
         """
         file = self._file(name)
-        size = file.stat().st_size
-        budget.claim(size, name)
-        return read_whole(file, size)
+        budget.claim(file.stat().st_size, name)
+        return read_whole(file)
 
 
 class ZipStore:
@@ -92,7 +94,7 @@ class ZipStore:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)
-        self.size = os.stat(path).st_size
+        self.size = check_regular(path).st_size
         try:
             self._zip = zipfile.ZipFile(path)
         except _ZIP_FAULTS as error:

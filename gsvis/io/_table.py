@@ -23,6 +23,7 @@ __all__ = ["Table", "read_table"]
 
 _CHUNK = 1 << 20
 _LONGEST_LINE = 1 << 16
+_CELL, _ROW = 72, 144  # bytes in memory, at most, of a cell besides its text, and of a row besides its cells
 
 
 class Table:
@@ -84,8 +85,9 @@ def read_table(path: str | os.PathLike[str]) -> Table:
         FormatError: If it is no text, damaged, without header, or a row has another number of cells than the header.
     """
     path = Path(path)
-    text = _text(path)
-    reader = csv.reader(_lines(path, text), strict=True)
+    data = read_whole(path)
+    budget = Budget(path, len(data))
+    reader = csv.reader(_lines(path, _text(path, data, budget), budget), strict=True)
     rows: list[list[str]] = []
     lines: list[int] = []
     header: list[str] | None = None
@@ -109,18 +111,18 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     return Table(path, header, rows, lines)
 
 
-def _lines(path: Path, text: str) -> Iterator[str]:
-    """The lines of a text, refusing absurd ones before they are taken apart."""
+def _lines(path: Path, text: str, budget: Budget) -> Iterator[str]:
+    """Yield the lines of a text, absurd ones refused and the memory of their cells claimed before they are split."""
     for number, line in enumerate(io.StringIO(text, newline=""), 1):
         if len(line) > _LONGEST_LINE:
             raise FormatError(path, f"line {number}", f"at most {_LONGEST_LINE:,} characters", f"{len(line):,}")
+        budget.claim(_ROW + _CELL * (line.count(",") + 1) + 4 * len(line), "the cells of the table")
         yield line
 
 
-def _text(path: Path) -> str:
-    data = read_whole(path, path.stat().st_size)
+def _text(path: Path, data: bytes, budget: Budget) -> str:
     if data[:2] == b"\x1f\x8b":
-        data = _unzip(path, data)
+        data = _unzip(path, data, budget)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -128,8 +130,8 @@ def _text(path: Path) -> str:
         raise FormatError(path, f"line {line}", "UTF-8 text", f"byte 0x{data[error.start]:02x}") from error
 
 
-def _unzip(path: Path, data: bytes) -> bytes:
-    budget, parts = Budget(path, len(data)), []
+def _unzip(path: Path, data: bytes, budget: Budget) -> bytes:
+    parts = []
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
             while part := stream.read(_CHUNK):

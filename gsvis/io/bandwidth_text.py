@@ -34,7 +34,7 @@ def read_bandwidth_text(path: str | os.PathLike[str]) -> tuple[F64, F64]:
         FormatError: If a line is not two numbers, times do not rise, a rate is out of range, or nothing is left.
     """
     path = Path(path)
-    data = read_whole(path, path.stat().st_size)
+    data = read_whole(path)
     times: list[float] = []
     rates: list[float] = []
     latest = -1.0

@@ -10,6 +10,7 @@ import mmap
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
+from gsvis.io._limits import check_regular, open_regular
 from gsvis.io.views import F64, Views, pinhole
 from gsvis.scene.gaussians import rotations_from_quats
 
@@ -161,10 +163,10 @@ class _Bytes:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[_Bytes]:
-    if path.stat().st_size == 0:  # an empty file cannot be mapped
+    if check_regular(path).st_size == 0:  # an empty file cannot be mapped
         yield _Bytes(path, b"")
         return
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         yield _Bytes(path, data)
 
 
@@ -193,7 +195,7 @@ def _images_bin(path: Path) -> Iterator[Image]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with TextIOWrapper(open_regular(path), encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
             yield number, line.strip()
 

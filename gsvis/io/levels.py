@@ -6,7 +6,6 @@ PLY keeps only logarithms and logits. So what is loaded is what was saved, bit b
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.io._arrow import ArrowFile, write_arrow
 from gsvis.io._json import Fields
-from gsvis.io._limits import Budget, safe_name
+from gsvis.io._limits import Budget, digest_of, inside, safe_name
 from gsvis.io.atomic import atomic_folder
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.scene.gaussians import Gaussians
@@ -105,7 +104,7 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
         rows = []
         for k, name in enumerate(levels.names):
             save_ply(levels.level(k), partial / f"{name}.ply")
-            digest = _digest(partial / f"{name}.ply")
+            digest = digest_of(partial / f"{name}.ply")
             rows.append({"name": name, "file": f"{name}.ply", "count": levels.counts[k], "sha256": digest})
         header = {
             "format": FORMAT, "version": VERSION, "gaussians": len(levels.union), "levels": rows, "extra": kept,
@@ -212,20 +211,12 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
 
 def _checked_ply(file: Path, info: LevelsInfo, level: int) -> Path:
     """The PLY of a level, its content that of the map."""
-    path = file.parent / info.files[level]
+    path = inside(file, f"levels[{level}].file", file.parent, info.files[level])
     try:
-        digest = _digest(path)
+        digest = digest_of(path)
     except FileNotFoundError as error:
         raise FormatError(path, "", f"the PLY of level {info.names[level]!r}", "no such file", _AGAIN) from error
     if digest != info.digests[level]:
         wanted, got = f"a content of SHA-256 {info.digests[level][:12]}...", f"{digest[:12]}..."
         raise FormatError(path, "", wanted, got, f"it was changed since the map was written: {_AGAIN}")
     return path
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
 from gsvis.io._build import exp_scales, gaussians_from, logits, sigmoid
+from gsvis.io._limits import open_regular
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
 from gsvis.io._ply_rows import CHUNK_BYTES, row_chunks
 from gsvis.io.atomic import atomic_path
@@ -43,7 +44,7 @@ def load_ply(path: str | os.PathLike[str]) -> Gaussians:
         FormatError: If the file is no such PLY, is truncated, or holds invalid values.
         OSError: If it cannot be opened.
     """
-    with open(path, "rb") as stream:
+    with open_regular(path) as stream:
         header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
         if is_compressed(header):
             return read_compressed(header, stream)

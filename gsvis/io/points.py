@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import safe_name
+from gsvis.io._limits import inside, open_regular, safe_name
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
 from gsvis.io._ply_rows import row_chunks
 from gsvis.io.colmap import find_colmap, find_colmap_points, read_colmap_points
@@ -58,7 +58,7 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
     if found is None:
         raise FormatError(path, "", _KNOWN, "none")
     if found.suffix.lower() == ".ply":
-        with open(found, "rb") as stream:
+        with open_regular(found) as stream:
             return _read_ply(parse_header(found, stream, os.fstat(stream.fileno()).st_size), stream)
     positions, colors = read_colmap_points(found)
     with np.errstate(over="ignore"):  # what overflows is refused below
@@ -85,7 +85,7 @@ def find_points(path: Path) -> Path | None:
         name = content.get("ply_file_path") if isinstance(content, dict) else None
         if name is None:
             return None
-        file = path.parent / safe_name(path, "ply_file_path", name)
+        file = inside(path, "ply_file_path", path.parent, safe_name(path, "ply_file_path", name))
         if not file.is_file():
             raise FormatError(path, "ply_file_path", "a file beside it", f"{name!r}, which is not there")
         return file

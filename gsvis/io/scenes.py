@@ -13,6 +13,7 @@ from pathlib import Path
 
 from gsvis.errors import FormatError
 from gsvis.io._json import parse_object
+from gsvis.io._limits import open_regular, read_whole
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
@@ -100,7 +101,7 @@ def _is_streamed(path: Path) -> bool:
         return (path / "lod-meta.json").is_file()
     if path.suffix.lower() != ".json":
         return False
-    fields = parse_object(path, path.read_bytes())
+    fields = parse_object(path, read_whole(path))
     return "tree" in fields or "filenames" in fields or path.name == "lod-meta.json"
 
 
@@ -112,7 +113,7 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
         return load_sog
     if path.suffix.lower() == ".json":
         return load_sog
-    with open(path, "rb") as stream:
+    with open_regular(path) as stream:
         head = stream.read(8)
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three, sigmoid
 from gsvis.io._json import Fields, parse_object
-from gsvis.io._limits import Budget, safe_name
+from gsvis.io._limits import Budget, inside, read_whole, safe_name
 from gsvis.io._store import FolderStore, Store, ZipStore
 from gsvis.io._webp import MAX_PIXELS, decode_plane, plane_size
 from gsvis.scene.gaussians import Gaussians
@@ -47,10 +47,12 @@ def load_sog(path: str | os.PathLike[str]) -> Gaussians:
     if where.suffix.lower() != ".json":
         with ZipStore(where) as archive:
             budget = Budget(where, archive.size)
-            return read_sog(SogMeta(parse_object(where, archive.read("meta.json", budget))), archive, budget)
-    store = FolderStore(where.parent, where)
-    budget = Budget(where, where.stat().st_size)
-    meta = SogMeta(parse_object(where, where.read_bytes()))
+            return read_sog(SogMeta(parse_object(where, archive.read("meta.json", budget), budget)), archive, budget)
+    if Path(path).is_dir():
+        inside(where, "", where.parent, where.name)
+    store, data = FolderStore(where.parent, where), read_whole(where)
+    budget = Budget(where, len(data))
+    meta = SogMeta(parse_object(where, data, budget))
     budget.file_bytes += store.file_bytes(meta.names)
     return read_sog(meta, store, budget)
 

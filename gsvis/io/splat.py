@@ -33,12 +33,13 @@ def load_splat(path: str | os.PathLike[str]) -> Gaussians:
         FormatError: If the size is no multiple of 32 bytes or a value is invalid.
         OSError: If it cannot be opened.
     """
-    size = os.stat(path).st_size
+    data = read_whole(path)
+    size = len(data)
     if size == 0 or size % _RECORD.itemsize:
         raise FormatError(
             path, f"byte {size:,}", "whole records of 32 bytes, at least one", f"{size:,} bytes", "is it truncated?"
         )
-    records = np.frombuffer(read_whole(path, size), _RECORD)
+    records = np.frombuffer(data, _RECORD)
     rgba = records["rgba"].astype(np.float32) / np.float32(255.0)
     scales = records["scales"].astype(np.float32)
     scales[scales == 0.0] = LEAST_SCALE  # an exponential that underflowed in the writer

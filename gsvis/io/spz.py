@@ -83,7 +83,7 @@ def load_spz(path: str | os.PathLike[str]) -> Gaussians:
     References:
         The format's README and reference implementation, nianticlabs/spz.
     """
-    data = read_whole(path, os.stat(path).st_size)
+    data = read_whole(path)
     budget = Budget(path, len(data))
     if data[:4] == _MAGIC:
         header, streams = _read_zstd(path, data, budget)

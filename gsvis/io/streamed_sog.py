@@ -16,7 +16,7 @@ import numpy as np
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
-from gsvis.io._limits import Budget, safe_name
+from gsvis.io._limits import Budget, inside, read_whole, safe_name
 from gsvis.io._store import FolderStore, ZipStore
 from gsvis.io.sog import SogMeta, read_sog
 from gsvis.scene.gaussians import Gaussians
@@ -72,7 +72,7 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
     if absent:
         raise FormatError(tree.path, "", f"the files of LOD {lod}", f"no {_some(absent)}", remedy)
     environment = tree.environment
-    if environment and not (tree.folder / environment).is_file():
+    if environment and not tree.at(environment).is_file():
         raise FormatError(tree.path, "environment", f"the file {environment}", "none", remedy)
     parts = []
     for file, runs in sorted(tree.runs[lod].items()):
@@ -99,9 +99,11 @@ class _Tree:
         file = Path(path)
         self.path = file / "lod-meta.json" if file.is_dir() else file
         self.folder = self.path.parent
-        data = self.path.read_bytes()
+        if file.is_dir():
+            inside(self.path, "", self.folder, self.path.name)
+        data = read_whole(self.path)
         self.budget = Budget(self.path, len(data))
-        fields = parse_object(self.path, data)
+        fields = parse_object(self.path, data, self.budget)
         self.files = [safe_name(self.path, f"filenames[{i}]", n) for i, n in enumerate(fields.items("filenames"))]
         if len(set(self.files)) < len(self.files):
             raise FormatError(self.path, "filenames", "every file once", "a file named twice")
@@ -132,20 +134,26 @@ class _Tree:
     def absent(self, lod: int) -> list[str]:
         """Files that a level needs and that are not there."""
         names = [self.files[file] for file in sorted(self.runs[lod])]
-        return [name for name in names if not (self.folder / name).is_file()]
+        return [name for name in names if not self.at(name).is_file()]
+
+    def at(self, name: str) -> Path:
+        """Path of a file that the tree names; FormatError if a link leads out of the folder."""
+        return inside(self.path, name, self.folder, name)
 
 
 def _scene(tree: _Tree, name: str) -> Gaussians:
     """One of the SOG scenes that the tree refers to, a meta.json or a zip, whole."""
-    path = tree.folder / name
+    path = tree.at(name)
     if path.suffix.lower() != ".json":
         with ZipStore(path) as archive:
             tree.budget.file_bytes += archive.size
-            meta = SogMeta(parse_object(path, archive.read("meta.json", tree.budget)))
+            meta = SogMeta(parse_object(path, archive.read("meta.json", tree.budget), tree.budget))
             return read_sog(meta, archive, tree.budget)
-    data = path.read_bytes()
-    meta, store = SogMeta(parse_object(path, data)), FolderStore(path.parent, path)
-    tree.budget.file_bytes += len(data) + store.file_bytes(meta.names)
+    data = read_whole(path)
+    tree.budget.file_bytes += len(data)
+    meta = SogMeta(parse_object(path, data, tree.budget))
+    store = FolderStore(path.parent, path, tree.folder)
+    tree.budget.file_bytes += store.file_bytes(meta.names)
     return read_sog(meta, store, tree.budget)
 
 

@@ -6,16 +6,16 @@ may not: the change from one to the other happens here. This module knows no for
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
+from gsvis.io._json import parse_json
+from gsvis.io._limits import read_whole
 from gsvis.scene.cameras import Cameras
 
 __all__ = ["Views", "pinhole", "pose_of_camera", "read_json", "to_numbers"]
@@ -118,11 +118,9 @@ def read_json(path: Path_) -> Any:
 
     Raises:
         FormatError: If the file is not JSON.
+        OSError: If it cannot be read.
     """
-    try:
-        return json.loads(Path(path).read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise FormatError(path, "", "JSON", f"{type(error).__name__}: {error}") from error
+    return parse_json(path, read_whole(path))
 
 
 def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F64:

@@ -20,6 +20,7 @@ from gsvis.color.storage import grids_of
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
+from gsvis.io._limits import inside, read_whole
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.parts import Part
 
@@ -210,13 +211,11 @@ class Manifest:
         """Read and check a manifest.
 
         Raises:
-            FormatError: If it is none, damaged, of a newer version, or contradicts itself.
+            FormatError: If it is none, damaged, of a newer version, a link out of its folder, or contradicts itself.
             OSError: If it cannot be opened.
         """
-        size = path.stat().st_size
-        if size > _MOST_BYTES:
-            raise FormatError(path, "", f"at most {_MOST_BYTES:,} bytes", f"{size:,}")
-        fields = parse_object(path, path.read_bytes())
+        inside(path, "", path.parent, path.name)
+        fields = parse_object(path, read_whole(path, _MOST_BYTES))
         if fields.raw("format") != FORMAT:
             raise FormatError(path, "format", FORMAT, repr(fields.raw("format"))[:60], "is this a package?")
         version = fields.integer("version", 1, 1 << 30)

@@ -5,7 +5,6 @@ A name is 64 hexadecimal digits and nothing else, so no name leads out of the fo
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import secrets
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.io._arrow import ArrowFile, write_arrow
 from gsvis.io._json import Fields
-from gsvis.io._limits import Budget
+from gsvis.io._limits import Budget, check_regular, digest_of, read_whole
 
 __all__ = ["MOST_BYTES", "Part", "PartFolder"]
 
@@ -119,9 +118,9 @@ class PartFolder:
                 path, "", "a file of the package", "a link", "links are not followed; copy the file itself"
             )
         try:
-            size, digest = path.stat().st_size, ""
+            size, digest = check_regular(path).st_size, ""
             if size == part.nbytes:
-                digest = _digest(path)
+                digest = digest_of(path)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise FormatError(path, "", "a part of the package", "no such file", "prepare the package again") from error
         if size != part.nbytes:
@@ -136,7 +135,7 @@ class PartFolder:
         Raises:
             FormatError: As `path_of`.
         """
-        return self.path_of(part).read_bytes()
+        return read_whole(self.path_of(part))
 
     def read_columns(self, part: Part, kind: str, types: dict[str, type[np.generic]], rows: int) -> dict[str, Any]:
         """The columns of a part.
@@ -184,7 +183,7 @@ class PartFolder:
         partial = self.folder / f".part-{secrets.token_hex(6)}.{suffix}"
         try:
             write(partial)
-            part = Part(_digest(partial), partial.stat().st_size, suffix)
+            part = Part(digest_of(partial), partial.stat().st_size, suffix)
             try:
                 self.path_of(part)
             except FormatError:
@@ -193,11 +192,3 @@ class PartFolder:
         finally:
             partial.unlink(missing_ok=True)
         return part
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()

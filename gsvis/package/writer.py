@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gsvis.color.records import QuantisedColors
 from gsvis.errors import FormatError
+from gsvis.io._limits import open_regular
 from gsvis.io.atomic import atomic_path
 from gsvis.package.contents import Contents
 from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest, PackageInfo
@@ -139,7 +140,7 @@ def _planes(letter: str, rows: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]
 
 def _blob(parts: PartFolder, path: Path) -> Blob:
     found: list[Part] = []
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         while block := file.read(MOST_BYTES):
             found.append(parts.write_bytes(block))

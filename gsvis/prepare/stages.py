@@ -24,6 +24,8 @@ from gsvis.color.records import QuantisedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
+from gsvis.io._json import parse_object
+from gsvis.io._limits import read_whole
 from gsvis.io.atomic import atomic_path
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package import Cost, in_package_order, measure_cost
@@ -224,7 +226,7 @@ class Stages:
                 with atomic_path(self.work.at(name)) as partial:
                     partial.write_text(json.dumps(asdict(cost)), encoding="ascii")
                 self.work.seal(name)
-            return Cost(**json.loads(self.work.at(name).read_text(encoding="ascii")))
+            return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
     def _trained(self, folder: Path) -> Levels:
         """Levels made, measured and kept."""

@@ -15,6 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gsvis.errors import FormatError
+from gsvis.io._limits import digest_of, read_whole
 from gsvis.io.atomic import atomic_path
 from gsvis.io.locks import locked
 
@@ -22,7 +24,6 @@ __all__ = ["WorkFolder", "digest_of_folder"]
 
 _MARK = "gsvis-prepare"
 _TOLD = "What `gsvis prepare` keeps between runs. It may be deleted: it is made again.\n"
-_BLOCK = 1 << 20
 
 
 class WorkFolder:
@@ -92,9 +93,9 @@ class WorkFolder:
         """Whether a file is there with the content that `seal` saw."""
         path = self.at(name)
         try:
-            told = (self.path / f"{name}.sha256").read_text(encoding="ascii")
-            return told == _digest(path)
-        except (OSError, UnicodeDecodeError):
+            told = read_whole(self.path / f"{name}.sha256", 64)
+            return told.decode("ascii") == digest_of(path)
+        except (OSError, FormatError, UnicodeDecodeError):
             return False
 
     def seal(self, name: str) -> None:
@@ -104,7 +105,7 @@ class WorkFolder:
             OSError: If it cannot be read, or the note not be written.
         """
         with atomic_path(self.path / f"{name}.sha256") as partial:
-            partial.write_text(_digest(self.path / name), encoding="ascii")
+            partial.write_text(digest_of(self.path / name), encoding="ascii")
 
     def clear(self) -> None:
         """Remove what this run did not ask for: pieces of other scenes and options."""
@@ -139,13 +140,5 @@ def digest_of_folder(folder: str | os.PathLike[str]) -> str:
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
         if path.is_file():
-            digest.update(f"{path.relative_to(root).as_posix()} {_digest(path)}\n".encode())
-    return digest.hexdigest()
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
+            digest.update(f"{path.relative_to(root).as_posix()} {digest_of(path)}\n".encode())
     return digest.hexdigest()

@@ -14,7 +14,6 @@ import os
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -24,6 +23,8 @@ from PIL import Image
 from gsvis import _check
 from gsvis.color.epsilon import MOST_AT_BOUND, STUCK, UP_STEPS, EpsilonCalibration, StaircaseRule, replay
 from gsvis.errors import FormatError
+from gsvis.io._json import parse_json
+from gsvis.io._limits import read_whole
 from gsvis.io.atomic import atomic_path
 from gsvis.progress import Progress, silent
 from gsvis.report.html import filled, plain, table
@@ -171,10 +172,7 @@ def _document(path: str | os.PathLike[str]) -> dict[str, Any]:
     def constant(name: str) -> NoReturn:
         raise ValueError(f"the constant {name}")
 
-    try:
-        document = json.loads(Path(path).read_bytes(), parse_constant=constant)
-    except (ValueError, RecursionError) as error:  # JSON and UTF-8 errors are ValueErrors
-        raise FormatError(path, "", "JSON", f"'{error}'", "save the result of the test again") from error
+    document = parse_json(path, read_whole(path), parse_constant=constant)
     if not isinstance(document, dict):
         raise FormatError(path, "", "a JSON object", type(document).__name__, "save the result of the test again")
     return document

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import os
 import re
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from gsvis.errors import FormatError
+from gsvis.io._limits import read_whole
 from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import PARTS
 from gsvis.package.parts import MOST_BYTES
@@ -82,11 +82,7 @@ def read_part(package: Path, name: str) -> bytes:
 def _read(path: Path, most: int) -> bytes:
     if path.is_symlink():
         raise FormatError(path, "", "a file of the package", "a link", "links are not followed; copy the file itself")
-    with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise FormatError(path, "", f"at most {most:,} bytes", f"{size:,}")
-        return file.read(most)
+    return read_whole(path, most)
 
 
 async def respond(request: Request, package: Path, name: str, *, private: bool) -> Response:

@@ -7,6 +7,7 @@ pixels are those the model was made of.
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 from PIL import Image
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import safe_name
+from gsvis.io._limits import Budget, open_regular, safe_name
 from gsvis.io.colmap import find_colmap, read_colmap
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
@@ -118,19 +119,21 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
     """Width and height of each image, from its header.
 
     Raises:
-        FormatError: If a file is no image, or of a kind that is not read.
+        FormatError: If a file is no image, of a kind that is not read, or unpacks to far more than its size.
     """
     sizes = []
     for path in files:
         try:
-            with Image.open(path) as image:
+            with open_regular(path) as file, Image.open(file) as image:
                 mode, size = image.mode, image.size
+                held = os.fstat(file.fileno()).st_size
         except FAULTS as error:
             told = "something else" if "cannot identify" in str(error) else str(error) or type(error).__name__
             raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", told, "is it damaged?") from error
         if mode not in MODES:
             remedy = "convert the images to 8-bit RGB"
             raise FormatError(path, "", "grey or RGB with 8 bits a channel", f"Pillow's mode {mode}", remedy)
+        Budget(path, held).claim(4 * size[0] * size[1], f"an image of {size[0]} x {size[1]}")
         sizes.append(size)
     return sizes
 

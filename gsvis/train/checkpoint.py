@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,8 @@ import torch
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io.atomic import atomic_path
+from gsvis.io._json import parse_object
+from gsvis.io.archive import load_arrays, save_arrays
 from gsvis.train.history import Record
 from gsvis.train.parameters import NAMES
 
@@ -66,8 +66,7 @@ def save_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         "history": [asdict(record) for record in trainer.history],
     }
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    with atomic_path(path) as partial, open(partial, "wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    save_arrays(path, arrays)
 
 
 def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
@@ -97,7 +96,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         p.steps, trainer.step = int(header["adam_steps"]), int(header["step"])
         trainer.seconds, trainer.loss = float(header["seconds"]), float(header["loss"])
         trainer.history = [Record(**record) for record in header["history"]]
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise FormatError(path, "", "a whole checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
 
 
@@ -113,17 +112,16 @@ def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and arrays of a checkpoint; one of an earlier version may have no checksum."""
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(arrays.pop("header").tobytes())
-        if header["format"] != _FORMAT:
-            raise ValueError(f"format {header['format']!r}")
-        version = int(header["version"])
-    except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, FileNotFoundError | PermissionError):
-            raise
-        raise FormatError(path, "", "a checkpoint of gsvis", f"{type(error).__name__}: {error}", _AGAIN) from error
+        arrays = load_arrays(path)
+        header = parse_object(path, arrays.pop("header", np.zeros(0, np.uint8)).tobytes())
+        if header.raw("format") != _FORMAT:
+            raise FormatError(path, "format", _FORMAT, repr(header.raw("format"))[:60])
+        version = header.integer("version", 1, 1 << 30)
+    except FormatError as error:
+        told = f"{error.where}: {error.got}" if error.where else error.got
+        raise FormatError(path, "", "a checkpoint of gsvis", told, _AGAIN) from error
     if version > _VERSION:
         raise FormatError(path, "version", f"at most {_VERSION}", str(version), "update gsvis")
-    return header, arrays
+    return header.value, arrays

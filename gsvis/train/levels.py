@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io.atomic import atomic_path
+from gsvis.io.archive import load_arrays, save_arrays
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
@@ -261,13 +260,13 @@ def _subsets(
     key = digest.hexdigest()
     if path.exists():
         try:
-            with path.open("rb") as source, np.load(source, allow_pickle=False) as archive:
-                found, packed = archive["key"].tobytes().decode(), archive["masks"]
+            archive = load_arrays(path)
+            found, packed = archive["key"].tobytes().decode(), archive["masks"]
             bits = np.unpackbits(packed, axis=1, count=len(scene)).astype(bool)
             if found == key and bits.sum(axis=1).tolist() != counts:
                 raise ValueError("masks of other sizes")
-        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            told = f"{type(error).__name__}: {error}"
+        except (FormatError, KeyError, TypeError, ValueError) as error:
+            told = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
             raise FormatError(path, "", "the chosen subsets", told, "delete it to choose anew") from error
         if found != key:
             raise ValueError(
@@ -276,8 +275,8 @@ def _subsets(
             )
         return dict(zip(counts, bits, strict=True))
     masks = chosen()
-    with atomic_path(path) as partial, partial.open("wb") as file:
-        np.savez(file, key=np.frombuffer(key.encode(), np.uint8), masks=np.packbits(np.stack(masks), axis=1))
+    packed = np.packbits(np.stack(masks), axis=1)
+    save_arrays(path, {"key": np.frombuffer(key.encode(), np.uint8), "masks": packed})
     return dict(zip(counts, masks, strict=True))
 
 

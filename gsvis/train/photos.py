@@ -18,6 +18,7 @@ from PIL import Image
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
+from gsvis.io._limits import open_regular
 from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent
@@ -217,7 +218,7 @@ def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
     """(H, W, 3) of one image at a size, and whether it was transparent anywhere."""
     transparent = False
     try:
-        with Image.open(path) as image:
+        with open_regular(path) as file, Image.open(file) as image:
             if image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info:
                 with_alpha = image.convert("RGBA")
                 alpha = with_alpha.getchannel("A")

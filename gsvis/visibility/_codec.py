@@ -15,6 +15,7 @@ import zstandard
 from numpy.typing import NDArray
 from pyroaring import BitMap
 
+from gsvis import _check
 from gsvis.visibility import _kernels_store as kernels
 
 __all__ = [
@@ -54,9 +55,15 @@ def word_count(n: int) -> int:
 
 
 def pack(ids: NDArray[Any], n: int) -> Words:
-    """The set of the given ids, each in [0, n)."""
+    """Return the set of the given ids as packed words.
+
+    Raises:
+        ValueError: If an id is not in [0, n): the kernel would write outside of the words.
+    """
+    given = np.ascontiguousarray(ids)
+    _check.in_range("ids", given, 0, n - 1)
     words = np.zeros(word_count(n), np.uint64)
-    kernels.mark(np.ascontiguousarray(ids), words)
+    kernels.mark(given, words)
     return words
 
 

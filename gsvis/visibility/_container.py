@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
+from gsvis.io._limits import open_regular
 
 __all__ = ["HEAD_BYTES", "Container", "ContainerWriter", "Section"]
 
@@ -85,7 +86,7 @@ class Container:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        with self.path.open("rb") as file:
+        with open_regular(self.path) as file:
             size = os.fstat(file.fileno()).st_size
             place, length, crc = self._read_head(file.read(HEAD_BYTES), size)
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

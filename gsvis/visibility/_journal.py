@@ -18,14 +18,18 @@ from typing import Any
 import numpy as np
 import zstandard
 
+from gsvis.errors import FormatError
+from gsvis.io._limits import MAX_EXPANSION, MIN_BUDGET, read_whole
 from gsvis.io.atomic import atomic_path
 from gsvis.io.locks import locked
+from gsvis.visibility._codec import CodecError, decompress
 from gsvis.visibility.pvs import CellView
 
 __all__ = ["Journal", "pack_view", "unpack_view"]
 
 _HEAD = struct.Struct("<4sIIIf")
-_MAGIC = b"gvc1"
+_MAGIC = b"gvc2"  # gvc1 had a checksum of the packed bytes alone
+_CHECKED = 8  # from this byte on, all of it is under the checksum
 
 
 def pack_view(view: CellView) -> bytes:
@@ -33,8 +37,9 @@ def pack_view(view: CellView) -> bytes:
     deltas = np.diff(view.ids, prepend=np.int32(0)).astype("<i4")
     body = deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + view.classes.tobytes() + view.directions.T.tobytes()
     packed = zstandard.ZstdCompressor(level=1).compress(body)
-    head = _HEAD.pack(_MAGIC, zlib.crc32(packed), len(view.ids), view.viewpoints, view.growth)
-    return head + packed
+    data = bytearray(_HEAD.pack(_MAGIC, 0, len(view.ids), view.viewpoints, view.growth) + packed)
+    struct.pack_into("<I", data, 4, zlib.crc32(data[_CHECKED:]))
+    return bytes(data)
 
 
 def unpack_view(data: bytes) -> CellView | None:
@@ -43,16 +48,20 @@ def unpack_view(data: bytes) -> CellView | None:
         return None
     magic, check, count, viewpoints, growth = _HEAD.unpack_from(data)
     packed = data[_HEAD.size :]
-    if magic != _MAGIC or zlib.crc32(packed) != check:
+    if magic != _MAGIC or zlib.crc32(data[_CHECKED:]) != check:
         return None
-    body = np.frombuffer(zstandard.ZstdDecompressor().decompress(packed, max_output_size=15 * count + 1), np.uint8)
-    if len(body) != 15 * count:
+    try:
+        if 15 * count > MIN_BUDGET + MAX_EXPANSION * len(data):  # promises more than such a file can hold
+            return None
+        body = np.frombuffer(decompress(packed, 15 * count), np.uint8)
+    except CodecError:
         return None
     deltas = np.ascontiguousarray(body[: 4 * count].reshape(4, count).T).view("<i4")[:, 0]
     directions = np.ascontiguousarray(body[5 * count :].reshape(10, count).T)
-    return CellView(
-        np.cumsum(deltas, dtype=np.int32), body[4 * count : 5 * count].copy(), directions, viewpoints, growth
-    )
+    ids = np.cumsum(deltas, dtype=np.int64)
+    if count and (ids[0] < 0 or ids[-1] >= 1 << 31 or (deltas[1:] <= 0).any()):
+        return None
+    return CellView(ids.astype(np.int32), body[4 * count : 5 * count].copy(), directions, viewpoints, growth)
 
 
 class Journal:
@@ -100,8 +109,8 @@ class Journal:
     def view(self, cell: int) -> CellView | None:
         """The view of a cell, if it was kept and is whole."""
         try:
-            return unpack_view(self._path(cell).read_bytes())
-        except FileNotFoundError:
+            return unpack_view(read_whole(self._path(cell)))
+        except (FileNotFoundError, FormatError):
             return None
 
     def finished(self, count: int) -> list[int]:

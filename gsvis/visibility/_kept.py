@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.io.atomic import atomic_path
+from gsvis.errors import FormatError
+from gsvis.io.archive import load_arrays, save_arrays
 
 __all__ = ["Kept"]
 
@@ -40,20 +40,19 @@ class Kept:
             digest = hashlib.sha256(json.dumps(dict(plan), sort_keys=True).encode()).hexdigest()
             self.path = target.with_name(f"{target.name}.partial-{digest[:12]}.npz")
 
-    def load(self, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray[Any]]:
-        """What was kept, where it is whole and of these shapes.
+    def load(self, like: Mapping[str, tuple[tuple[int, ...], type[np.generic]]]) -> dict[str, NDArray[Any]]:
+        """Return what was kept, where it is whole and of these shapes and types; a damaged file counts as missing.
 
         Args:
-            shapes: Of the arrays that may be there.
+            like: Shape and type of the arrays that may be there.
         """
         if self.path is None:
             return {}
         try:
-            with self.path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                found = {name: file[name] for name in shapes if name in file.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            found = load_arrays(self.path, sealed=True)
+        except (OSError, FormatError):
             return {}
-        return {name: array for name, array in found.items() if array.shape == shapes[name]}
+        return {name: array for name, array in found.items() if like.get(name) == (array.shape, array.dtype.type)}
 
     def save(self, **arrays: NDArray[Any]) -> None:
         """Keep these instead of what was kept before.
@@ -62,8 +61,7 @@ class Kept:
             OSError: If the file cannot be written.
         """
         if self.path is not None:
-            with atomic_path(self.path) as partial, partial.open("wb") as file:
-                np.savez(file, **arrays)  # type: ignore[arg-type]  # names are not those of its own parameters
+            save_arrays(self.path, arrays)
 
     def remove(self) -> None:
         """Nothing is kept any more."""

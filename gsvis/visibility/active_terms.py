@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import struct
 import threading
 import zlib
@@ -28,7 +29,9 @@ from gsvis.color.activation import Activation
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
+from gsvis.io._arrow import FAULTS, uncompressed_bytes
 from gsvis.io._json import Fields, parse_object
+from gsvis.io._limits import Budget, open_regular
 from gsvis.io.atomic import atomic_path
 from gsvis.progress import Progress, silent
 from gsvis.scene.content import scene_hash
@@ -112,8 +115,10 @@ class ActiveTerms:
         self.path = Path(path)
         self._lock = threading.Lock()
         self._held: tuple[int, Any] | None = None  # the group read last
-        with self.path.open("rb"):  # a missing file is told as such, not by Arrow
-            pass
+        self._stream: Any = None
+        self._messages: list[Any] = []  # of the groups up to the highest that was asked for
+        with open_regular(self.path) as file:  # a missing file is told as such, not by Arrow
+            self._budget_bytes = os.fstat(file.fileno()).st_size
         self._source = self._checked("", lambda: pa.memory_map(str(self.path), "r"))
         try:
             self._reader = self._checked("", lambda: pa.ipc.open_file(self._source))
@@ -157,7 +162,8 @@ class ActiveTerms:
     def close(self) -> None:
         """Let go of the file; no query works afterwards."""
         with self._lock:
-            self._held = None
+            self._held, self._stream = None, None
+            self._messages.clear()
             self._source.close()
 
     def __enter__(self) -> ActiveTerms:
@@ -268,7 +274,9 @@ class ActiveTerms:
             if self._held is None or self._held[0] != group:
 
                 def read() -> Any:
-                    batch = self._reader.get_batch(group)
+                    message = self._message(group)
+                    Budget(self.path, self._budget_bytes).claim(uncompressed_bytes(message), where)
+                    batch = pa.ipc.read_record_batch(message, self._reader.schema)
                     batch.validate(full=True)
                     return batch
 
@@ -278,6 +286,19 @@ class ActiveTerms:
                     raise self._fault(where, f"a group of {rows} cells without gaps", f"{batch.num_rows} rows")
                 self._held = group, batch
             return self._held[1]
+
+    def _message(self, group: int) -> pa.Message:
+        """The record batch of a group, not decompressed."""
+        if self._stream is None:
+            self._source.seek(0)
+            self._stream = pa.ipc.MessageReader.open_stream(self._source.read_buffer().slice(8))
+            self._stream.read_next_message()  # the schema
+        while len(self._messages) <= group:
+            message = self._stream.read_next_message()
+            if message.type != "record batch":
+                raise ValueError(f"expected a record batch, got a {message.type} message")
+            self._messages.append(message)
+        return self._messages[group]
 
     def _read_info(self) -> ActiveTermsInfo:
         metadata = self._reader.schema.metadata or {}
@@ -318,7 +339,7 @@ class ActiveTerms:
         """What `read` gives; what Arrow says of bytes that are not its own becomes a FormatError."""
         try:
             return read()
-        except (pa.ArrowException, OSError, ValueError) as error:  # Arrow has many words for it
+        except (*FAULTS, StopIteration) as error:  # Arrow has many words for it
             first = (str(error).splitlines() or [type(error).__name__])[0][:120]
             raise self._fault(where, "an Arrow IPC file", f"other bytes ({first})") from error
 

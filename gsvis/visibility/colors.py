@@ -178,7 +178,10 @@ def prepare_colors(
     if navigable is None:
         raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
     kept = Kept(keep, _plan(g, navigable, config, given))
-    found = kept.load({"sets": (len(union), NUM_FACES // 8), "traced": (1,), "importance": (len(union),)})
+    n = len(union)
+    found = kept.load(
+        {"sets": ((n, NUM_FACES // 8), np.uint8), "traced": ((1,), np.int64), "importance": ((n,), np.float64)}
+    )
     if given is None and config.rays_per_face > 0:
         _trace(as_levels(g), navigable, config.rays_per_face, kept, found, progress)
         rays = "1 ray" if config.rays_per_face == 1 else f"{config.rays_per_face} rays"

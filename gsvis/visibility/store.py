@@ -21,6 +21,7 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
+from gsvis.io._limits import Budget
 from gsvis.progress import Progress, silent
 from gsvis.raycast.tracer import Tracer
 from gsvis.scene.content import scene_hash
@@ -32,7 +33,7 @@ from gsvis.visibility._cache import Cache
 from gsvis.visibility._container import Container
 from gsvis.visibility._levels import levels_record, union_of
 from gsvis.visibility._writer import CELL_ROW, FORMAT, CellSet, StoreInfo, StoreWriter, write_store
-from gsvis.visibility.cells import CellGrid
+from gsvis.visibility.cells import MAX_CELLS, CellGrid
 from gsvis.visibility.why import Why, why
 
 __all__ = ["CellSet", "StoreInfo", "StoreWriter", "VisibilityStore", "write_store"]
@@ -41,6 +42,7 @@ Words = NDArray[np.uint64]
 U8 = NDArray[np.uint8]
 
 _REMEDY = "the file is damaged: copy or build it again"
+_BYTES = 16  # in memory, of a Gaussian: order, labels and direction sets, of which all other arrays are smaller
 
 
 class VisibilityStore:
@@ -427,7 +429,8 @@ class VisibilityStore:
         scene, grid = header.raw("scene"), header.child("grid")
         if not isinstance(scene, str):
             raise self._fault("scene", "the hash of a scene", repr(scene)[:60])
-        n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, 1 << 31)
+        n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
+        Budget(self.path, self._container.size).claim(_BYTES * n + 12 * cells, "header")
         config = header.child("config").value
         shape = tuple(int(side) for side in grid.numbers("shape", 3))
         frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
