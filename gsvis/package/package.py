@@ -194,6 +194,8 @@ class Package:
         self._opened.callback(store.close)
         if store.info.scene != self.manifest.scene or store.info.terms != self.manifest.terms:
             raise self._fault("active_terms", f"those of {self.manifest.terms:,} terms", f"{store.info.terms:,}")
+        if self.manifest.visibility is not None and len(store) != len(self.visibility):
+            raise self._fault("active_terms", f"those of {len(self.visibility):,} cells", f"{len(store):,}")
         return store
 
     def verify(self, *, progress: Progress = silent) -> Verified:

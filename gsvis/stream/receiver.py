@@ -20,11 +20,14 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.batch import Sections
 from gsvis.stream.drawn import Drawn
 from gsvis.stream.header import SceneHeader
-from gsvis.stream.wire import Hello
+from gsvis.stream.wire import FAULTS, Hello
 
 __all__ = ["Received", "Receiver"]
 
 I64 = NDArray[np.int64]
+
+MOST_BYTES = 1 << 29
+"""Memory of a client for sets and tables of a scene: some 55 million Gaussians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +54,23 @@ class Receiver:
 
     Args:
         welcome: The first message.
+        most_bytes: Memory that sets and tables of the scene may take before a Gaussian has come: a WELCOME of a
+            kilobyte may promise billions of them.
 
     Attributes:
         about: What WELCOME says of the scene.
         holdings: What has come, and what has been replaced.
 
     Raises:
-        ProtocolError: If it is no WELCOME.
+        ProtocolError: If it is no WELCOME, or its scene needs more memory than that.
     """
 
-    def __init__(self, welcome: bytes) -> None:
+    def __init__(self, welcome: bytes, *, most_bytes: int = MOST_BYTES) -> None:
         self.about = SceneHeader.parse(welcome)
+        needed = 9 * self.about.gaussians + self.about.terms // 4  # two tables of int32, and packed sets twice
+        if needed > most_bytes:
+            expected, got = f"a scene for {most_bytes:,} bytes of memory", f"one for {needed:,}"
+            raise ProtocolError(f"WELCOME: expected {expected}, got {got}; raise most_bytes", FAULTS["too-large"])
         self.holdings = Holdings(self.about.gaussians, self.about.terms)
         self._drawn = Drawn(self.about)
         self._table = ChunkTable.concatenate([])

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -74,3 +77,39 @@ def test_cells_are_kept_until_the_journal_goes(tmp_path: Path) -> None:
     assert journal.finished(9) == [0, 7]
     journal.remove()
     assert not journal.folder.exists()
+
+
+def test_every_flipped_bit_and_every_cut_counts_as_missing() -> None:
+    packed = pack_view(some_view(3))
+    for bit in range(8 * len(packed)):
+        changed = bytearray(packed)
+        changed[bit >> 3] ^= 1 << (bit & 7)
+        assert unpack_view(bytes(changed)) is None
+    assert all(unpack_view(packed[:length]) is None for length in range(len(packed)))
+
+
+def forged(count: int, packed: bytes) -> bytes:
+    """A view whose checksum is right."""
+    rest = struct.pack("<IIf", count, 1, 0.5) + packed
+    return struct.pack("<4sI", b"gvc2", zlib.crc32(rest)) + rest
+
+
+def view_bytes(ids: list[int]) -> bytes:
+    deltas = np.diff(ids, prepend=0).astype("<i4")
+    body = deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + bytes(11 * len(ids))
+    return zstandard.ZstdCompressor().compress(body)
+
+
+def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
+    good = unpack_view(forged(3, view_bytes([4, 5, 9])))
+    assert good is not None
+    assert good.ids.tolist() == [4, 5, 9]
+    for count, packed in (
+        (3, b"no zstd frame"),
+        (3, view_bytes([4, 5])),
+        (3, view_bytes([4, 9, 5])),
+        (3, view_bytes([4, 4, 5])),
+        (3, view_bytes([-4, 5, 9])),
+        (0xFFFFFFFF, view_bytes([4, 5, 9])),
+    ):
+        assert unpack_view(forged(count, packed)) is None
