@@ -2,6 +2,7 @@
 # make test    set up, then run all tests
 # make check   what CI runs: format, lint, types, doctests, examples, tests
 # make bench   run the benchmarks and write docs/results/<question>.json
+# make lowest  run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
 # make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
@@ -11,7 +12,7 @@ BIN := .venv/bin
 export PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench pins clean
+.PHONY: help demo test check format lint types doctests examples bench lowest pins clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -61,9 +62,17 @@ bench: .venv/.gsvis-dev
 	    [ -e "$$benchmark" ] || continue; echo "$$benchmark"; \
 	    $(BIN)/python "$$benchmark" --out "docs/results/$$(basename "$$benchmark" .py).json" || exit 1; done
 
+# Kernels are cached apart: numba would throw away those of the other version.
+lowest: .venv/.gsvis-dev
+	@[ -x .venv-lowest/bin/python ] || "$(PYTHON)" -m venv .venv-lowest
+	@$(BIN)/python tools/lowest.py > .venv-lowest/constraints.txt
+	@.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check \
+	    --constraint .venv-lowest/constraints.txt --editable ".[dev]"
+	@NUMBA_CACHE_DIR="$(CURDIR)/.venv-lowest/numba" .venv-lowest/bin/python -m pytest --numprocesses auto --dist loadfile
+
 pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py
 
 clean:
-	rm -rf .venv demo-out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-lowest demo-out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find gsvis tests benchmarks examples tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -165,7 +165,8 @@ def _has_nulls(array: pa.Array) -> bool:
         return True
     if pa.types.is_struct(array.type):
         return any(_has_nulls(array.field(k)) for k in range(array.type.num_fields))
-    return pa.types.is_nested(array.type) and _has_nulls(array.flatten())
+    kinds = pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list
+    return any(is_kind(array.type) for is_kind in kinds) and _has_nulls(array.flatten())
 
 
 def _schema_end(path: Path, data: memoryview) -> int:

@@ -1,0 +1,174 @@
+"""Ids beyond the range at every entrance: an error, never a write outside of an array."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsvis.abr.candidates import CandidateStore
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.holdings import Holdings
+from gsvis.abr.index import CellMembers, SceneIndex
+from gsvis.errors import ProtocolError
+from gsvis.stream import Receiver, Sender, StreamedScene
+from gsvis.stream.batch import Sections
+from gsvis.stream.header import SceneHeader
+from gsvis.stream.wire import Hello, parse_client
+from gsvis.visibility._codec import pack, word_count
+from gsvis.visibility.store import CellSet, StoreInfo, StoreWriter
+from tests.abr.abr_scenes import ArrayCells, random_index
+from tests.stream.worlds import package_of
+
+VIEW = FieldOfView.of_degrees(90, 70)
+BEYOND = [[100], [0, 1 << 40], [-1], [-(1 << 62)], [(1 << 63) - 1]]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StreamedScene]:
+    with package_of(tmp_path_factory.mktemp("hostile") / "a.gsvis", 100) as package:
+        yield StreamedScene.open(package)
+
+
+@pytest.mark.parametrize("ids", BEYOND)
+def test_sets_refuse_ids_beyond_the_range(ids: list[int]) -> None:
+    given, none = np.array(ids), np.zeros(0, np.int64)
+    with pytest.raises(ValueError, match="ids: expected"):
+        pack(given, 100)
+    with pytest.raises(ValueError, match="ids: expected"):
+        CellMembers.of(given, 100)
+    for place in range(3):
+        with pytest.raises(ValueError, match="expected values in"):
+            Holdings(100, 100).add(*(given if k == place else none for k in range(3)))
+
+
+@pytest.mark.parametrize("ids", BEYOND)
+def test_the_writer_of_a_store_refuses_ids_beyond_the_range(tmp_path: Path, ids: list[int]) -> None:
+    from tests.visibility.test_store import grid_of
+
+    info = StoreInfo(100, "scene", 0.1, np.array([0.1]))
+    grid = grid_of(2, np.random.default_rng(0))
+    with StoreWriter(tmp_path / "a.pvs", grid, info) as writer, pytest.raises(ValueError, match="ids: expected rising"):
+        writer.add_cell(CellSet(ids, np.zeros(len(ids), np.uint8)))
+
+
+def array_container(*values: int) -> bytes:
+    """A roaring bitmap of one container that lists these, in this order."""
+    listed = struct.pack(f"<{len(values)}H", *values)
+    return struct.pack("<IIHHI", 12346, 1, 0, len(values) - 1, 16) + listed
+
+
+def containers(*keys: int) -> bytes:
+    """A roaring bitmap of containers that hold their first place alone."""
+    count = len(keys)
+    described = b"".join(struct.pack("<HH", key, 0) for key in keys)
+    offsets = struct.pack(f"<{count}I", *(8 + 8 * count + 2 * k for k in range(count)))
+    return struct.pack("<II", 12346, count) + described + offsets + bytes(2 * count)
+
+
+BITMAPS = {
+    "beyond": array_container(5, 100),
+    "out of order": array_container(60000, 5, 7),
+    "twice": array_container(7, 7),
+    "keys out of order": containers(9, 0),
+    "a key twice": containers(0, 0),
+    "another count of bits": struct.pack("<IIHHI", 12346, 1, 0, 4999, 16) + b"\1" + bytes(8191),
+    "runs that overlap": struct.pack("<IBHHHHHHH", 12347, 1, 0, 8, 2, 100, 5, 3, 9),
+    "a run beyond its container": struct.pack("<IBHHHHH", 12347, 1, 0, 9, 1, 65530, 100),
+    "cut": array_container(5, 7)[:-1],
+}
+
+
+@pytest.mark.parametrize("bitmap", BITMAPS)
+@pytest.mark.parametrize("place", range(3))
+def test_a_hello_with_a_bitmap_that_lies_is_refused(scene: StreamedScene, bitmap: str, place: int) -> None:
+    empty = struct.pack("<II", 12346, 0)
+    parts = [BITMAPS[bitmap] if k == place else empty for k in range(3)]
+    head = struct.pack("<4sIIIII", b"GVH1", len(scene), scene.about.terms, *(len(part) for part in parts))
+    hello = Hello(VIEW, bytes.fromhex(scene.about.identity), head + b"".join(parts))
+    said = parse_client(hello.to_bytes())
+    assert isinstance(said, Hello)
+    if bitmap == "beyond" and place == 1 and scene.about.terms > 100:
+        Sender.greeted(scene, said)  # there are so many terms
+        return
+    with pytest.raises(ValueError, match="data: expected"):
+        Sender.greeted(scene, said)
+
+
+def with_cells(index: SceneIndex, change: Callable[[CellMembers], CellMembers], terms: Any = None) -> SceneIndex:
+    """An index whose cells give other members or terms than they should."""
+    members = [change(index.cells.members(k)) for k in range(len(index.grid))]
+    found = [index.cells.terms(k) if terms is None else np.array(terms) for k in range(len(index.grid))]
+    return index.with_cells(ArrayCells(members, found))
+
+
+def test_cells_with_gaussians_or_terms_that_the_scene_lacks_are_refused() -> None:
+    index = random_index(1, 300)
+    high = np.zeros(word_count(300), np.uint64)
+    high[300 // 64] = np.uint64(1) << np.uint64(63)
+    changes: dict[str, Callable[[CellMembers], CellMembers]] = {
+        "words": lambda m: replace(m, words=np.concatenate([m.words, m.words])),
+        "words: shorter": lambda m: replace(m, words=m.words[:1]),
+        "words: beyond": lambda m: CellMembers(m.words | high, np.append(m.classes, np.uint8(0))),
+        "classes": lambda m: replace(m, classes=m.classes[:-1]),
+        "classes: too high": lambda m: replace(m, classes=np.full_like(m.classes, 200)),
+    }
+    for name, change in changes.items():
+        with pytest.raises(ValueError, match=f"{name.partition(':')[0]}: expected"):
+            CandidateStore(with_cells(index, change)).of(0)
+    for terms in ([index.num_terms], [0, 1 << 40], [-1]):
+        with pytest.raises(ValueError, match="terms: expected values in"):
+            CandidateStore(with_cells(index, lambda m: m, terms)).of(0)
+
+
+def test_neighbours_with_gaussians_that_the_scene_lacks_are_refused() -> None:
+    index = random_index(1, 300)
+
+    class Longer(ArrayCells):
+        def words(self, cell: int) -> np.ndarray:
+            return np.concatenate([super().words(cell)] * 2)
+
+    members = [index.cells.members(k) for k in range(len(index.grid))]
+    cells = Longer(members, [index.cells.terms(k) for k in range(len(index.grid))])
+    with pytest.raises(ValueError, match="words: expected a set of 300"):
+        CandidateStore(index.with_cells(cells)).of(0)
+
+
+NONE = np.zeros(0, np.int64)
+
+
+def message(about: SceneHeader, **ids: Any) -> bytes:
+    """A BATCH whose ids are as given, and whose records are zeros."""
+    lists = {name: np.array(ids.get(name, NONE), np.int64) for name in ("gaussians", "terms", "owners", "gone")}
+    records = np.zeros((len(lists["gaussians"]), 16), np.uint8)
+    term_records = np.zeros((len(lists["terms"]), about.term_bytes), np.uint8)
+    axes = np.zeros((0, about.axis_bytes), np.uint8)
+    empty = Sections(
+        1, NONE, np.zeros(0, np.uint8), lists["gaussians"], records, lists["terms"], lists["owners"], term_records,
+        axes, lists["gone"],
+    )  # fmt: skip
+    return empty.to_message(about)
+
+
+def test_a_client_refuses_ids_beyond_its_scene(scene: StreamedScene) -> None:
+    about, n, t = scene.about, len(scene), scene.about.terms
+    for ids in ({"gaussians": [n]}, {"terms": [t], "owners": [0]}, {"terms": [0], "owners": [n]}, {"gone": [n]}):
+        receiver = Receiver(scene.header)
+        with pytest.raises(ProtocolError, match="BATCH 1: expected"):
+            receiver.receive(message(about, **ids))
+        assert len(receiver.shown()) == 0
+
+
+def test_a_welcome_that_promises_billions_is_refused(scene: StreamedScene) -> None:
+    most = (1 << 31) - 1
+    for about in (replace(scene.about, gaussians=most), replace(scene.about, gaussians=1 << 24, terms=255 << 24)):
+        with pytest.raises(ProtocolError, match="WELCOME: expected a scene for 536,870,912 bytes"):
+            Receiver(about.to_message())
+    with pytest.raises(ProtocolError, match="raise most_bytes"):
+        Receiver(scene.header, most_bytes=100)
+    Receiver(scene.header, most_bytes=100_000)
