@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError, SceneError
+from gsvis.io._limits import Budget
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES, TermLayout
@@ -125,11 +126,12 @@ class Package:
             FormatError: If a part is missing, damaged, or does not fit the others.
         """
         m = self.manifest
-        tables = [self._parts.read_columns(part, "chunks", _TABLE, rows) for part, rows in m.tables]
+        budget = self._budget()
+        tables = [self._parts.read_columns(part, "chunks", _TABLE, rows, budget) for part, rows in m.tables]
         table = ChunkTable.concatenate([self._table(columns) for columns in tables])
         pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
         levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
-        blocks = [self.block(block) for block in m.blocks]
+        blocks = [self.block(block, budget) for block in m.blocks]
         empty = [np.zeros((0, width), np.uint8) for width in self._widths]
         records, axes, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(3))
         counts = np.concatenate([np.zeros(0, np.uint8), *(b[3] for b in blocks)])
@@ -144,8 +146,12 @@ class Package:
             raise self._fault("levels", f"{m.counts} Gaussians", f"{members}")
         return found
 
-    def block(self, block: Block) -> tuple[U8, U8, U8, U8]:
+    def block(self, block: Block, budget: Budget | None = None) -> tuple[U8, U8, U8, U8]:
         """Records (M, 16), axes (M, 2 A), terms (T, B) and numbers of terms (M,) of one block of the manifest.
+
+        Args:
+            block: Which.
+            budget: Where memory is claimed; None if the block is read by itself.
 
         Raises:
             FormatError: If one of its parts is missing or damaged.
@@ -154,14 +160,14 @@ class Package:
         types: dict[str, type[np.generic]] = {
             **{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8, **{f"a{k}": np.uint8 for k in range(axes)},
         }  # fmt: skip
-        columns = self._parts.read_columns(block.gaussians, "gaussians", types, block.count)
+        columns = self._parts.read_columns(block.gaussians, "gaussians", types, block.count, budget)
         counts: U8 = columns["terms"]
         if int(counts.sum(dtype=np.int64)) != block.num_terms:
             got = f"{counts.sum(dtype=np.int64):,}"
             raise self._fault(f"part {block.gaussians.name[:12]}...", f"{block.num_terms:,} terms", got)
         pieces = [np.zeros((0, narrow), np.uint8)]
         for part, count in block.terms:
-            read = self._parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count)
+            read = self._parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count, budget)
             pieces.append(_stacked(read, "t", narrow))
         terms = np.concatenate(pieces)
         if len(terms) != block.num_terms:
@@ -235,6 +241,12 @@ class Package:
         """Bytes of a record, of axes and of a term."""
         grids = self.manifest.grids
         return RECORD_BYTES, 2 * grids.kind.num_axes, TermLayout.of(grids).nbytes
+
+    def _budget(self) -> Budget:
+        """Memory for all parts together, by their real size; a part that is named twice counts once."""
+        different = {part.name: part for part in self.manifest.parts()}.values()
+        files = [self._parts.folder / part.name for part in different]
+        return Budget(self.path, sum(file.stat().st_size for file in files if file.is_file()))
 
     def _table(self, columns: dict[str, Any]) -> ChunkTable:
         origins, steps = (np.stack([columns[f"{of}_{axis}"] for axis in "xyz"], axis=1) for of in ("origin", "step"))

@@ -137,7 +137,9 @@ class PartFolder:
         """
         return read_whole(self.path_of(part))
 
-    def read_columns(self, part: Part, kind: str, types: dict[str, type[np.generic]], rows: int) -> dict[str, Any]:
+    def read_columns(
+        self, part: Part, kind: str, types: dict[str, type[np.generic]], rows: int, budget: Budget | None = None
+    ) -> dict[str, Any]:
         """The columns of a part.
 
         Args:
@@ -145,6 +147,7 @@ class PartFolder:
             kind: What it has to be.
             types: The type of each column that it has to have.
             rows: Their length.
+            budget: Where memory is claimed; None if the part is read by itself.
 
         Raises:
             FormatError: As `path_of`, or if the part is another kind of file, or has other columns.
@@ -156,7 +159,7 @@ class PartFolder:
         expected = pa.schema([pa.field(k, pa.from_numpy_dtype(np.dtype(t)), nullable=False) for k, t in types.items()])
         if not file.schema.equals(expected):
             raise FormatError(path, "columns", ", ".join(expected.names)[:200], ", ".join(file.schema.names)[:200])
-        batches = list(file.batches(Budget(path, file.nbytes)))
+        batches = list(file.batches(Budget(path, file.nbytes) if budget is None else budget))
         found = sum(batch.num_rows for batch in batches)
         if found != rows:
             raise FormatError(path, "rows", f"{rows:,} as the manifest says", f"{found:,}", _AGAIN)

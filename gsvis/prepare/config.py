@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -16,7 +17,7 @@ from gsvis.visibility.pvs import PvsConfig
 
 __all__ = ["PrepareConfig"]
 
-_LEVEL_FOV = 2.0 * float(np.degrees(np.arctan(240.0 / 300.0)))
+_LEVEL_FOV = 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _LEVEL_VIEWS = ViewSampling(160, 480, 360, _LEVEL_FOV)
 _COST_VIEWS = ViewSampling(8, 480, 360, 60.0, stream=3)
 

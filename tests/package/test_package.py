@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsvis.errors import FormatError, SceneError
+from gsvis.io._limits import Budget
 from gsvis.io.levels import load_levels
 from gsvis.package import (
     Contents,
@@ -25,6 +27,7 @@ from gsvis.package import (
 )
 from gsvis.package import manifest as manifests
 from gsvis.package import order as orders
+from gsvis.package import package as packages
 from gsvis.package import parts as folders
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
@@ -291,6 +294,24 @@ def test_what_is_no_package_is_told(tmp_path: Path) -> None:
         write_package(tmp_path / "photo.jpg", levels, colors)
     with pytest.raises(ValueError, match="colors: expected those"):
         write_package(tmp_path / "s", levels, colors_of(59)[1])
+
+
+def test_parts_together_are_bounded_by_their_real_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Narrow(Budget):
+        """Eight bytes in memory for one on disk, and nothing for the rest."""
+
+        def claim(self, nbytes: int, where: str) -> None:
+            super().claim(nbytes, where)
+            if self.claimed > 8 * self.file_bytes:
+                raise FormatError(self.path, where, "less", "more")
+
+    package = written(tmp_path / "p")
+    monkeypatch.setattr(packages, "Budget", Narrow)
+    assert len(package.contents) == len(package)
+    named_often = Package.open(tmp_path / "p")
+    named_often.manifest = replace(package.manifest, blocks=16 * package.manifest.blocks)
+    with pytest.raises(FormatError, match="expected less, got more"):
+        _ = named_often.contents
 
 
 def test_parts_are_of_bounded_size() -> None:
