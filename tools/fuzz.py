@@ -69,12 +69,14 @@ class Tally:
 
 def serve_inputs(pipe: Connection, place: Any, seed: int, names: list[str]) -> None:
     """Run in a process: take pieces of work, run their inputs, send what came of each."""
+    import faulthandler
     import logging
     import resource
 
     from tests.fuzz.engine import minimize, run_input
 
     logging.disable(logging.CRITICAL)
+    faulthandler.enable()  # where a process died goes to the standard error
     targets = chosen(names)
     for target in targets.values():
         run_input(target, seed, 0)  # code is compiled and seeds are made before memory is limited

@@ -15,6 +15,7 @@ APART = {
                  "append", "close_section", "finish", "save", "keep", "as_dict", "_batches", "_packed", "_ids", "_write",
                  "remove_all_but", "run_key", "build_", "_groups", "most_weights", "colors_hash", "sets_hash", "_array",
                  "columns_of", "check_names", "_of_content", "chunk_starts", "stored_order", "of"),
+    "compiled, not seen by coverage": ("compiled",),
     "no reader": ("__repr__", "__exit__", "respond", "_page", "_encoded", "_webp", "why", "nearest_seer", "union", "difference"),
 }  # fmt: skip
 """Functions in the modules of readers that read nothing: by the beginning of their names, with the reason."""
@@ -77,6 +78,8 @@ def _owners(path: Path) -> dict[int, str]:
             inner = trail
             if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                 inner = f"{trail}.{child.name}" if trail else child.name
+                if any("jit" in ast.unparse(decorator) for decorator in child.decorator_list):
+                    inner += ".compiled"
                 assert child.end_lineno is not None
                 for line in range(child.lineno, child.end_lineno + 1):
                     found[line] = inner

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import struct
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -83,7 +84,10 @@ def case_of(target: Target, seed: int, index: int) -> Case:
     rng = Random(f"{seed}/{target.name}/{index}")
     case = rng.choice(target.cases)
     for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 5))):
-        changed = target.change(rng, case, target)
+        try:
+            changed = target.change(rng, case, target)
+        except (ValueError, OverflowError, RecursionError, struct.error):  # numbers that nothing can be packed with
+            continue
         if sum(map(len, changed.values())) <= _MOST_BYTES:
             case = changed
     return case

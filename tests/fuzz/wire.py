@@ -132,7 +132,7 @@ def change_holdings(rng: Random, data: bytes) -> bytes:
     elif way == 4:
         parts[at] = parts[rng.randrange(3)]
     else:
-        n, t = rng.choice(((n + 1, t), (n, 0), ((1 << 32) - 1, t), (n, (1 << 32) - 1)))
+        n, t = rng.choice((((n + 1) % (1 << 32), t), (n, 0), ((1 << 32) - 1, t), (n, (1 << 32) - 1)))
     return struct.pack("<4sIIIII", magic, n, t, *map(len, parts)) + b"".join(parts)
 
 
