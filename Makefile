@@ -2,16 +2,19 @@
 # make test    set up, then run all tests
 # make check   what CI runs: format, lint, types, doctests, examples, tests
 # make bench   run the benchmarks and write docs/results/<question>.json
+# make fuzz    100,000 damaged inputs to every reader and the wire (INPUTS=, SEED=)
 # make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
 SCENE ?= builtin:two_rooms
 OUT ?= demo-out
+INPUTS ?= 100000
+SEED ?= 1
 BIN := .venv/bin
 export PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench pins clean
+.PHONY: help demo test check format lint types doctests examples bench fuzz pins clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -60,6 +63,10 @@ bench: .venv/.gsvis-dev
 	@for benchmark in benchmarks/[!_]*.py; do \
 	    [ -e "$$benchmark" ] || continue; echo "$$benchmark"; \
 	    $(BIN)/python "$$benchmark" --out "docs/results/$$(basename "$$benchmark" .py).json" || exit 1; done
+
+fuzz: .venv/.gsvis-dev
+	@mkdir -p docs/results
+	@$(BIN)/python tools/fuzz.py --inputs $(INPUTS) --seed $(SEED) --out docs/results/fuzz.json
 
 pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py

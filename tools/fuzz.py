@@ -29,7 +29,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 CHUNK = 100  # inputs that a process is given at once
 HANG_S = 60.0  # seconds of the clock after which an input is ended
-ROOM = 768 << 20  # bytes of address space beyond what a process has when it is warm
+WARM = 40  # inputs of each target that a process runs before memory is limited: LLVM does not bear a limit
+ROOM = 1 << 30  # bytes of address space beyond what a process has when it is warm
 
 
 def arguments() -> argparse.Namespace:
@@ -79,7 +80,8 @@ def serve_inputs(pipe: Connection, place: Any, seed: int, names: list[str]) -> N
     faulthandler.enable()  # where a process died goes to the standard error
     targets = chosen(names)
     for target in targets.values():
-        run_input(target, seed, 0)  # code is compiled and seeds are made before memory is limited
+        for index in range(WARM):  # kernels are compiled and valid cases made
+            run_input(target, 0, index)
     with open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, used + ROOM))

@@ -11,13 +11,55 @@ from pathlib import Path
 from typing import Any
 
 APART = {
-    "a writer": ("save_", "write_", "to_json", "to_message", "to_bytes", "pack_view", "encode_", "compress", "_join_digits",
-                 "append", "close_section", "finish", "save", "keep", "as_dict", "_batches", "_packed", "_ids", "_write",
-                 "remove_all_but", "run_key", "build_", "_groups", "most_weights", "colors_hash", "sets_hash", "_array",
-                 "columns_of", "check_names", "_of_content", "chunk_starts", "stored_order", "of"),
+    "a writer": (
+        "save_",
+        "write_",
+        "to_json",
+        "to_message",
+        "to_bytes",
+        "pack_view",
+        "encode_",
+        "compress",
+        "_join_digits",
+        "append",
+        "close_section",
+        "finish",
+        "save",
+        "keep",
+        "as_dict",
+        "_batches",
+        "_packed",
+        "_ids",
+        "_write",
+        "remove_all_but",
+        "run_key",
+        "build_",
+        "_groups",
+        "most_weights",
+        "colors_hash",
+        "sets_hash",
+        "_array",
+        "columns_of",
+        "check_names",
+        "_of_content",
+        "chunk_starts",
+        "stored_order",
+        "of",
+    ),
     "compiled, not seen by coverage": ("compiled",),
-    "no reader": ("__repr__", "__exit__", "respond", "_page", "_encoded", "_webp", "why", "nearest_seer", "union", "difference"),
-}  # fmt: skip
+    "no reader": (
+        "__repr__",
+        "__exit__",
+        "respond",
+        "_page",
+        "_encoded",
+        "_webp",
+        "why",
+        "nearest_seer",
+        "union",
+        "difference",
+    ),
+}
 """Functions in the modules of readers that read nothing: by the beginning of their names, with the reason."""
 
 
@@ -59,14 +101,23 @@ def branches_of(meter: Any, module: str) -> dict[str, Any]:
             continue
         branches, covered = branches + total, covered + taken
         for to in missing.get(line, ()):
-            left.append(f"{owners.get(line, '')}, line {line}, to {to if to > 0 else 'the end'}: {lines[line - 1].strip()[:80]}")
+            left.append(
+                f"{owners.get(line, '')}, line {line}, to {to if to > 0 else 'the end'}: {lines[line - 1].strip()[:80]}"
+            )
     percent = round(100.0 * covered / branches, 1) if branches else 100.0
     return {"branches": branches, "covered": covered, "percent": percent, "apart": apart, "left": left}
 
 
 def _reason(owner: str) -> str:
     name = owner.rpartition(".")[2]
-    return next((why for why, names in APART.items() if any(name == n or n.endswith("_") and name.startswith(n) for n in names)), "")
+    return next(
+        (
+            why
+            for why, names in APART.items()
+            if any(name == n or (n.endswith("_") and name.startswith(n)) for n in names)
+        ),
+        "",
+    )
 
 
 def _owners(path: Path) -> dict[int, str]:

@@ -43,7 +43,10 @@ def models(text: bool) -> list[Case]:
         write_mixed(Path(folder) / "mixed", cameras(2), [(64, 48), (64, 48)], cloud, text=text)
         found.append(files_in(Path(folder) / "mixed"))
     if text:
-        simple = {name: data.replace(b"PINHOLE 64 48 50.0 50.0", b"SIMPLE_PINHOLE 64 48 50.0") for name, data in found[0].items()}
+        simple = {
+            name: data.replace(b"PINHOLE 64 48 50.0 50.0", b"SIMPLE_PINHOLE 64 48 50.0")
+            for name, data in found[0].items()
+        }
         found.append(simple)
     return found
 
@@ -80,8 +83,16 @@ def transforms() -> list[Case]:
 
 
 def inria() -> list[Case]:
-    entry = {"id": 0, "img_name": "a", "width": 64, "height": 48, "position": [0.0, 1, 2], "rotation": np.eye(3).tolist(),
-             "fx": 50.0, "fy": 50.0}  # fmt: skip
+    entry = {
+        "id": 0,
+        "img_name": "a",
+        "width": 64,
+        "height": 48,
+        "position": [0.0, 1, 2],
+        "rotation": np.eye(3).tolist(),
+        "fx": 50.0,
+        "fy": 50.0,
+    }
     plain = {key: value for key, value in entry.items() if key not in ("img_name", "id")}
     return [{"cameras.json": json.dumps(rows).encode()} for rows in ([entry, {**entry, "img_name": "b"}], [plain])]
 
@@ -102,7 +113,9 @@ def poses() -> list[Case]:
 def recordings() -> list[Case]:
     header = "ViewIndex,FOV1,PositionX,PositionY,PositionZ,QuaternionX,QuaternionY,QuaternionZ,QuaternionW,Timestamp\n"
     rows = "".join(
-        f"{eye},0.9,{0.1 * k + 0.06 * eye:.3f},1.6,0,0,0.0,0,1.0,{20 * k + 4 * eye}\n" for k in range(8) for eye in (0, 1)
+        f"{eye},0.9,{0.1 * k + 0.06 * eye:.3f},1.6,0,0,0.0,0,1.0,{20 * k + 4 * eye}\n"
+        for k in range(8)
+        for eye in (0, 1)
     )
     settings = b'Scene_Name,Quaternion,Scale\nroom,"0,0,0,1",2\ntruck,"0.707,0,0,0.707",0.76\n'
     text = (header + rows).encode()
@@ -138,8 +151,20 @@ IO = "gsvis.io."
 _TABLE = (IO + "_table", IO + "_limits")
 
 TARGETS = [
-    Target("colmap-binary", lambda: models(False), in_model, (FormatError, FileNotFoundError), modules=(IO + "colmap", IO + "views")),
-    Target("colmap-text", lambda: models(True), in_model, (FormatError, FileNotFoundError), modules=(IO + "colmap", IO + "views")),
+    Target(
+        "colmap-binary",
+        lambda: models(False),
+        in_model,
+        (FormatError, FileNotFoundError),
+        modules=(IO + "colmap", IO + "views"),
+    ),
+    Target(
+        "colmap-text",
+        lambda: models(True),
+        in_model,
+        (FormatError, FileNotFoundError),
+        modules=(IO + "colmap", IO + "views"),
+    ),
     Target("transforms", transforms, in_cameras, modules=(IO + "transforms_json", IO + "views", IO + "cameras")),
     Target("inria-cameras", inria, in_cameras, modules=(IO + "inria_cameras", IO + "views", IO + "cameras")),
     Target("poses", poses, in_path, kinds={"a.csv.gz": "gzip-text"}, modules=(IO + "poses", *_TABLE)),

@@ -22,7 +22,17 @@ from tests.fuzz.mutators import KINDS, change_bytes, change_json, change_zstd
 
 __all__ = ["change_manifest", "sealed_manifest"]
 
-_TYPES = (pa.uint8(), pa.int8(), pa.int32(), pa.float32(), pa.float64(), pa.string(), pa.int64(), pa.binary(), pa.list_(pa.int8()))
+_TYPES = (
+    pa.uint8(),
+    pa.int8(),
+    pa.int32(),
+    pa.float32(),
+    pa.float64(),
+    pa.string(),
+    pa.int64(),
+    pa.binary(),
+    pa.list_(pa.int8()),
+)
 _FAULTS = (pa.ArrowException, ValueError, OSError, OverflowError, TypeError, KeyError, RecursionError)
 
 
@@ -58,7 +68,11 @@ def change_column(rng: Random, array: pa.Array) -> pa.Array:
             at = rng.randrange(len(values))
             values[at] = change_bytes(rng, values[at])
             return pa.array(values, array.type)
-        return pa.Array.from_buffers(array.type, len(array), _changed_buffers(rng, array)) if not array.type.num_fields else _nested(rng, array)
+        return (
+            pa.Array.from_buffers(array.type, len(array), _changed_buffers(rng, array))
+            if not array.type.num_fields
+            else _nested(rng, array)
+        )
     except _FAULTS:
         return array
 
@@ -72,8 +86,15 @@ def _nested(rng: Random, array: pa.Array) -> pa.Array:
     if pa.types.is_fixed_size_list(array.type):
         return pa.FixedSizeListArray.from_arrays(change_column(rng, array.flatten()), type=array.type)
     if rng.random() < 0.3:
-        offsets = np.frombuffer(change_bytes(rng, array.offsets.to_numpy().tobytes())[: 4 * len(array) + 4].ljust(4 * len(array) + 4, b"\0"), "<i4")
-        return pa.Array.from_buffers(array.type, len(array), [None, pa.py_buffer(offsets.tobytes())], children=[array.values])
+        offsets = np.frombuffer(
+            change_bytes(rng, array.offsets.to_numpy().tobytes())[: 4 * len(array) + 4].ljust(
+                4 * len(array) + 4, b"\0"
+            ),
+            "<i4",
+        )
+        return pa.Array.from_buffers(
+            array.type, len(array), [None, pa.py_buffer(offsets.tobytes())], children=[array.values]
+        )
     return type(array).from_arrays(array.offsets, change_column(rng, array.values), type=array.type)
 
 
@@ -84,7 +105,9 @@ def _changed_buffers(rng: Random, array: pa.Array) -> list[Any]:
     return [*buffers[:-1], pa.py_buffer(changed)]
 
 
-def _change_table(rng: Random, schema: pa.Schema, batches: list[pa.RecordBatch]) -> tuple[pa.Schema, list[pa.RecordBatch]]:
+def _change_table(
+    rng: Random, schema: pa.Schema, batches: list[pa.RecordBatch]
+) -> tuple[pa.Schema, list[pa.RecordBatch]]:
     way = rng.randrange(10)
     if way == 0:
         return schema, batches * rng.choice((0, 2))
@@ -108,7 +131,10 @@ def _change_table(rng: Random, schema: pa.Schema, batches: list[pa.RecordBatch])
     if all(schema.get_field_index(field.name) >= 0 and schema.field(field.name).type == field.type for field in fields):
         fields = [schema.field(field.name) if rng.random() < 0.98 else field for field in fields]
     changed = pa.schema(fields, metadata=kept)
-    return changed, [pa.RecordBatch.from_arrays(list(columns.values()), schema=changed), *(batches[1:] if changed == schema else [])]
+    return changed, [
+        pa.RecordBatch.from_arrays(list(columns.values()), schema=changed),
+        *(batches[1:] if changed == schema else []),
+    ]
 
 
 def change_arrow(rng: Random, data: bytes) -> bytes:
@@ -168,7 +194,9 @@ def change_active(rng: Random, data: bytes) -> bytes:
             row = rng.choice(rows)
             names = schema.names
             name = rng.choice((names[1], names[2], names[4], names[4], names[0]))
-            row[name] = change_bytes(rng, row[name]) if name == names[4] else rng.choice((0, 1, row[name] + 1, (1 << 32) - 1))
+            row[name] = (
+                change_bytes(rng, row[name]) if name == names[4] else rng.choice((0, 1, row[name] + 1, (1 << 32) - 1))
+            )
             head = _CRC.pack(*(row[key] for key in names[:3]))
             row[names[3]] = zlib.crc32(row[names[4]], zlib.crc32(head))
             batches = [pa.RecordBatch.from_pylist(rows, schema=schema), *batches[1:]]
@@ -194,7 +222,11 @@ def change_container(rng: Random, data: bytes) -> bytes:
     elif name in ("coords", "ever"):
         sections[name] = change_zstd(rng, sections[name])
     elif name in ("directions", "labels") and sections[name]:
-        sections[name] = sections[name][:1] + change_zstd(rng, sections[name][1:]) if name == "labels" else change_zstd(rng, sections[name])
+        sections[name] = (
+            sections[name][:1] + change_zstd(rng, sections[name][1:])
+            if name == "labels"
+            else change_zstd(rng, sections[name])
+        )
     else:
         _change_cell(rng, sections)
     out = io.BytesIO()
@@ -203,7 +235,9 @@ def change_container(rng: Random, data: bytes) -> bytes:
         writer.append(content)
         writer.close_section(key)
     try:
-        writer.finish({key: value for key, value in header.items() if key != "sections"} if isinstance(header, dict) else {})
+        writer.finish(
+            {key: value for key, value in header.items() if key != "sections"} if isinstance(header, dict) else {}
+        )
     except ValueError:  # NaN has no place there
         return change_bytes(rng, data)
     return out.getvalue()
@@ -221,7 +255,9 @@ def _sections(data: bytes) -> tuple[Any, dict[str, bytes]]:
 
 def _change_cell(rng: Random, sections: dict[str, bytes]) -> None:
     """Change the set, the classes or the row of a cell, and all rows that follow from it."""
-    rows = np.frombuffer(sections["cells"][: len(sections["cells"]) // CELL_ROW.itemsize * CELL_ROW.itemsize], CELL_ROW).copy()
+    rows = np.frombuffer(
+        sections["cells"][: len(sections["cells"]) // CELL_ROW.itemsize * CELL_ROW.itemsize], CELL_ROW
+    ).copy()
     if not len(rows):
         return
     at = rng.randrange(len(rows))
@@ -277,7 +313,13 @@ def change_journal(rng: Random, data: bytes) -> bytes:
 
 
 KINDS.update(
-    {"arrow": change_arrow, "active": change_active, "pvs": change_container, "manifest": change_manifest, "journal": change_journal}
+    {
+        "arrow": change_arrow,
+        "active": change_active,
+        "pvs": change_container,
+        "manifest": change_manifest,
+        "journal": change_journal,
+    }
 )
 
 

@@ -99,6 +99,13 @@ P = "gsvis.package."
 
 TARGETS = [
     Target("manifest", manifests, in_manifest, kinds={MANIFEST: "manifest"}, modules=(P + "manifest",)),
-    Target("package", packages, in_package, (FormatError, FileNotFoundError), change=change_package,
-           modules=(P + "package", P + "parts", P + "contents", P + "codec", P + "manifest"), weight=1.5),
-]  # fmt: skip
+    Target(
+        "package",
+        packages,
+        in_package,
+        (FormatError, FileNotFoundError),
+        change=change_package,
+        modules=(P + "package", P + "parts", P + "contents", P + "codec", P + "manifest"),
+        weight=1.5,
+    ),
+]

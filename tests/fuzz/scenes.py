@@ -107,7 +107,10 @@ def in_streams(folder: Path, case: Case) -> None:
 
 def point_files() -> list[Case]:
     rng = np.random.default_rng(0)
-    columns = {**dict(zip("xyz", rng.normal(size=(3, 8)), strict=True)), **{c: np.arange(8.0) for c in ("red", "green", "blue")}}
+    columns = {
+        **dict(zip("xyz", rng.normal(size=(3, 8)), strict=True)),
+        **{c: np.arange(8.0) for c in ("red", "green", "blue")},
+    }
     bare = {name: columns[name] for name in "xyz"}
     floats = {**bare, **{c: np.linspace(0, 1, 8) for c in ("red", "green", "blue")}}
     colors = ("red", "green", "blue")
@@ -129,7 +132,7 @@ def in_points(folder: Path, case: Case) -> None:
 
 IO = "gsvis.io."
 _PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", IO + "_limits", IO + "scenes")
-_SOG = (IO + "sog", IO + "_store", IO + "_webp", IO + "_json", IO + "_quantise", IO + "_limits")
+_SOG = (IO + "sog", IO + "_store", IO + "_webp", IO + "_json", IO + "_limits")
 
 TARGETS = [
     Target("ply", plain_plys, in_one_file, modules=_PLY),

@@ -151,7 +151,9 @@ def in_journal(folder: Path, case: Case) -> None:
 def trainer(densify: bool = True) -> Trainer:
     rules = DensifyConfig(start=3, stop=18, every=5, threshold=1e-5, reset_every=0) if densify else None
     views, held_out = PosedImages(cameras(), pictures()).split(5)
-    return Trainer(views, gaussians_from_points(cloud()), TrainConfig(iterations=4, sh_degree=1, densify=rules), held_out=held_out)
+    return Trainer(
+        views, gaussians_from_points(cloud()), TrainConfig(iterations=4, sh_degree=1, densify=rules), held_out=held_out
+    )
 
 
 def checkpoints() -> list[Case]:
@@ -190,13 +192,49 @@ def in_staircase(folder: Path, case: Case) -> None:
 VIS, TRAIN, IO = "gsvis.visibility.", "gsvis.train.", "gsvis.io."
 
 TARGETS = [
-    Target("levels", level_folders, in_levels, (FormatError, FileNotFoundError), {MAP: "arrow"}, change_levels, (IO + "levels", IO + "_arrow")),
-    Target("color", color_files, in_colors, kinds={"a.arrow": "arrow"}, modules=("gsvis.color.storage", IO + "_arrow", IO + "_json")),
-    Target("visibility", lambda: [{"a.pvs": both_stores()[0]}], in_visibility, kinds={"a.pvs": "pvs"},
-           modules=(VIS + "store", VIS + "_container", VIS + "_codec", VIS + "_order"), weight=1.5),
-    Target("active-terms", lambda: [{"a.arrow": both_stores()[1]}], in_terms, kinds={"a.arrow": "active"}, modules=(VIS + "active_terms",)),
+    Target(
+        "levels",
+        level_folders,
+        in_levels,
+        (FormatError, FileNotFoundError),
+        {MAP: "arrow"},
+        change_levels,
+        (IO + "levels", IO + "_arrow"),
+    ),
+    Target(
+        "color",
+        color_files,
+        in_colors,
+        kinds={"a.arrow": "arrow"},
+        modules=("gsvis.color.storage", IO + "_arrow", IO + "_json"),
+    ),
+    Target(
+        "visibility",
+        lambda: [{"a.pvs": both_stores()[0]}],
+        in_visibility,
+        kinds={"a.pvs": "pvs"},
+        modules=(VIS + "store", VIS + "_container", VIS + "_codec", VIS + "_order"),
+        weight=1.5,
+    ),
+    Target(
+        "active-terms",
+        lambda: [{"a.arrow": both_stores()[1]}],
+        in_terms,
+        kinds={"a.arrow": "active"},
+        modules=(VIS + "active_terms",),
+    ),
     Target("kept", kept_files, in_kept, (), modules=(VIS + "_kept",), refuses=False),
-    Target("journal", journals, in_journal, (), {f"cell-{k:06d}.bin": "journal" for k in range(3)}, modules=(VIS + "_journal",), refuses=False),
-    Target("checkpoint", checkpoints, in_checkpoint, (FormatError, ValueError), modules=(TRAIN + "checkpoint",), weight=0.5),
+    Target(
+        "journal",
+        journals,
+        in_journal,
+        (),
+        {f"cell-{k:06d}.bin": "journal" for k in range(3)},
+        modules=(VIS + "_journal",),
+        refuses=False,
+    ),
+    Target(
+        "checkpoint", checkpoints, in_checkpoint, (FormatError, ValueError), modules=(TRAIN + "checkpoint",), weight=0.5
+    ),
     Target("staircase", staircases, in_staircase, modules=("gsvis.report.staircase",), weight=0.5),
-]  # fmt: skip
+]

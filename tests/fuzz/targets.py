@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import struct
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -86,7 +85,7 @@ def case_of(target: Target, seed: int, index: int) -> Case:
     for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 5))):
         try:
             changed = target.change(rng, case, target)
-        except (ValueError, OverflowError, RecursionError, struct.error):  # numbers that nothing can be packed with
+        except Exception:  # earlier changes left nothing of its kind: the change is left out, and a test counts these
             continue
         if sum(map(len, changed.values())) <= _MOST_BYTES:
             case = changed
@@ -113,7 +112,9 @@ def run_case(target: Target, folder: Path, case: Case, *, valid: bool = False) -
             raise
         line = str(error)
         if not line or "\n" in line or len(line) > 2000:
-            raise AssertionError(f"expected an error of one line, got {line[:80]!r} of {len(line)} characters") from error
+            raise AssertionError(
+                f"expected an error of one line, got {line[:80]!r} of {len(line)} characters"
+            ) from error
         return "refused"
     return "read"
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from random import Random
 
 import pytest
 
@@ -52,5 +53,18 @@ def test_an_input_follows_from_seed_target_and_number(name: str) -> None:
     target = TARGETS[name]
     for index in range(len(target.cases), len(target.cases) + 30):
         assert case_of(target, 3, index) == case_of(target, 3, index)
-    inputs = [case_of(target, 3, index) for index in range(len(target.cases), len(target.cases) + 30)]
-    assert sum(case not in target.cases for case in inputs) > 20
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_mutators_change_and_do_not_fail(name: str) -> None:
+    target, failed = TARGETS[name], 0
+    changed = 0
+    for index in range(200):
+        rng = Random(index)
+        case = rng.choice(target.cases)
+        try:
+            changed += target.change(rng, case, target) != case
+        except Exception:
+            failed += 1
+    assert failed <= 4
+    assert changed > 160

@@ -9,7 +9,7 @@ import struct
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import cache
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -30,10 +30,10 @@ from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Sender, StreamedScene, parse_client
 from gsvis.stream.batch import Sections
-from gsvis.stream.header import HEAD, SCHEMA
+from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.wire import ServerFault
 from tests.fuzz.mutators import KINDS, change_bytes, change_json, mutate
-from tests.fuzz.targets import Case, Target, change_files
+from tests.fuzz.targets import Case, Target
 from tests.stream.worlds import package_of
 
 __all__ = ["TARGETS"]
@@ -118,7 +118,7 @@ def change_holdings(rng: Random, data: bytes) -> bytes:
     ends = np.cumsum([24, *lengths]).tolist()
     if ends[-1] != len(data):
         return change_bytes(rng, data)
-    parts = [data[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    parts = [data[a:b] for a, b in pairwise(ends)]
     at = rng.randrange(3)
     way = rng.randrange(6)
     if way < 3:
@@ -179,7 +179,7 @@ def change_order(rng: Random, case: Case, target: Target) -> Case:
 
 
 class Script:
-    """A socket whose client says what is written, then goes; an acknowledgement waits for its message, within reason."""
+    """A socket whose client says what is written, then goes; an acknowledgement waits for its message a while."""
 
     def __init__(self, messages: list[bytes]) -> None:
         self.messages, self.sent = list(messages), 0
@@ -259,7 +259,17 @@ def change_down(rng: Random, data: bytes) -> bytes:
             return _change_welcome(rng, data)
         if data[0] == 130:
             return _change_batch(rng, data)
-    except (ProtocolError, ValueError, TypeError, IndexError, OverflowError, struct.error, pa.ArrowException, OSError, KeyError):
+    except (
+        ProtocolError,
+        ValueError,
+        TypeError,
+        IndexError,
+        OverflowError,
+        struct.error,
+        pa.ArrowException,
+        OSError,
+        KeyError,
+    ):
         pass
     return change_bytes(rng, data)
 
@@ -286,14 +296,25 @@ def _change_batch(rng: Random, data: bytes) -> bytes:
     elif way == 1 and len(value):
         value = np.concatenate([value, value[-1:]])
     elif way == 2 and value.dtype == np.int64:
-        value = np.sort(np.append(value, rng.randrange(about.terms if name == "terms" else about.gaussians)))
+        value = np.append(value, rng.randrange(about.terms if name == "terms" else about.gaussians))
     elif way == 3 and value.dtype == np.int64:
-        value = np.unique(value + rng.choice((0, 1)))
+        value = value + rng.choice((-1, 1))
     else:
         raw = np.ascontiguousarray(value)
         changed = change_bytes(rng, raw.tobytes())[: raw.nbytes].ljust(raw.nbytes, b"\0")
         value = np.frombuffer(changed, raw.dtype).reshape(raw.shape)
-    return replace(found, **{name: value}).to_message(about)
+    return _sound(replace(found, **{name: value}), about).to_message(about)
+
+
+def _sound(s: Sections, about: SceneHeader) -> Sections:
+    """The same with ids that the writer can write: rising ones of the scene, and an owner for each term."""
+    n = about.gaussians
+    limits = {"chunks": n, "gaussians": n, "terms": about.terms, "gone": n}
+    lists = {name: np.unique(np.clip(getattr(s, name), 0, limit - 1)) for name, limit in limits.items()}
+    count = len(lists["terms"])
+    owners = np.sort(np.clip(s.owners, 0, n - 1))[:count]
+    last = owners[-1] if len(owners) else 0
+    return replace(s, **lists, owners=np.append(owners, np.full(count - len(owners), last)).astype(np.int64))
 
 
 def _fits(data: bytes, scene: StreamedScene) -> bool:
@@ -353,13 +374,47 @@ def in_files(folder: Path, case: Case) -> None:
 S = "gsvis.stream."
 
 TARGETS = [
-    Target("client-message", said, in_parser, (ProtocolError,), {"message.hello": "hello"}, modules=(S + "wire", "gsvis.abr.holdings")),
-    Target("holdings", lambda: [{"a.holdings": held()}], in_holdings, (ValueError,), {"a.holdings": "holdings"},
-           modules=("gsvis.abr.holdings",)),
-    Target("server-session", sessions, in_connection, (ProtocolError,), change=change_order,
-           modules=("gsvis.serve.connection", S + "sender", S + "meter")),
-    Target("client-session", downstream, in_receiver, (ProtocolError,), change=change_order,
-           modules=(S + "header", S + "batch", S + "receiver", S + "drawn"), weight=1.5),
-    Target("requests", requests, in_files, (FormatError,), {"request.name": "text"}, modules=("gsvis.serve.parts",), weight=0.3,
-           refuses=False),
-]  # fmt: skip
+    Target(
+        "client-message",
+        said,
+        in_parser,
+        (ProtocolError,),
+        {"message.hello": "hello"},
+        modules=(S + "wire", "gsvis.abr.holdings"),
+    ),
+    Target(
+        "holdings",
+        lambda: [{"a.holdings": held()}],
+        in_holdings,
+        (ValueError,),
+        {"a.holdings": "holdings"},
+        modules=("gsvis.abr.holdings",),
+    ),
+    Target(
+        "server-session",
+        sessions,
+        in_connection,
+        (ProtocolError,),
+        change=change_order,
+        modules=("gsvis.serve.connection", S + "sender", S + "meter"),
+    ),
+    Target(
+        "client-session",
+        downstream,
+        in_receiver,
+        (ProtocolError,),
+        change=change_order,
+        modules=(S + "header", S + "batch", S + "receiver", S + "drawn"),
+        weight=1.5,
+    ),
+    Target(
+        "requests",
+        requests,
+        in_files,
+        (FormatError,),
+        {"request.name": "text"},
+        modules=("gsvis.serve.parts",),
+        weight=0.3,
+        refuses=False,
+    ),
+]
