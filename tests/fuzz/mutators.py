@@ -103,7 +103,9 @@ def change_text(rng: Random, data: bytes) -> bytes:
     if rng.random() < 0.3:
         at = min(rng.randrange(4), len(lines) - 1)
     way = rng.randrange(8)
-    if way == 0:
+    if way == 0 and rng.random() < 0.2:
+        del lines[rng.randint(1, 3) :]
+    elif way == 0:
         del lines[at]
     elif way == 1:
         lines.insert(at, lines[rng.randrange(len(lines))])
@@ -369,6 +371,8 @@ def change_spz4(rng: Random, data: bytes) -> bytes:
     """One change of an SPZ of version 4: its head, its table of contents, or one of its zstd streams."""
     if len(data) < 32 or rng.random() < 0.25:
         return change_bytes(rng, data)
+    if rng.random() < 0.1:
+        return change_spz_head(rng, data)
     streams, (contents,) = data[15], struct.unpack_from("<I", data, 16)
     at = contents + 16 * streams
     if at > len(data) or rng.random() < 0.3:
@@ -386,6 +390,18 @@ def change_spz4(rng: Random, data: bytes) -> bytes:
         chosen[1] = rng.choice((*INTEGERS, chosen[1] + 1))
     table = b"".join(struct.pack("<QQ", len(packed), size & (1 << 64) - 1) for packed, size in pieces)
     return data[:contents] + table + b"".join(packed for packed, _ in pieces)
+
+
+def change_spz_head(rng: Random, data: bytes) -> bytes:
+    """One change of what is in an SPZ of version 1 to 3: mostly of a field of its head, or of what follows it."""
+    if len(data) < 16 or rng.random() < 0.4:
+        return change_bytes(rng, data)
+    fields = list(struct.unpack_from("<4sIIBBBB", data))
+    at = rng.choice((1, 2, 2, 3, 3, 4, 5, 6))
+    fields[at] = rng.choice((0, 1, 2, 3, 4, 5, 31, 255) if at > 2 else (0, 1, 2, 3, 4, fields[2] + 1, 1 << 31))
+    if rng.random() < 0.2:
+        fields[5], data = 2, data + struct.pack("<III", 0xADBE0003, 4, rng.choice((0, 4, 5, 1 << 31)))
+    return struct.pack("<4sIIBBBB", *fields) + data[16:]
 
 
 def change_zstd(rng: Random, data: bytes, change: Mutator = change_bytes) -> bytes:
@@ -429,7 +445,9 @@ def change_webp(rng: Random, data: bytes) -> bytes:
         picture.save(out, rng.choice(("PNG", "GIF", "TIFF")))
     elif odd < 0.08:
         picture.convert(rng.choice(("RGB", "L"))).convert("RGB").save(out, "WEBP", lossless=odd < 0.06)
-    elif odd < 0.1:
+    elif odd < 0.13:  # an extended file, with its size told twice
+        picture.save(out, "WEBP", lossless=True, exact=True, xmp=b"<x/>")
+    elif odd < 0.16:
         picture.save(out, "WEBP", save_all=True, append_images=[picture, picture], lossless=True)
     else:
         picture.save(out, "WEBP", lossless=True, exact=True, quality=0, method=0)
@@ -444,7 +462,9 @@ KINDS: dict[str, Mutator] = {
     "zip": change_zip,
     "npy": change_npy,
     "gzip": change_gzip("bytes"),
+    "gzip-spz": change_gzip("spz-head"),
     "gzip-text": change_gzip("text"),
+    "spz-head": change_spz_head,
     "spz4": change_spz4,
     "zstd": change_zstd,
     "webp": change_webp,

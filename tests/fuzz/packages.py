@@ -17,7 +17,7 @@ from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.unpack import unpack_levels
 from gsvis.stream import StreamedScene
 from tests.fuzz.cameras import files_in
-from tests.fuzz.containers import sealed_manifest
+from tests.fuzz.containers import rows_of, sealed_manifest
 from tests.fuzz.mutators import mutate
 from tests.fuzz.targets import Case, Target, change_files
 from tests.stream.worlds import package_of
@@ -30,7 +30,7 @@ N = 40
 def packages() -> list[Case]:
     found = []
     with TemporaryDirectory() as folder:
-        for variant, stores in (("rgb", True), ("hsl", False)):
+        for variant, stores in (("rgb", True), ("hsl", False), ("axes", False)):
             package_of(Path(folder) / variant, N, variant, stores=stores).close()
             found.append(files_in(Path(folder) / variant))
     return found
@@ -77,6 +77,8 @@ def change_package(rng: Random, case: Case, target: Target) -> Case:
     for _, row in _rows(manifest):
         if row["sha256"] == digest:
             row["sha256"], row["bytes"] = new, len(data)
+            if suffix == "arrow" and "count" in row and rng.random() < 0.5:
+                row["count"] = rows_of(data) or row["count"]
     for key in ("visibility", "active_terms"):
         if manifest.get(key):
             manifest[key]["bytes"] = sum(row["bytes"] for row in manifest[key]["parts"])

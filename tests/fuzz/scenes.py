@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from tests.io.scene_files import (
 
 __all__ = ["TARGETS"]
 
+FRAME = struct.pack("<III", 0xADBE0003, 4, 4)
 SMALL, DEEP, FLAT = random_scene(12, 1, 1), random_scene(9, 3, 2), random_scene(7, 0, 3)
 
 
@@ -39,6 +41,24 @@ def read_scene(path: Path, lod: int | None = None) -> None:
 def in_one_file(folder: Path, case: Case) -> None:
     (name,) = case
     read_scene(folder / name)
+
+
+def by_other_names(folder: Path, case: Case) -> None:
+    """Read a file whose name says what it is, one whose name does not, and a level of a file that has none."""
+    (name,) = case
+    (folder / name).rename(folder / "a.dat")
+    with suppress(FormatError):
+        read_scene(folder / "a.dat")
+    (folder / "a.dat").rename(folder / name)
+    with suppress(FormatError, ValueError):
+        read_scene(folder / name, 0)
+    read_scene(folder / name)
+
+
+def in_sog_folder(folder: Path, case: Case) -> None:
+    if len(case) % 2 and "meta.json" in case:
+        read_scene(folder / "meta.json")
+    read_scene(folder)
 
 
 def plain_plys() -> list[Case]:
@@ -70,14 +90,14 @@ def splats() -> list[Case]:
 
 
 def old_spz() -> list[Case]:
-    extra = b"\1\0\0\0\4\0\0\0" + bytes(4)
+    extra = FRAME
     made = [spz_bytes(scene, version) for version in (1, 2, 3) for scene in (SMALL, DEEP, FLAT)]
     return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 3, extensions=extra)]]
 
 
 def new_spz() -> list[Case]:
     made = [spz_bytes(SMALL, 4), spz_bytes(DEEP, 4), spz_bytes(FLAT, 4)]
-    return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 4, extensions=b"\1\0\0\0\4\0\0\0" + bytes(4))]]
+    return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 4, extensions=FRAME)]]
 
 
 def zipped_sogs() -> list[Case]:
@@ -137,11 +157,11 @@ _SOG = (IO + "sog", IO + "_store", IO + "_webp", IO + "_json", IO + "_limits")
 TARGETS = [
     Target("ply", plain_plys, in_one_file, modules=_PLY),
     Target("compressed-ply", packed_plys, in_one_file, modules=(IO + "compressed_ply", *_PLY)),
-    Target("splat", splats, in_one_file, modules=(IO + "splat",), weight=0.5),
-    Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip"}, modules=(IO + "spz",)),
+    Target("splat", splats, by_other_names, modules=(IO + "splat",), weight=0.5),
+    Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),
     Target("spz-zstd", new_spz, in_one_file, kinds={"a.spz": "spz4"}, modules=(IO + "spz",)),
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
-    Target("sog-folder", sog_folders, lambda folder, case: read_scene(folder), modules=_SOG),
+    Target("sog-folder", sog_folders, in_sog_folder, modules=_SOG),
     Target("streamed-sog", streams, in_streams, (FormatError, FileNotFoundError), modules=(IO + "streamed_sog", *_SOG)),
     Target("points", point_files, in_points, (FormatError, FileNotFoundError), modules=(IO + "points",)),
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import hashlib
 import json
 import struct
 from contextlib import ExitStack
@@ -29,7 +30,7 @@ from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Sender, StreamedScene, parse_client
-from gsvis.stream.batch import Sections
+from gsvis.stream.batch import _ARROW, _BODY_AT, _DATA_AT, _ENDS, _IDS, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.wire import ServerFault
 from tests.fuzz.mutators import KINDS, change_bytes, change_json, mutate
@@ -48,7 +49,7 @@ def scenes() -> dict[str, StreamedScene]:
     opened, found = ExitStack(), {}
     atexit.register(opened.close)
     folder = Path(opened.enter_context(TemporaryDirectory(prefix="gsvis-fuzz-")))
-    for variant, stores in (("rgb", True), ("hsl", False)):
+    for variant, stores in (("rgb", True), ("hsl", False), ("axes", False)):
         package = opened.enter_context(package_of(folder / variant, N, variant, stores=stores))
         found[variant] = StreamedScene.open(package)
     return found
@@ -169,6 +170,8 @@ def change_order(rng: Random, case: Case, target: Target) -> Case:
     elif way == 2:
         other = rng.randrange(len(messages))
         messages[at], messages[other] = messages[other], messages[at]
+    elif way == 4 and target.name == "client-session" and rng.random() < 0.3:
+        messages.insert(at, batches(rng.choice(("rgb", "hsl")))[0])
     elif way == 3 and len(messages) < 40:
         messages[at:at] = [messages[at]] * rng.randint(2, 30)
     else:
@@ -176,6 +179,10 @@ def change_order(rng: Random, case: Case, target: Target) -> Case:
         messages[at] = mutate(rng, suffix, messages[at])
     suffix = next(iter(sorted(case))).partition(".")[2]
     return {f"{k:02d}.{suffix}": message for k, message in enumerate(messages[:60])}
+
+
+LIMITS = Limits(batch_bytes=1500, messages_per_s=20.0, burst_s=1.0, poses_per_s=8.0)
+"""Tight, so that sixty messages can go over them."""
 
 
 class Script:
@@ -221,7 +228,7 @@ class Heard(EventLog):
 def in_connection(folder: Path, case: Case) -> None:
     ticks = count()
     log, served = Heard(), ServedScene("rgb", folder, scenes()["rgb"])
-    setting = Setting(Limits(batch_bytes=1500), Metrics(), log, SchedulerConfig(), lambda: 0.005 * next(ticks))
+    setting = Setting(LIMITS, Metrics(), log, SchedulerConfig(), lambda: 0.005 * next(ticks))
     peer = Script([case[name] for name in sorted(case)])
 
     async def run() -> str:
@@ -246,7 +253,7 @@ def batches(variant: str) -> list[bytes]:
 
 def downstream() -> list[Case]:
     fault = ServerFault(3, "too large").to_bytes()
-    made = [{f"{k:02d}.down": data for k, data in enumerate([*batches(variant)])} for variant in ("rgb", "hsl")]
+    made = [{f"{k:02d}.down": data for k, data in enumerate([*batches(variant)])} for variant in ("rgb", "hsl", "axes")]
     return [*made, {"00.down": batches("rgb")[0], "01.down": fault}]
 
 
@@ -281,12 +288,39 @@ def _change_welcome(rng: Random, data: bytes) -> bytes:
     return data[: HEAD.size] + bytes(base.with_metadata({b"gsvis": text}).serialize())
 
 
+def _change_frame(rng: Random, data: bytes) -> bytes:
+    """One row of a BATCH longer, shorter or other, with ends and lengths that fit."""
+    at = HEAD.size + len(_ARROW)
+    ends = list(_ENDS.unpack_from(data, at))
+    start = at + _ENDS.size
+    rows = [data[start + a : start + b] for a, b in pairwise(ends)]
+    k = rng.randrange(5)
+    rows[k] = rng.choice((change_bytes(rng, rows[k]), rows[k][:-1], rows[k] + b"\0", b"", rows[k] * 2))
+    if k == 0 and len(rows[0]) >= _IDS.size and rng.random() < 0.5:
+        numbers = list(_IDS.unpack_from(rows[0]))
+        which = rng.randrange(7)
+        numbers[which] = rng.choice((0, 1, 255, numbers[which] + 1, (1 << 32) - 1)) % (1 << 32 if which < 2 else 256)
+        rows[0] = _IDS.pack(*numbers) + rows[0][_IDS.size :]
+    ends = [0, *np.cumsum([len(row) for row in rows]).tolist()]
+    filled = -ends[-1] % 8
+    head = bytearray(data[:at] + _ENDS.pack(*ends))
+    struct.pack_into("<q", head, HEAD.size + _BODY_AT, _ENDS.size + ends[-1] + filled)
+    struct.pack_into("<q", head, HEAD.size + _DATA_AT, ends[-1])
+    return bytes(head) + b"".join(rows) + bytes(filled)
+
+
 def _change_batch(rng: Random, data: bytes) -> bytes:
+    if rng.random() < 0.35:
+        return _change_frame(rng, data)
     about = next((scene.about for scene in scenes().values() if _fits(data, scene)), None)
     if about is None:
         return change_bytes(rng, data)
     found = Sections.parse(data, about)
     name = rng.choice([f.name for f in fields(found)])
+    if name == "rows" and len(found.rows):
+        rows = found.rows.copy()
+        rows[rng.choice(rows.dtype.names)][rng.randrange(len(rows))] = rng.choice((0, 1, 2, 3, 200))
+        return replace(found, rows=rows).to_message(about)
     value: Any = getattr(found, name)
     if name == "sequence":
         return replace(found, sequence=rng.choice((0, 1, 2, value + 1, (1 << 32) - 1))).to_message(about)
@@ -354,21 +388,21 @@ def in_receiver(folder: Path, case: Case) -> None:
 
 
 def requests() -> list[Case]:
-    name = "0" * 64 + ".arrow"
-    return [{"request.name": f"{text}\n{name}".encode()} for text in ("bytes=0-5", "bytes=-3", "bytes=4-", "bytes=90-")]
+    part = b"the bytes of a part"
+    name = hashlib.sha256(part).hexdigest() + ".bin"
+    ranges = ("bytes=0-5", "bytes=-3", "bytes=4-", "bytes=90-", "bytes=5-2")
+    return [{"request.name": f"{text}\n{name}".encode(), f"parts/{name}": part} for text in ranges]
 
 
 def in_files(folder: Path, case: Case) -> None:
-    (data,) = case.values()
-    header, _, name = data.decode("latin-1").partition("\n")
+    header, _, name = case.get("request.name", b"").decode("latin-1").partition("\n")
     for size in (0, 1, 50):
         found = byte_range(header, size)
         assert found is None or 0 <= found[0] <= found[1] <= size
     try:
-        read_part(folder, name)
+        assert hashlib.sha256(read_part(folder, name)).hexdigest() == name[:64]
     except FileNotFoundError:
         return
-    raise AssertionError("expected no part of that name")
 
 
 S = "gsvis.stream."
@@ -415,6 +449,5 @@ TARGETS = [
         {"request.name": "text"},
         modules=("gsvis.serve.parts",),
         weight=0.3,
-        refuses=False,
     ),
 ]
