@@ -3,6 +3,12 @@
 Inputs run in processes with a limit on address space; one that takes too long is ended. An input follows from the
 seed, its target and its number, so a finding can be made again: `--targets NAME --first NUMBER --inputs 1`.
 Findings go to tests/corpus with `--keep`. With coverage.py installed, a smaller run measures branch coverage.
+
+Given: small valid files of every format and sessions of the wire, made by tests/fuzz from procedural scenes; no real
+    data. The seed and the number of inputs.
+Measured: how each changed input ends, its processor time and the growth of memory; branches of the readers in a run of
+    its own. Branches of functions that write, that callers ask or that are compiled do not count.
+Defaults chosen on: nothing; the limits of memory are twice what the readers promise in gsvis.io._limits.
 """
 
 from __future__ import annotations
