@@ -3,16 +3,19 @@
 # make check   what CI runs: format, lint, types, doctests, examples, tests
 # make bench   run the benchmarks and write docs/results/<question>.json
 # make lowest  run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
+# make fuzz    100,000 damaged inputs to every reader and the wire (INPUTS=, SEED=)
 # make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
 SCENE ?= builtin:two_rooms
 OUT ?= demo-out
+INPUTS ?= 100000
+SEED ?= 1
 BIN := .venv/bin
 export PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench lowest pins clean
+.PHONY: help demo test check format lint types doctests examples bench lowest pins clean fuzz
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -69,6 +72,10 @@ lowest: .venv/.gsvis-dev
 	@.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check \
 	    --constraint .venv-lowest/constraints.txt --editable ".[dev]"
 	@NUMBA_CACHE_DIR="$(CURDIR)/.venv-lowest/numba" .venv-lowest/bin/python -m pytest --numprocesses auto --dist loadfile
+
+fuzz: .venv/.gsvis-dev
+	@mkdir -p docs/results
+	@$(BIN)/python tools/fuzz.py --inputs $(INPUTS) --seed $(SEED) --out docs/results/fuzz.json
 
 pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py

@@ -15,6 +15,9 @@ from os import PathLike, fspath
 
 __all__ = ["BackendError", "FormatError", "GsvisError", "ProtocolError", "SceneError"]
 
+_MOST_TEXT = 400
+"""Characters of each part of a message."""
+
 
 class GsvisError(Exception):
     """Base of all errors that gsvis raises on purpose."""
@@ -36,6 +39,7 @@ class FormatError(GsvisError):
     """
 
     def __init__(self, path: str | PathLike[str], where: str, expected: str, got: str, remedy: str = "") -> None:
+        where, expected, got, remedy = (_one_line(text) for text in (where, expected, got, remedy))
         self.path, self.where, self.expected, self.got, self.remedy = fspath(path), where, expected, got, remedy
         place = f"{self.path}: {where}" if where else self.path
         super().__init__(f"{place}: expected {expected}, got {got}" + (f"; {remedy}" if remedy else ""))
@@ -47,6 +51,13 @@ class FormatError(GsvisError):
 
 class SceneError(GsvisError):
     """A scene is well formed but cannot serve what was asked of it."""
+
+
+def _one_line(text: str) -> str:
+    """Return text that a terminal shows on one line of bounded length: files choose some of what messages quote."""
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 3]}..."
 
 
 class ProtocolError(GsvisError):

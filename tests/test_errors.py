@@ -30,6 +30,14 @@ def test_a_format_error_is_one_line_with_place_and_remedy() -> None:
     assert str(FormatError("x", "", "a scene", "nothing")) == "x: expected a scene, got nothing"
 
 
+def test_what_a_file_says_cannot_break_the_line_or_fill_the_terminal() -> None:
+    error = FormatError("x", "key\n2", "a name", "'\x1b[2J" + "y" * 100_000, "try\r\nagain")
+    assert str(error).isprintable()
+    assert len(str(error)) < 500
+    assert str(error).startswith("x: key\\n2: expected a name, got '\\x1b[2Jyyy")
+    assert str(error).endswith("...; try\\r\\nagain")
+
+
 def test_errors_come_back_from_worker_processes() -> None:
     error = FormatError("x", "y", "a", "b", "c")
     assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -23,6 +23,7 @@ References:
 from __future__ import annotations
 
 import logging
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,7 +109,7 @@ def read_scene_settings(path: str | os.PathLike[str]) -> dict[str, SceneSetting]
             parts = tuple(float(part) for part in cells[quat].split(","))
         except ValueError:
             parts = ()
-        if len(parts) != 4 or not abs(float(np.linalg.norm(parts)) - 1.0) <= _ROUNDING:
+        if len(parts) != 4 or not abs(math.hypot(*parts) - 1.0) <= _ROUNDING:
             expected = "a unit quaternion x, y, z, w"
             raise FormatError(table.path, table.where(row, "Quaternion"), expected, repr(cells[quat][:60]))
         if scales[row] <= 0:
@@ -144,7 +145,8 @@ def _check_cells(table: Table, eyes: F64, quats: F64) -> None:
     if len(bad):
         where = table.where(int(bad[0]), "ViewIndex")
         raise FormatError(table.path, where, "0 (left eye) or 1 (right eye)", f"{eyes[bad[0]]:g}")
-    lengths = np.linalg.norm(quats, axis=1)
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(quats, axis=1)
     bad = np.flatnonzero(np.abs(lengths - 1.0) > _ROUNDING)
     if len(bad):
         where, got = table.where(int(bad[0]), "QuaternionX to QuaternionW"), f"length {lengths[bad[0]]:.3g}"

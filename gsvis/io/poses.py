@@ -90,7 +90,8 @@ def _path_of(table: Table) -> HeadPath:
         raise FormatError(table.path, f"line {table.lines[0] + 1}", "at least one pose", "the end of the file")
     times, quats = values[:, 0] - values[0, 0], values[:, 4:]
     _check_times(table, times)
-    lengths = np.linalg.norm(quats, axis=1)
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(quats, axis=1)
     bad = np.flatnonzero(np.abs(lengths - 1.0) > _ROUNDING)
     if len(bad):
         remedy = "are these quaternions, in the order wxyz?"

@@ -102,9 +102,10 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
     """
     if not (np.isfinite(rotation).all() and np.isfinite(position).all()):
         raise FormatError(path, where, "finite numbers in a pose", "NaN or infinity")
-    defect = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if defect > 1e-2 or np.linalg.det(rotation) < 0:
-        told = f"one that is off by {defect:.2g}" if defect > 1e-2 else "a mirrored one (determinant -1)"
+    with np.errstate(all="ignore"):  # enormous numbers become infinity or NaN, which is refused
+        defect = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if not defect <= 1e-2 or np.linalg.det(rotation) < 0:
+        told = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
         raise FormatError(path, where, "a rotation (orthonormal columns, determinant 1)", told)
     u, _, vt = np.linalg.svd(rotation)
     pose = np.eye(4)

@@ -1,0 +1,357 @@
+"""Mutators of the formats of gsvis: what is under a checksum or a hash is changed and put under a right one again."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import struct
+import zlib
+from random import Random
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from gsvis.errors import FormatError
+from gsvis.io import _arrow
+from gsvis.visibility._container import HEAD_BYTES, ContainerWriter
+from gsvis.visibility._writer import CELL_ROW
+from gsvis.visibility.active_terms import _CRC
+from tests.fuzz.mutators import KINDS, change_bytes, change_json, change_zstd
+
+__all__ = ["change_manifest", "sealed_manifest"]
+
+_TYPES = (
+    pa.uint8(),
+    pa.int8(),
+    pa.int32(),
+    pa.float32(),
+    pa.float64(),
+    pa.string(),
+    pa.int64(),
+    pa.binary(),
+    pa.list_(pa.int8()),
+)
+_FAULTS = (pa.ArrowException, ValueError, OSError, OverflowError, TypeError, KeyError, RecursionError)
+
+
+def _opened(data: bytes) -> tuple[pa.Schema, list[pa.RecordBatch]] | None:
+    try:
+        reader = pa.ipc.open_file(pa.BufferReader(data))
+        return reader.schema, [reader.get_batch(k) for k in range(reader.num_record_batches)]
+    except _FAULTS:
+        return None
+
+
+def _written(rng: Random, schema: pa.Schema, batches: list[pa.RecordBatch]) -> bytes:
+    sink = pa.BufferOutputStream()
+    options = pa.ipc.IpcWriteOptions(compression=rng.choice(("zstd", "zstd", "zstd", "lz4", None)), use_threads=False)
+    with pa.ipc.new_file(sink, schema, options=options) as writer:
+        for batch in batches:
+            writer.write_batch(batch.replace_schema_metadata(schema.metadata))
+    return sink.getvalue().to_pybytes()
+
+
+def change_column(rng: Random, array: pa.Array) -> pa.Array:
+    """A column with other numbers, of another type, or with nulls."""
+    way = rng.randrange(6)
+    try:
+        if way == 0:
+            return array.cast(rng.choice(_TYPES), safe=False)
+        if way == 1:
+            values = array.to_pylist()
+            values[rng.randrange(len(values))] = None
+            return pa.array(values, array.type)
+        if pa.types.is_binary(array.type):
+            values = array.to_pylist()
+            at = rng.randrange(len(values))
+            values[at] = change_bytes(rng, values[at])
+            return pa.array(values, array.type)
+        return (
+            pa.Array.from_buffers(array.type, len(array), _changed_buffers(rng, array))
+            if not array.type.num_fields
+            else _nested(rng, array)
+        )
+    except _FAULTS:
+        return array
+
+
+def _nested(rng: Random, array: pa.Array) -> pa.Array:
+    if pa.types.is_struct(array.type):
+        fields = [array.field(k) for k in range(array.type.num_fields)]
+        at = rng.randrange(len(fields))
+        fields[at] = change_column(rng, fields[at])
+        return pa.StructArray.from_arrays(fields, names=[field.name for field in array.type])
+    if pa.types.is_fixed_size_list(array.type):
+        return pa.FixedSizeListArray.from_arrays(change_column(rng, array.flatten()), type=array.type)
+    if rng.random() < 0.3:
+        offsets = np.frombuffer(
+            change_bytes(rng, array.offsets.to_numpy().tobytes())[: 4 * len(array) + 4].ljust(
+                4 * len(array) + 4, b"\0"
+            ),
+            "<i4",
+        )
+        return pa.Array.from_buffers(
+            array.type, len(array), [None, pa.py_buffer(offsets.tobytes())], children=[array.values]
+        )
+    return type(array).from_arrays(array.offsets, change_column(rng, array.values), type=array.type)
+
+
+def _changed_buffers(rng: Random, array: pa.Array) -> list[Any]:
+    buffers = array.buffers()
+    data = buffers[-1].to_pybytes()
+    changed = change_bytes(rng, data)[: len(data)].ljust(len(data), b"\0")
+    return [*buffers[:-1], pa.py_buffer(changed)]
+
+
+def _change_table(
+    rng: Random, schema: pa.Schema, batches: list[pa.RecordBatch]
+) -> tuple[pa.Schema, list[pa.RecordBatch]]:
+    way = rng.randrange(10)
+    if way == 0:
+        return schema, batches * rng.choice((0, 2))
+    if way == 1 and batches:
+        cut = [batch.slice(rng.randrange(3), rng.randrange(len(batch) + 1)) for batch in batches]
+        return schema, cut
+    if not batches:
+        return schema, batches
+    columns = {name: batches[0].column(name) for name in schema.names}
+    name = rng.choice(schema.names)
+    if way == 2:
+        del columns[name]
+    elif way == 3:
+        columns[rng.choice(("x", name + "2", ""))] = columns.pop(name)
+    elif way == 4:
+        columns = dict(reversed(columns.items()))
+    else:
+        columns[name] = change_column(rng, columns[name])
+    kept = schema.metadata
+    fields = [pa.field(key, column.type, nullable=rng.random() < 0.05) for key, column in columns.items()]
+    if all(schema.get_field_index(field.name) >= 0 and schema.field(field.name).type == field.type for field in fields):
+        fields = [schema.field(field.name) if rng.random() < 0.98 else field for field in fields]
+    changed = pa.schema(fields, metadata=kept)
+    return changed, [
+        pa.RecordBatch.from_arrays(list(columns.values()), schema=changed),
+        *(batches[1:] if changed == schema else []),
+    ]
+
+
+def change_arrow(rng: Random, data: bytes) -> bytes:
+    """One change of an Arrow file of gsvis: header, schema, rows or bytes, under a right checksum."""
+    if rng.random() < 0.1:
+        return change_bytes(rng, data)
+    if rng.random() < 0.25:
+        return _with_checksum(change_bytes(rng, data))
+    opened = _opened(data)
+    if opened is None:
+        return change_bytes(rng, data)
+    schema, batches = opened
+    metadata = dict(schema.metadata or {})
+    try:
+        if rng.random() < 0.5 and b"gsvis" in metadata:
+            header = change_json(rng, json.loads(metadata[b"gsvis"]))
+            schema = schema.with_metadata({**metadata, b"gsvis": json.dumps(header).encode()})
+        else:
+            schema, batches = _change_table(rng, schema, batches)
+        return _with_checksum(_written(rng, schema, batches))
+    except _FAULTS:
+        return change_bytes(rng, data)
+
+
+def _with_checksum(data: bytes) -> bytes:
+    """The file with the checksum that it ought to have, where there is a place for it."""
+    changed = bytearray(data)
+    try:
+        with memoryview(changed) as view:
+            places = _arrow._places(None, view)  # type: ignore[arg-type]
+            digits = b"%08x" % _arrow._checksum(view, places)
+            for place in places:
+                changed[place : place + 8] = digits
+    except (FormatError, struct.error, ValueError, TypeError):
+        return data
+    return bytes(changed)
+
+
+def change_active(rng: Random, data: bytes) -> bytes:
+    """One change of a store of active terms, under right checksums."""
+    if rng.random() < 0.2:
+        return change_bytes(rng, data)
+    opened = _opened(data)
+    if opened is None or not opened[1]:
+        return change_bytes(rng, data)
+    schema, batches = opened
+    metadata = dict(schema.metadata or {})
+    try:
+        way = rng.randrange(3)
+        if way == 0:
+            text = json.dumps(change_json(rng, json.loads(metadata[b"gsvis"]))).encode()
+            schema = schema.with_metadata({**metadata, b"gsvis": text, b"gsvis-crc32": b"%08x" % zlib.crc32(text)})
+        elif way == 1:
+            schema, batches = _change_table(rng, schema, batches)
+        else:
+            rows = batches[0].to_pylist()
+            row = rng.choice(rows)
+            names = schema.names
+            name = rng.choice((names[1], names[2], names[4], names[4], names[0]))
+            row[name] = (
+                change_bytes(rng, row[name]) if name == names[4] else rng.choice((0, 1, row[name] + 1, (1 << 32) - 1))
+            )
+            head = _CRC.pack(*(row[key] for key in names[:3]))
+            row[names[3]] = zlib.crc32(row[names[4]], zlib.crc32(head))
+            batches = [pa.RecordBatch.from_pylist(rows, schema=schema), *batches[1:]]
+        return _written(rng, schema, batches)
+    except (*_FAULTS, struct.error):
+        return change_bytes(rng, data)
+
+
+def change_container(rng: Random, data: bytes) -> bytes:
+    """One change of a store of visible sets, under right checksums."""
+    try:
+        header, sections = _sections(data)
+    except (ValueError, struct.error, KeyError, TypeError, UnicodeDecodeError):
+        return change_bytes(rng, data)
+    if rng.random() < 0.15:
+        return change_bytes(rng, data)
+    way = rng.randrange(8)
+    name = rng.choice(sorted(sections))
+    if way < 3:
+        header = change_json(rng, header)
+    elif way == 3 and rng.random() < 0.3:
+        sections[rng.choice((name + "x", "cells"))] = sections.pop(name)
+    elif name in ("coords", "ever"):
+        sections[name] = change_zstd(rng, sections[name])
+    elif name in ("directions", "labels") and sections[name]:
+        sections[name] = (
+            sections[name][:1] + change_zstd(rng, sections[name][1:])
+            if name == "labels"
+            else change_zstd(rng, sections[name])
+        )
+    else:
+        _change_cell(rng, sections)
+    if way < 3 and rng.random() < 0.4 and isinstance(header, dict) and "sections" in header:
+        return _with_header(data, header)
+    out = io.BytesIO()
+    writer = ContainerWriter(out)
+    for key, content in sections.items():
+        writer.append(content)
+        writer.close_section(key)
+    try:
+        writer.finish(
+            {key: value for key, value in header.items() if key != "sections"} if isinstance(header, dict) else {}
+        )
+    except ValueError:  # NaN has no place there
+        return change_bytes(rng, data)
+    return out.getvalue()
+
+
+def _sections(data: bytes) -> tuple[Any, dict[str, bytes]]:
+    place, length = struct.unpack_from("<QI", data, 24)
+    header = json.loads(data[place : place + length])
+    found, at = {}, HEAD_BYTES
+    for name, _, size, _ in header["sections"]:
+        found[name] = data[at : at + size]
+        at += size
+    return header, found
+
+
+def _with_header(data: bytes, header: dict[str, Any]) -> bytes:
+    """The file with another header, its list of sections as it comes."""
+    (place,) = struct.unpack_from("<Q", data, 24)
+    text = json.dumps(header, separators=(",", ":"), sort_keys=True).encode()
+    fields = struct.pack("<QQII", place + len(text), place, len(text), zlib.crc32(text))
+    return data[:12] + struct.pack("<I", zlib.crc32(fields)) + fields + data[HEAD_BYTES:place] + text
+
+
+def _change_cell(rng: Random, sections: dict[str, bytes]) -> None:
+    """Change the set, the classes or the row of a cell, and all rows that follow from it."""
+    rows = np.frombuffer(
+        sections["cells"][: len(sections["cells"]) // CELL_ROW.itemsize * CELL_ROW.itemsize], CELL_ROW
+    ).copy()
+    if not len(rows):
+        return
+    at = rng.randrange(len(rows))
+    kind, section = rng.choice((("set", "sets"), ("class", "classes")))
+    pieces = []
+    for row in rows:
+        start, size = int(row[f"{kind}_offset"]), int(row[f"{kind}_length"])
+        pieces.append(sections[section][start : start + size] if start + size < 1 << 40 else b"")
+    if rng.random() < 0.4:
+        field = rng.choice(("visible", "parent", "viewpoints", "growth", f"{kind}_length", f"{kind}_offset"))
+        rows[field][at] = rng.choice((0, 1, 2, int(max(rows["visible"][at], 0)) + 1, (1 << 31) - 1))
+    else:
+        piece = pieces[at]
+        pieces[at] = change_zstd(rng, piece) if kind == "set" else piece[:4] + change_zstd(rng, piece[4:])
+        if kind == "class" and len(pieces[at]) >= 4 and rng.random() < 0.9 and rows["parent"][at] < 0:
+            pieces[at] = struct.pack("<I", len(pieces[at]) - 4) + pieces[at][4:]
+        sections[section] = b"".join(pieces)
+        sizes = np.array([len(piece) for piece in pieces])
+        rows[f"{kind}_length"], rows[f"{kind}_offset"] = sizes, np.cumsum(sizes) - sizes
+        if rng.random() < 0.9:
+            rows[f"{kind}_crc"] = [zlib.crc32(piece) for piece in pieces]
+    sections["cells"] = rows.tobytes()
+
+
+def sealed_manifest(value: dict[str, Any]) -> bytes:
+    """A manifest with the hash that it ought to have."""
+    value = {key: inner for key, inner in value.items() if key != "sha256"}
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return json.dumps({**value, "sha256": hashlib.sha256(text.encode()).hexdigest()}).encode()
+
+
+def change_manifest(rng: Random, data: bytes) -> bytes:
+    """One change of a manifest, mostly under a right hash."""
+    try:
+        changed = change_json(rng, json.loads(data))
+    except (ValueError, RecursionError, OverflowError):
+        return change_bytes(rng, data)
+    if not isinstance(changed, dict) or rng.random() < 0.1:
+        return json.dumps(changed).encode()
+    return sealed_manifest(changed)
+
+
+def change_journal(rng: Random, data: bytes) -> bytes:
+    """One change of the packed view of a cell, mostly under a right checksum."""
+    if len(data) < 20 or rng.random() < 0.2:
+        return change_bytes(rng, data)
+    head, packed = bytearray(data[:20]), data[20:]
+    if rng.random() < 0.3:
+        struct.pack_into("<I", head, 8, rng.choice((0, 1, 255, 1 << 20, (1 << 28) + 1, (1 << 32) - 1)))
+    else:
+        packed = change_zstd(rng, packed)
+    struct.pack_into("<I", head, 4, zlib.crc32(packed))
+    return bytes(head) + packed
+
+
+KINDS.update(
+    {
+        "arrow": change_arrow,
+        "active": change_active,
+        "pvs": change_container,
+        "manifest": change_manifest,
+        "journal": change_journal,
+    }
+)
+
+
+def reheaded(data: bytes, files: dict[str, bytes]) -> bytes:
+    """The map of a folder of levels with the hashes of the files beside it."""
+    opened = _opened(data)
+    if opened is None:
+        return data
+    schema, batches = opened
+    metadata = dict(schema.metadata or {})
+    try:
+        header = json.loads(metadata[b"gsvis"])
+        for row in header["levels"]:
+            row["sha256"] = hashlib.sha256(files[row["file"]]).hexdigest()
+        schema = schema.with_metadata({**metadata, b"gsvis": json.dumps(header).encode()})
+        return _with_checksum(_written(Random(0), schema, batches))
+    except (*_FAULTS, AttributeError):
+        return data
+
+
+def rows_of(data: bytes) -> int:
+    """Rows of an Arrow file; 0 where it is none."""
+    opened = _opened(data)
+    return 0 if opened is None else sum(len(batch) for batch in opened[1])

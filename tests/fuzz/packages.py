@@ -1,0 +1,113 @@
+"""Targets: manifests and whole packages, whose parts are changed and named by their new hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from gsvis.errors import FormatError
+from gsvis.package import Package
+from gsvis.package.manifest import MANIFEST, Manifest
+from gsvis.package.unpack import unpack_levels
+from gsvis.stream import StreamedScene
+from tests.fuzz.cameras import files_in
+from tests.fuzz.containers import rows_of, sealed_manifest
+from tests.fuzz.mutators import mutate
+from tests.fuzz.targets import Case, Target, change_files
+from tests.stream.worlds import package_of
+
+__all__ = ["TARGETS"]
+
+N = 40
+
+
+def packages() -> list[Case]:
+    found = []
+    with TemporaryDirectory() as folder:
+        for variant, stores in (("rgb", True), ("hsl", False), ("axes", False)):
+            package_of(Path(folder) / variant, N, variant, stores=stores).close()
+            found.append(files_in(Path(folder) / variant))
+    return found
+
+
+def manifests() -> list[Case]:
+    return [{MANIFEST: case[MANIFEST]} for case in packages()]
+
+
+def in_manifest(folder: Path, case: Case) -> None:
+    (name,) = case
+    found = Manifest.read(folder / name)
+    assert found.gaussians == sum(block.count for block in found.blocks)
+    found.sizes()
+
+
+def in_package(folder: Path, case: Case) -> None:
+    with Package.open(folder) as package:
+        package.verify()
+        levels = unpack_levels(package, sh_degree=0)
+        assert np.isfinite(levels.union.means).all()
+        scene = StreamedScene.open(package)
+        assert len(scene) == len(levels.union)
+
+
+def change_package(rng: Random, case: Case, target: Target) -> Case:
+    """Change the manifest, or a part, which then gets its new name."""
+    names = [name for name in sorted(case) if name != MANIFEST]
+    try:
+        manifest = json.loads(case[MANIFEST])
+        kinds = {row["sha256"]: kind for kind, row in _rows(manifest)}
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return change_files(rng, case, target)
+    if not names or rng.random() < 0.35:
+        return {**case, MANIFEST: mutate(rng, "manifest", case[MANIFEST])}
+    if rng.random() < 0.05:
+        return change_files(rng, case, target)
+    name = rng.choice(names)
+    digest, _, suffix = name.rpartition("/")[2].partition(".")
+    data = mutate(rng, kinds.get(digest, "arrow"), case[name])
+    found = {key: value for key, value in case.items() if key != name}
+    new = hashlib.sha256(data).hexdigest()
+    found[f"parts/{new}.{suffix}"] = data
+    for _, row in _rows(manifest):
+        if row["sha256"] == digest:
+            row["sha256"], row["bytes"] = new, len(data)
+            if suffix == "arrow" and "count" in row and rng.random() < 0.5:
+                row["count"] = rows_of(data) or row["count"]
+    for key in ("visibility", "active_terms"):
+        if manifest.get(key):
+            manifest[key]["bytes"] = sum(row["bytes"] for row in manifest[key]["parts"])
+    found[MANIFEST] = sealed_manifest(manifest)
+    return found
+
+
+def _rows(manifest: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """All objects of a manifest that name a part, and the kind of it."""
+    rows = [("arrow", row) for row in manifest["chunks"]]
+    for block in manifest["blocks"]:
+        rows += [("arrow", block), *(("arrow", row) for row in block["term_parts"])]
+    for key, kind in (("visibility", "pvs"), ("active_terms", "active")):
+        if manifest.get(key):
+            rows += [(kind, row) for row in manifest[key]["parts"]]
+    return rows
+
+
+P = "gsvis.package."
+
+TARGETS = [
+    Target("manifest", manifests, in_manifest, kinds={MANIFEST: "manifest"}, modules=(P + "manifest",)),
+    Target(
+        "package",
+        packages,
+        in_package,
+        (FormatError, FileNotFoundError),
+        change=change_package,
+        modules=(P + "package", P + "parts", P + "contents", P + "codec", P + "manifest"),
+        weight=1.5,
+    ),
+]

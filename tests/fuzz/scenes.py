@@ -1,0 +1,167 @@
+"""Targets: scenes of every format, and points."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from gsvis.errors import FormatError
+from gsvis.io import load_scene
+from gsvis.io.points import load_points
+from gsvis.scene.gaussians import Gaussians
+from tests.fuzz.targets import Case, Target
+from tests.io.scene_files import (
+    compressed_ply_bytes,
+    ply_bytes,
+    random_scene,
+    raw_columns,
+    sog_files,
+    splat_bytes,
+    spz_bytes,
+    streamed_files,
+    zip_bytes,
+)
+
+__all__ = ["TARGETS"]
+
+FRAME = struct.pack("<III", 0xADBE0003, 4, 4)
+SMALL, DEEP, FLAT = random_scene(12, 1, 1), random_scene(9, 3, 2), random_scene(7, 0, 3)
+
+
+def read_scene(path: Path, lod: int | None = None) -> None:
+    scene = load_scene(path, lod)
+    assert isinstance(scene, Gaussians)
+    assert len(scene) > 0
+    assert np.isfinite(scene.means).all()
+
+
+def in_one_file(folder: Path, case: Case) -> None:
+    (name,) = case
+    read_scene(folder / name)
+
+
+def by_other_names(folder: Path, case: Case) -> None:
+    """Read a file whose name says what it is, one whose name does not, and a level of a file that has none."""
+    (name,) = case
+    (folder / name).rename(folder / "a.dat")
+    with suppress(FormatError):
+        read_scene(folder / "a.dat")
+    (folder / "a.dat").rename(folder / name)
+    with suppress(FormatError, ValueError):
+        read_scene(folder / name, 0)
+    read_scene(folder / name)
+
+
+def in_sog_folder(folder: Path, case: Case) -> None:
+    if len(case) % 2 and "meta.json" in case:
+        read_scene(folder / "meta.json")
+    read_scene(folder)
+
+
+def plain_plys() -> list[Case]:
+    columns = raw_columns(SMALL)
+    faces = "element face 2\nproperty list uchar int vertex_indices\n"
+    rows = b"\3" + bytes(12) + b"\1" + bytes(4)
+    fixed = "element junk 2\nproperty short a\nproperty double b\n"
+    made = [
+        ply_bytes(columns),
+        ply_bytes(columns, encoding="binary_big_endian"),
+        ply_bytes(columns, encoding="ascii"),
+        ply_bytes(columns, types={"x": "f8", "opacity": "f8", "rot_0": "f8"}),
+        ply_bytes(raw_columns(DEEP)),
+        ply_bytes(raw_columns(FLAT), encoding="ascii"),
+        ply_bytes(columns, after=faces, after_rows=rows),
+        ply_bytes(columns, before=fixed, before_rows=bytes(20)),
+        ply_bytes(columns, newline="\r\n"),
+    ]
+    return [{"a.ply": data} for data in made]
+
+
+def packed_plys() -> list[Case]:
+    made = [compressed_ply_bytes(scene) for scene in (SMALL, DEEP, FLAT, random_scene(300, 0, 4))]
+    return [{"a.ply": data} for data in [*made, compressed_ply_bytes(FLAT, color_range=False)]]
+
+
+def splats() -> list[Case]:
+    return [{"a.splat": splat_bytes(scene)} for scene in (SMALL, FLAT)]
+
+
+def old_spz() -> list[Case]:
+    extra = FRAME
+    made = [spz_bytes(scene, version) for version in (1, 2, 3) for scene in (SMALL, DEEP, FLAT)]
+    return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 3, extensions=extra)]]
+
+
+def new_spz() -> list[Case]:
+    made = [spz_bytes(SMALL, 4), spz_bytes(DEEP, 4), spz_bytes(FLAT, 4)]
+    return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 4, extensions=FRAME)]]
+
+
+def zipped_sogs() -> list[Case]:
+    return [{"a.sog": zip_bytes(sog_files(scene, version))} for version in (1, 2) for scene in (SMALL, DEEP, FLAT)]
+
+
+def sog_folders() -> list[Case]:
+    return [sog_files(scene, version) for version in (1, 2) for scene in (SMALL, FLAT)]
+
+
+def streams() -> list[Case]:
+    zipped = streamed_files({0: SMALL, 1: SMALL[:5]})
+    zipped["1.sog"] = zip_bytes(sog_files(SMALL[:5]))
+    zipped["lod-meta.json"] = zipped["lod-meta.json"].replace(b'"1_0/meta.json"', b'"1.sog"')
+    around = streamed_files({0: SMALL})
+    around |= {f"env/{name}": data for name, data in sog_files(FLAT[:3]).items()}
+    around["lod-meta.json"] = around["lod-meta.json"].replace(b"null", b'"env/meta.json"')
+    return [streamed_files({0: SMALL, 1: SMALL[:5]}), zipped, around]
+
+
+def in_streams(folder: Path, case: Case) -> None:
+    read_scene(folder)
+    for lod in (0, 1):
+        with suppress(FormatError):
+            read_scene(folder, lod)
+
+
+def point_files() -> list[Case]:
+    rng = np.random.default_rng(0)
+    columns = {
+        **dict(zip("xyz", rng.normal(size=(3, 8)), strict=True)),
+        **{c: np.arange(8.0) for c in ("red", "green", "blue")},
+    }
+    bare = {name: columns[name] for name in "xyz"}
+    floats = {**bare, **{c: np.linspace(0, 1, 8) for c in ("red", "green", "blue")}}
+    colors = ("red", "green", "blue")
+    link = b'{"ply_file_path": "a.ply", "frames": []}'
+    return [
+        {"points3D.ply": ply_bytes(columns, types=dict.fromkeys(colors, "u1"))},
+        {"points3D.ply": ply_bytes(columns, types=dict.fromkeys(colors, "u2"), encoding="binary_big_endian")},
+        {"points3D.ply": ply_bytes(floats, types=dict.fromkeys("xyz", "f8"))},
+        {"points3D.ply": ply_bytes(bare, encoding="ascii")},
+        {"transforms.json": link, "a.ply": ply_bytes(floats)},
+    ]
+
+
+def in_points(folder: Path, case: Case) -> None:
+    cloud = load_points(folder if "points3D.ply" not in case else folder / "points3D.ply")
+    assert np.isfinite(cloud.means).all()
+    assert ((cloud.colors >= 0) & (cloud.colors <= 1)).all()
+
+
+IO = "gsvis.io."
+_PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", IO + "_limits", IO + "scenes")
+_SOG = (IO + "sog", IO + "_store", IO + "_webp", IO + "_json", IO + "_limits")
+
+TARGETS = [
+    Target("ply", plain_plys, in_one_file, modules=_PLY),
+    Target("compressed-ply", packed_plys, in_one_file, modules=(IO + "compressed_ply", *_PLY)),
+    Target("splat", splats, by_other_names, modules=(IO + "splat",), weight=0.5),
+    Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),
+    Target("spz-zstd", new_spz, in_one_file, kinds={"a.spz": "spz4"}, modules=(IO + "spz",)),
+    Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
+    Target("sog-folder", sog_folders, in_sog_folder, modules=_SOG),
+    Target("streamed-sog", streams, in_streams, (FormatError, FileNotFoundError), modules=(IO + "streamed_sog", *_SOG)),
+    Target("points", point_files, in_points, (FormatError, FileNotFoundError), modules=(IO + "points",)),
+]

@@ -1,0 +1,244 @@
+"""Targets: what gsvis keeps on disk: levels, colors, visible sets, active terms, journals, kept files, checkpoints."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from gsvis.color.storage import load_srbf, save_srbf, srbf_info
+from gsvis.errors import FormatError
+from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
+from gsvis.report import load_staircase_result
+from gsvis.scene.procedural import random_scene
+from gsvis.train.checkpoint import load_checkpoint, save_checkpoint
+from gsvis.train.densify import DensifyConfig
+from gsvis.train.images import PosedImages
+from gsvis.train.initial import gaussians_from_points
+from gsvis.train.trainer import TrainConfig, Trainer
+from gsvis.visibility._journal import Journal, pack_view
+from gsvis.visibility._kept import Kept
+from gsvis.visibility.active_terms import ActiveTerms
+from gsvis.visibility.pvs import CellView
+from gsvis.visibility.store import VisibilityStore
+from tests.fuzz.cameras import files_in
+from tests.fuzz.targets import Case, Target, change_files
+from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.train.photo_files import cameras, cloud, pictures
+
+__all__ = ["TARGETS"]
+
+N, CELLS = 70, 6
+
+
+def level_folders() -> list[Case]:
+    with TemporaryDirectory() as folder:
+        save_levels(levels_of(20), folder, {"up": [0, 0, 1]})
+        return [files_in(Path(folder))]
+
+
+def in_levels(folder: Path, case: Case) -> None:
+    levels_info(folder)
+    found = load_levels(folder)
+    assert np.isfinite(found.union.means).all()
+
+
+def change_levels(rng, case: Case, target: Target) -> Case:  # type: ignore[no-untyped-def]
+    """Change a file; a changed PLY gets its new digest into the map, mostly."""
+    from tests.fuzz.containers import reheaded
+
+    found = change_files(rng, case, target)
+    if MAP in found and rng.random() < 0.7:
+        found[MAP] = reheaded(found[MAP], found)
+    return found
+
+
+def color_files() -> list[Case]:
+    g, made = random_scene(np.random.default_rng(0), 10), []
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.arrow"
+        for variant in ("rgb", "hsl", "axes"):
+            exact, _ = colors_of(10, variant)
+            for precision in (None, "wire"):
+                save_srbf(path, g, exact, precision=precision, provenance={"a": 1})
+                made.append({"a.arrow": path.read_bytes()})
+    return made
+
+
+def in_colors(folder: Path, case: Case) -> None:
+    (name,) = case
+    srbf_info(folder / name)
+    g, colors = load_srbf(folder / name)
+    assert len(g) == len(colors)
+
+
+@cache
+def both_stores() -> tuple[bytes, bytes]:
+    levels, (exact, _) = levels_of(N), colors_of(N)
+    with TemporaryDirectory() as folder:
+        made = stores_of(Path(folder), levels, exact, CELLS)
+        return made["visibility"].read_bytes(), made["active_terms"].read_bytes()
+
+
+def in_visibility(folder: Path, case: Case) -> None:
+    (name,) = case
+    with VisibilityStore.open(folder / name) as store:
+        store.verify()
+        for cell in range(min(len(store), 3)):
+            ids = store.visible_ids(cell)
+            assert not len(ids) or 0 <= ids[0] <= ids[-1] < store.gaussians
+            store.classes(cell)
+            store.neighbours(cell)
+        assert store.direction_sets.shape == (store.gaussians, 10)
+        store.ever_visible()
+        store.sizes()
+        store.distance_to_visibility(0)
+
+
+def in_terms(folder: Path, case: Case) -> None:
+    (name,) = case
+    with ActiveTerms.open(folder / name) as store:
+        store.verify()
+        ids = store.active_ids(0)
+        assert not len(ids) or ids[-1] < store.info.terms
+        store.share(0)
+
+
+def kept_files() -> list[Case]:
+    rng = np.random.default_rng(0)
+    with TemporaryDirectory() as folder:
+        kept = Kept(Path(folder) / "out", {"a": 1})
+        kept.save(sets=rng.integers(0, 255, (12, 10)).astype(np.uint8), weights=rng.random(5), done=np.array(3))
+        assert kept.path is not None
+        return [{"kept.npz": kept.path.read_bytes()}]
+
+
+SHAPES = {"sets": (12, 10), "weights": (5,), "done": ()}
+
+
+def in_kept(folder: Path, case: Case) -> None:
+    kept = Kept(folder / "out", {"a": 1})
+    assert kept.path is not None
+    if "kept.npz" in case:
+        kept.path.write_bytes(case["kept.npz"])
+    found = kept.load(SHAPES)
+    for name, array in found.items():
+        assert array.shape == SHAPES[name]
+        assert array.dtype != object
+
+
+def journals() -> list[Case]:
+    rng, found = np.random.default_rng(0), {}
+    for k in range(3):
+        ids = np.flatnonzero(rng.random(40) < 0.5).astype(np.int32)
+        view = CellView(ids, (ids % 3).astype(np.uint8), rng.integers(0, 256, (len(ids), 10)).astype(np.uint8), 4, 0.5)
+        found[f"cell-{k:06d}.bin"] = pack_view(view)
+    return [{**found, "plan.json": b"{}\n"}]
+
+
+def in_journal(folder: Path, case: Case) -> None:
+    journal = Journal(folder, {})
+    with journal.opened():
+        for cell in journal.finished(3):
+            view = journal.view(cell)
+            assert view is not None
+            assert len(view.classes) == len(view.directions) == len(view.ids)
+
+
+@cache
+def trainer(densify: bool = True) -> Trainer:
+    rules = DensifyConfig(start=3, stop=18, every=5, threshold=1e-5, reset_every=0) if densify else None
+    views, held_out = PosedImages(cameras(), pictures()).split(5)
+    return Trainer(
+        views, gaussians_from_points(cloud()), TrainConfig(iterations=4, sh_degree=1, densify=rules), held_out=held_out
+    )
+
+
+def checkpoints() -> list[Case]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.checkpoint"
+        found = []
+        for densify in (True, False):
+            save_checkpoint(path, trainer(densify))
+            found.append({"densified.npz" if densify else "plain.npz": path.read_bytes()})
+        return found
+
+
+def in_checkpoint(folder: Path, case: Case) -> None:
+    (name,) = case
+    run = trainer(name == "densified.npz")
+    load_checkpoint(folder / name, run)
+    values = run.parameters.values
+    assert len({len(value) for value in values.values()}) == 1
+
+
+def staircases() -> list[Case]:
+    import json
+
+    from gsvis.color.epsilon import StaircaseRule, calibrate_epsilon
+
+    class Rule:
+        name, provenance = "a rule", {"observer": "a rule"}
+
+        def __call__(self, epsilon: float) -> bool:
+            return epsilon > 0.02
+
+    return [{"epsilon.json": json.dumps(calibrate_epsilon(Rule(), StaircaseRule()).as_dict()).encode()}]
+
+
+def in_staircase(folder: Path, case: Case) -> None:
+    (name,) = case
+    assert load_staircase_result(folder / name).epsilon > 0
+
+
+VIS, TRAIN, IO = "gsvis.visibility.", "gsvis.train.", "gsvis.io."
+
+TARGETS = [
+    Target(
+        "levels",
+        level_folders,
+        in_levels,
+        (FormatError, FileNotFoundError),
+        {MAP: "arrow"},
+        change_levels,
+        (IO + "levels", IO + "_arrow"),
+    ),
+    Target(
+        "color",
+        color_files,
+        in_colors,
+        kinds={"a.arrow": "arrow"},
+        modules=("gsvis.color.storage", IO + "_arrow", IO + "_json"),
+    ),
+    Target(
+        "visibility",
+        lambda: [{"a.pvs": both_stores()[0]}],
+        in_visibility,
+        kinds={"a.pvs": "pvs"},
+        modules=(VIS + "store", VIS + "_container", VIS + "_codec"),
+        weight=1.5,
+    ),
+    Target(
+        "active-terms",
+        lambda: [{"a.arrow": both_stores()[1]}],
+        in_terms,
+        kinds={"a.arrow": "active"},
+        modules=(VIS + "active_terms",),
+    ),
+    Target("kept", kept_files, in_kept, (), modules=(VIS + "_kept",), refuses=False),
+    Target(
+        "journal",
+        journals,
+        in_journal,
+        (),
+        {f"cell-{k:06d}.bin": "journal" for k in range(3)},
+        modules=(VIS + "_journal",),
+        refuses=False,
+    ),
+    Target(
+        "checkpoint", checkpoints, in_checkpoint, (FormatError, ValueError), modules=(TRAIN + "checkpoint",), weight=0.5
+    ),
+    Target("staircase", staircases, in_staircase, modules=("gsvis.report.staircase",), weight=0.5),
+]

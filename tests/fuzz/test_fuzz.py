@@ -1,0 +1,70 @@
+"""Damaged input of every kind ends in a result or a known error of one line; what once failed is tried again.
+
+`make fuzz` does the same with a hundred thousand inputs, in processes with limits.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from tests.fuzz.engine import run_input, run_whole
+from tests.fuzz.families import TARGETS
+from tests.fuzz.targets import case_of, unpack_case
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+ENTRIES = sorted(CORPUS.rglob("*.zip"))
+EFFORT = int(os.environ.get("GSVIS_FUZZ", "1"))
+"""Set GSVIS_FUZZ=20 for a long run."""
+
+SEED = 14
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_damaged_input_ends_in_a_result_or_a_known_error(name: str) -> None:
+    target = TARGETS[name]
+    verdicts = set()
+    for index in range(150 * EFFORT):
+        outcome = run_input(target, SEED, index)
+        assert outcome.finding is None, f"input {index}: {outcome.finding.line}"
+        verdicts.add(outcome.verdict)
+    assert "read" in verdicts
+    assert "refused" in verdicts or not target.refuses
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: f"{entry.parent.name}/{entry.stem}")
+def test_what_once_failed(entry: Path) -> None:
+    finding = run_whole(TARGETS[entry.parent.name], unpack_case(entry.read_bytes())).finding
+    assert finding is None, finding.line
+
+
+def test_the_corpus_is_small_and_has_a_target_for_each_folder() -> None:
+    assert {entry.parent.name for entry in ENTRIES} <= set(TARGETS)
+    assert all(entry.stat().st_size < 64 << 10 for entry in ENTRIES)
+    assert all(re.fullmatch(r"[a-z0-9-]+", entry.stem) for entry in ENTRIES)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_an_input_follows_from_seed_target_and_number(name: str) -> None:
+    target = TARGETS[name]
+    for index in range(len(target.cases), len(target.cases) + 30):
+        assert case_of(target, 3, index) == case_of(target, 3, index)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_mutators_change_and_do_not_fail(name: str) -> None:
+    target, failed = TARGETS[name], 0
+    changed = 0
+    for index in range(200):
+        rng = Random(index)
+        case = rng.choice(target.cases)
+        try:
+            changed += target.change(rng, case, target) != case
+        except Exception:
+            failed += 1
+    assert failed <= 4
+    assert changed > 160
