@@ -8,6 +8,7 @@ Needs the extra 'serve'. docs/serving.md tells how to operate it.
 """
 
 try:
+    import prometheus_client  # noqa: F401
     import starlette  # noqa: F401
     import uvicorn  # noqa: F401
     import websockets  # noqa: F401
