@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import re
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import prometheus_client
 import pytest
 from hypothesis import given
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 
+from gsvis.serve import JsonLines, TextLines
 from gsvis.serve._log import EventLog, line_of
 from gsvis.serve.metrics import Histogram, Metrics
 
@@ -104,3 +108,75 @@ def test_a_flood_of_lines_is_cut_and_counted(caplog: pytest.LogCaptureFixture) -
         now[0] = 1.0
         log("again")
     assert [record.getMessage() for record in caplog.records] == ["again"] * 10 + ["other", "again left_out=40"]
+
+
+FACTS = st.dictionaries(
+    st.sampled_from(["why", "client", "reason", "rate"]),
+    st.one_of(st.none(), st.text(max_size=400), st.integers(), st.floats(), st.booleans(), st.binary(max_size=9)),
+)
+
+
+def records_of(say: Callable[[EventLog], None]) -> list[logging.LogRecord]:
+    """What a log writes."""
+    found: list[logging.LogRecord] = []
+
+    class Kept(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            found.append(record)
+
+    logger, kept = logging.getLogger("gsvis.serve"), Kept()
+    before = logger.level
+    logger.addHandler(kept)
+    logger.setLevel(logging.INFO)
+    try:
+        say(EventLog())
+    finally:
+        logger.removeHandler(kept)
+        logger.setLevel(before)
+    return found
+
+
+@given(FACTS)
+def test_an_object_a_line_with_the_facts_as_keys(facts: dict[str, object]) -> None:
+    (record,) = records_of(lambda log: log("closed", logging.WARNING, **facts))
+    line = JsonLines().format(record)
+    assert line.isascii()
+    assert line.isprintable()
+    found = json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert (found.pop("level"), found.pop("event")) == ("WARNING", "closed")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", found.pop("time"))
+    assert set(found) == {key for key, value in facts.items() if value is not None}
+    for key, value in found.items():
+        if isinstance(facts[key], bool | int):
+            assert value == facts[key]
+        elif isinstance(facts[key], str):
+            assert str(facts[key]).startswith(value.removesuffix("...")[:300])
+            assert len(value) <= 303
+    text = TextLines().format(record)
+    assert text.endswith(line_of("closed", **facts))
+    assert text[:23] == json.loads(line)["time"][:23]
+
+
+def test_lines_of_others_and_tracebacks_are_objects_too() -> None:
+    try:
+        raise ValueError("two\nlines")
+    except ValueError as error:
+        given = (type(error), error, error.__traceback__)
+    record = logging.LogRecord("uvicorn.error", logging.ERROR, __file__, 1, "it %s", ("failed",), given)
+    found = json.loads(JsonLines().format(record))
+    assert (found["event"], found["logger"], found["message"]) == ("log", "uvicorn.error", "it failed")
+    assert "ValueError: two" in found["traceback"]
+
+
+def test_left_out_lines_are_counted_in_the_object() -> None:
+    def say(log: EventLog) -> None:
+        now = [0.0]
+        few = EventLog(per_s=1.0, clock=lambda: now[0])
+        for _ in range(12):
+            few("again")
+        now[0] = 1.0
+        few("again", rate=float("nan"), scenes=np.int64(3))
+
+    *_, last = records_of(say)
+    found = json.loads(JsonLines().format(last))
+    assert (found["left_out"], found["rate"], found["scenes"]) == (2, "nan", 3)
