@@ -52,6 +52,8 @@ class Serve:
     """Most memory for what is decoded for cells, beside the records."""
     planners: Annotated[int, WHOLE] = 0
     """Threads that plan what to send; 0 plans where the sockets are."""
+    log_format: Annotated[Literal["text", "json"], PLAIN] = "text"
+    """Form of the log on stderr: lines for people, or one JSON object a line. (default: text)"""
     json: Flag = False
     """Print one JSON document with the address once it listens."""
     debug: Flag = False

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import time
 from contextlib import suppress
 
 from gsvis.cli.arguments_serve import Serve
@@ -24,10 +23,10 @@ def run_serve(command: Serve) -> None:
         OSError: If the address is taken.
         ValueError: If an argument is wrong.
     """
-    _log_to_stderr(debug=command.debug)
     from gsvis.abr.scheduler import SchedulerConfig
-    from gsvis.serve import Address, AppConfig, Limits, Server, open_scenes
+    from gsvis.serve import Address, AppConfig, JsonLines, Limits, Server, TextLines, open_scenes
 
+    _log_to_stderr(JsonLines() if command.log_format == "json" else TextLines(), debug=command.debug)
     limits = Limits(
         connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
         poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
@@ -52,10 +51,8 @@ def run_serve(command: Serve) -> None:
             server.run()
 
 
-def _log_to_stderr(*, debug: bool) -> None:
+def _log_to_stderr(form: logging.Formatter, *, debug: bool) -> None:
     handler = logging.StreamHandler(sys.stderr)
-    form = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
-    form.converter = time.gmtime
     handler.setFormatter(form)
     for name, level in (("gsvis", logging.DEBUG if debug else logging.INFO), ("uvicorn", logging.WARNING)):
         logger = logging.getLogger(name)

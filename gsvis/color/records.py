@@ -114,7 +114,7 @@ class Grids:
 
     def __post_init__(self) -> None:
         variant(self.variant)
-        positive = np.finfo(np.float32).tiny
+        positive = float(np.finfo(np.float32).tiny)
         for name, pair, low, high in (
             *(("base", pair, -1e30, 1e30) for pair in self.base),
             ("scales", self.scales, positive, 1e30),

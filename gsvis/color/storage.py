@@ -279,9 +279,7 @@ def _colors(
 
 def _info(file: ArrowFile) -> SrbfInfo:
     header = file.header
-    name, scene = header.raw("variant"), header.raw("scene")
-    if name not in VARIANTS:
-        raise FormatError(file.path, "variant", f"one of {', '.join(VARIANTS)}", repr(name)[:60])
+    name, scene = header.text("variant", VARIANTS), header.raw("scene")
     if not isinstance(scene, str) or len(scene) > 1000:
         raise FormatError(file.path, "scene", "the hash of a scene", repr(scene)[:60])
     return SrbfInfo(
@@ -302,10 +300,10 @@ def grids_of(quantised: Fields, name: str) -> Grids:
         FormatError: If they are no tables.
     """
     bits = quantised.child("precision")
-    label = bits.raw("name")
+    label = bits.text("name")
     base = quantised.items("base", 3)
     try:
-        precision = Precision(str(label)[:100], *(bits.integer(f.name, 2, 16) for f in fields(Precision)[1:]))
+        precision = Precision(label[:100], *(bits.integer(f.name, 2, 16) for f in fields(Precision)[1:]))
         ranges = [Fields(quantised.path, "base", {"range": pair}).numbers("range", 2).tolist() for pair in base]
         scales, decays = (quantised.numbers(key, 2).tolist() for key in ("scales", "decays"))
         return Grids(

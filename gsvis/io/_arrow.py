@@ -146,6 +146,7 @@ class ArrowFile:
     def _read_header(self, end: int, version: int) -> tuple[Fields, pa.Schema]:
         try:
             schema = pa.ipc.read_schema(self._buffer.slice(8, end - 8))
+            _ = schema.names  # those that are not UTF-8 raise here, not where an error lists them
         except FAULTS as error:
             raise FormatError(self.path, "byte 8", "an Arrow schema", str(error), _AGAIN) from error
         text = (schema.metadata or {}).get(_HEADER)

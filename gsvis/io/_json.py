@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -96,6 +97,15 @@ class Fields:
         """The value as it is; None where the key is missing."""
         return self.value.get(key)
 
+    def text(self, key: str, choices: Iterable[str] | None = None) -> str:
+        """Return the string at a key: one of the choices, or any that can be written as UTF-8."""
+        value = self.raw(key)
+        known = None if choices is None else tuple(choices)
+        if not isinstance(value, str) or not _is_utf8(value) or (known is not None and value not in known):
+            wanted = "a string" if known is None else f"one of {', '.join(known)}"
+            raise FormatError(self.path, self.where(key), wanted, _spell(value))
+        return value
+
     def child(self, key: str) -> Fields:
         """The object at a key."""
         return Fields(self.path, self.where(key), self.raw(key))
@@ -131,6 +141,15 @@ class Fields:
             if not good or not math.isfinite(value):
                 raise FormatError(self.path, self.where(key), "finite numbers", _spell(value))
         return np.array(values, dtype=np.float64)
+
+
+def _is_utf8(text: str) -> bool:
+    """Return whether UTF-8 can hold the text; JSON can name half a character."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _spell(value: Any) -> str:

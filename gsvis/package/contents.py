@@ -23,7 +23,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["Contents", "base_rgb"]
+__all__ = ["Contents", "base_places", "base_rgb"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -148,6 +148,18 @@ class Contents:
         return QuantisedColors(self.grids, base[:, :3], scales, axes, self.term_offsets, *terms)
 
 
+def base_places(records: U8, grids: Grids) -> U8:
+    """Return the (M, 3 or 4) places of base colors in their tables; those past the end of a table are its last.
+
+    Args:
+        records: (M, 16).
+        grids: The tables of the scene.
+    """
+    places, bits = base_colors(records, RecordLayout.of(grids.variant)), grids.precision
+    most = np.array([bits.base, bits.base, bits.base, bits.scale][: places.shape[1]])
+    return places if most.min() >= 8 else np.minimum(places, ((1 << most) - 1).astype(np.uint8))
+
+
 def base_rgb(records: U8, grids: Grids) -> F32:
     """(M, 3) RGB >= 0 that Gaussians show before any of their terms has come.
 
@@ -155,7 +167,7 @@ def base_rgb(records: U8, grids: Grids) -> F32:
         records: (M, 16).
         grids: The tables of the scene.
     """
-    base = base_colors(records, RecordLayout.of(grids.variant)).astype(np.uint16)
+    base = base_places(records, grids).astype(np.uint16)
     if not has_scales(grids.kind):
         return np.stack([np.maximum(grids.base_table(k), 0.0)[base[:, k]] for k in range(3)], axis=1)
     n, none = len(records), np.zeros(0, np.uint16)

@@ -223,29 +223,28 @@ class Manifest:
             raise FormatError(path, "version", f"at most {VERSION}", f"{version}", "update gsvis")
         value = dict(fields.value)
         digest = value.pop("sha256", None)
-        if digest != _digest(value):
-            raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], _REMEDY)
         try:
+            if digest != _digest(value):
+                raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], _REMEDY)
             return cls._of(fields)
+        except RecursionError as error:
+            raise FormatError(path, "", "JSON", "objects nested too deeply", _REMEDY) from error
         except ValueError as error:
             raise FormatError(path, "", "valid values", str(error), _REMEDY) from error
 
     @classmethod
     def _of(cls, fields: Fields) -> Manifest:
-        scene, quantised = fields.raw("scene"), fields.child("quantisation")
+        scene, quantised = fields.text("scene"), fields.child("quantisation")
         colors = quantised.child("colors")
-        name = colors.raw("variant")
-        if not isinstance(scene, str) or name not in VARIANTS:
-            known = f"a hash, and one of {', '.join(VARIANTS)}"
-            raise FormatError(fields.path, "scene, variant", known, repr((scene, name))[:80])
+        name = colors.text("variant", VARIANTS)
         grids = grids_of(colors, name)
         for key, layout in (("record", RecordLayout.of(name)), ("term", TermLayout.of(grids))):
             if quantised.raw(key) != asdict(layout):
                 raise FormatError(
-                    fields.path, f"quantisation.{key}", f"{asdict(layout)}", f"{quantised.raw(key)}"[:200]
+                    fields.path, f"quantisation.{key}", f"{asdict(layout)}", repr(quantised.raw(key))[:200]
                 )
         levels = _objects(fields, "levels")
-        names = tuple(str(level.raw("name"))[:100] for level in levels)
+        names = tuple(level.text("name")[:100] for level in levels)
         if not 1 <= len(names) <= 16 or len(set(names)) < len(names):
             raise FormatError(fields.path, "levels", "1 to 16 levels of different names", f"{names}"[:200])
         cost = quantised.child("cost") if "cost" in quantised else None

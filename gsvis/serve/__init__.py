@@ -8,6 +8,7 @@ Needs the extra 'serve'. docs/serving.md tells how to operate it.
 """
 
 try:
+    import prometheus_client  # noqa: F401
     import starlette  # noqa: F401
     import uvicorn  # noqa: F401
     import websockets  # noqa: F401
@@ -19,6 +20,7 @@ except ImportError as error:
 from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.client import ClientConfig, StreamClient, fetch
 from gsvis.serve.limits import Limits
+from gsvis.serve.log_lines import JsonLines, TextLines
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import Scenes, ServedScene, open_scenes
 from gsvis.serve.server import Address, Server
@@ -27,12 +29,14 @@ __all__ = [
     "Address",
     "AppConfig",
     "ClientConfig",
+    "JsonLines",
     "Limits",
     "Metrics",
     "Scenes",
     "ServedScene",
     "Server",
     "StreamClient",
+    "TextLines",
     "build_app",
     "fetch",
     "open_scenes",

@@ -31,10 +31,12 @@ def line_of(event: str, **facts: object) -> str:
     return " ".join([event, *(f"{key}={_value(value)}" for key, value in facts.items() if value is not None)])
 
 
+def _short(value: object) -> object:
+    return f"{value[:_LONGEST]}..." if isinstance(value, str) and len(value) > _LONGEST else value
+
+
 def _value(value: object) -> str:
-    text = f"{value:.4g}" if isinstance(value, float) else str(value)
-    if len(text) > _LONGEST:
-        text = f"{text[:_LONGEST]}..."
+    text = f"{value:.4g}" if isinstance(value, float) else str(_short(value))
     return text if _PLAIN.fullmatch(text) else json.dumps(text)
 
 
@@ -57,4 +59,6 @@ class EventLog:
         if not bucket.take(self._clock()):
             self._left_out[event] = self._left_out.get(event, 0) + 1
             return
-        LOGGER.log(level, "%s", line_of(event, **facts, left_out=self._left_out.pop(event, None)))
+        left_out = self._left_out.pop(event, None)
+        facts = {key: _short(value) for key, value in facts.items()} | {"left_out": left_out}
+        LOGGER.log(level, "%s", line_of(event, **facts), extra={"event": event, "facts": facts})

@@ -127,7 +127,7 @@ class _App:
             pass  # it has gone already
 
     async def index(self, request: Request) -> Response:
-        """The scenes."""
+        """The scenes; addresses are relative, since a proxy may serve them under a prefix."""
         if not self.admits(request):
             return self.unauthorized(request)
         rows = [
@@ -135,8 +135,8 @@ class _App:
                 "name": served.name,
                 "state": "refused" if served.fault else "ready",
                 "gaussians": served.opened.about.gaussians if served.opened else None,
-                "stream": f"/stream/{served.name}",
-                "manifest": f"/packages/{served.name}/manifest.json",
+                "stream": f"stream/{served.name}",
+                "manifest": f"packages/{served.name}/manifest.json",
             }
             for served in self.scenes.values()
         ]

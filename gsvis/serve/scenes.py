@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis.abr.classes import FieldOfView
 from gsvis.errors import GsvisError
 from gsvis.package import Package
-from gsvis.serve._log import EventLog
+from gsvis.serve._log import LOGGER, EventLog
 from gsvis.stream import Hello, Sender, StreamedScene
 
 __all__ = ["Scenes", "ServedScene", "open_scenes"]
@@ -147,6 +147,7 @@ def open_scenes(
         ValueError: If there is none, or two have one name.
         GsvisError: If none of them can be opened.
         OSError: The same.
+        Exception: The same, of a package that fails in another way.
     """
     if not packages:
         raise ValueError("packages: expected at least one, got none")
@@ -160,10 +161,13 @@ def open_scenes(
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
             served = _open(name, path, max_cache_bytes // len(packages), warm)
-        except (GsvisError, OSError) as error:
+        except Exception as error:  # a reader that fails in a way of its own must not keep the others from being served
+            expected = isinstance(error, GsvisError | OSError)
+            why = str(error) if expected else f"{type(error).__name__}: {error}"
             first = first or error
-            log("damaged", logging.ERROR, scene=name, why=str(error))
-            found[name] = ServedScene(name, path, None, str(error))
+            log("damaged", logging.ERROR, scene=name, why=why)
+            LOGGER.debug("scene %s", name, exc_info=None if expected else error)
+            found[name] = ServedScene(name, path, None, why)
             continue
         found[name] = served
         about = served.scene.about

@@ -233,7 +233,7 @@ def group_terms(owners, slots, terms, offsets, out):
 
     Args:
         owners: (M,) Gaussian of each.
-        slots: (N,) slot of each Gaussian; the terms of one that has none, -1, are left out.
+        slots: (N,) slot of each Gaussian, counted from 1; the terms of one that has none, 0, are left out.
         terms: (functions (M,), centers (M, 2), decays (M,), intensities (M, I)).
         offsets: (n + 1,) int64 zeros, receives where those of each slot begin.
         out: Arrays like those of the terms, receive them.
@@ -243,7 +243,7 @@ def group_terms(owners, slots, terms, offsets, out):
     """
     n = len(offsets) - 1
     for i in range(len(owners)):
-        slot = slots[owners[i]]
+        slot = slots[owners[i]] - 1
         if slot >= 0:
             offsets[slot + 1] += 1
     for k in range(n):
@@ -252,7 +252,7 @@ def group_terms(owners, slots, terms, offsets, out):
     functions, centers, decays, intensities = terms
     to_functions, to_centers, to_decays, to_intensities = out
     for i in range(len(owners)):
-        slot = slots[owners[i]]
+        slot = slots[owners[i]] - 1
         if slot >= 0:
             place = offsets[slot]
             offsets[slot] = place + 1

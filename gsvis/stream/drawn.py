@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from gsvis.color import _grids
 from gsvis.color.records import has_scales
 from gsvis.color.srbf import SrbfColors
-from gsvis.package.codec import ChunkTable, base_colors, decode_records
-from gsvis.package.contents import base_rgb
+from gsvis.package.codec import ChunkTable, decode_records
+from gsvis.package.contents import base_places, base_rgb
 from gsvis.package.layout import RecordLayout
 from gsvis.package.terms import decode_terms
 from gsvis.scene.gaussians import Gaussians
@@ -104,7 +104,7 @@ class Drawn:
             owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2), decays=none(),
             intensities=none(kind.intensities),
         )  # fmt: skip
-        self._slots = np.full(about.gaussians, -1, np.int32)
+        self._slots = np.zeros(about.gaussians, np.int32)  # of each Gaussian, from 1; zeros take no memory
         self._axes = Rows(1, axes=none(kind.num_axes, 3))  # the first is of those whose axes have not come
         self._axes.append(axes=_grids.unoctahedral(np.zeros((1, kind.num_axes, 2), np.uint16), grids.precision.axis))
         self._axis_rows = np.zeros(about.gaussians if kind.num_axes else 0, np.int32)
@@ -152,12 +152,12 @@ class Drawn:
     def drop(self, ids: I64) -> None:
         """Take out Gaussians, and their terms."""
         self._made = None
-        slots = self._slots[ids]
+        slots = self._slots[ids] - 1
         if (slots < 0).any():
             raise ValueError("ids: expected Gaussians that are drawn, got others")
-        self._slots[ids] = -1
+        self._slots[ids] = 0
         _, holes = self._gaussians.drop(slots.astype(np.int64))
-        self._slots[self.ids[holes]] = holes
+        self._slots[self.ids[holes]] = holes + 1
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
         """See `Receiver.scene`."""
@@ -184,10 +184,10 @@ class Drawn:
         geometry = decode_records(s.records, table, self._layout, chunks=chunks)
         sh0 = ((base_rgb(s.records, self._grids) - np.float32(0.5)) / np.float32(SH_C0))[:, None]
         g = Gaussians(*geometry, sh0)
-        places = base_colors(s.records, self._layout)
+        places = base_places(s.records, self._grids)
         base = np.stack([self._tables[k][places[:, k]] for k in range(3)], axis=1)
         factors = self._scale_table[places[:, 3]] if self._layout.color_scale else np.ones(len(base), np.float32)
-        self._slots[s.gaussians] = len(self) + np.arange(len(base), dtype=np.int32)
+        self._slots[s.gaussians] = 1 + len(self) + np.arange(len(base), dtype=np.int32)
         self._gaussians.append(
             ids=s.gaussians, means=g.means, quats=g.quats, scales=g.scales, opacities=g.opacities, sh0=g.sh0, base=base,
             color_scales=factors,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import struct
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -17,22 +18,25 @@ import pyarrow as pa
 from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
 from gsvis.color.variants import VARIANTS
-from gsvis.errors import FormatError, ProtocolError
+from gsvis.errors import FormatError, ProtocolError, SceneError
 from gsvis.io._json import Fields, parse_object
 from gsvis.package.layout import RECORD_BYTES, TermLayout
-from gsvis.package.manifest import Manifest
+from gsvis.package.manifest import Manifest, PackageInfo
 from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
 
-__all__ = ["SCHEMA", "SceneHeader"]
+__all__ = ["MOST", "SCHEMA", "SceneHeader"]
 
 SCHEMA = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
 """Of every batch: one row a section."""
 
 HEAD = struct.Struct("<BBHI")  # type, version, 0, sequence
+MOST = 1 << 28
+"""Gaussians, and terms, of a scene that can be streamed: a client sets bits aside for each before any has come."""
+
 _MOST_BYTES = 1 << 20
-_MOST = (1 << 31) - 1
 _KEY = b"gsvis"
 _WHERE = "WELCOME"
+_IDENTITY = re.compile("[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,14 @@ class SceneHeader:
 
     @classmethod
     def of(cls, manifest: Manifest) -> SceneHeader:
-        """What the manifest of a package says."""
+        """What the manifest of a package says.
+
+        Raises:
+            SceneError: If the scene is too large for one stream.
+        """
+        if max(manifest.gaussians, manifest.terms) > MOST:
+            got = f"{manifest.gaussians:,} and {manifest.terms:,}"
+            raise SceneError(f"expected at most {MOST:,} Gaussians and terms in a stream, got {got}; cut the scene")
         named = [part.name for part, _ in manifest.tables]
         for block in manifest.blocks:
             named += [block.gaussians.name, *(part.name for part, _ in block.terms)]
@@ -126,24 +137,25 @@ class SceneHeader:
                 raise ProtocolError(f"WELCOME: expected the schema of batches, got {str(schema)[:80]!r}")
             return cls._of(parse_object(_WHERE, (schema.metadata or {}).get(_KEY, b"")))
         except (pa.ArrowException, OSError, FormatError, ValueError) as error:
-            raise ProtocolError(f"WELCOME: {str(error)[:200]}") from error
+            raise ProtocolError(f"WELCOME: {' '.join(str(error).split())[:200]}") from error
 
     @classmethod
     def _of(cls, said: Fields) -> SceneHeader:
-        colors, identity = said.child("colors"), said.raw("identity")
-        name = colors.raw("variant")
-        if name not in VARIANTS or not isinstance(identity, str) or len(bytes.fromhex(identity)) != 32:
-            raise ProtocolError("WELCOME: expected a known variant of colours and an identity, got others")
+        colors, identity = said.child("colors"), said.text("identity")
+        name = colors.text("variant", VARIANTS)
+        if not _IDENTITY.fullmatch(identity):
+            raise ProtocolError("WELCOME: expected an identity of 64 hexadecimal digits, got another")
         levels = [Fields(_WHERE, "levels", row) for row in said.items("levels")]
         if not 1 <= len(levels) <= 16:
             raise ProtocolError(f"WELCOME: expected 1 to 16 levels, got {len(levels)}")
         up = said.numbers("up", 3).tolist()
-        n = said.integer("gaussians", 0, _MOST)
+        info = PackageInfo((up[0], up[1], up[2]), said.number("metres_per_unit"))  # which checks them
+        n = said.integer("gaussians", 0, MOST)
         found = cls(
-            n, said.integer("terms", 0, 255 * n), said.integer("chunks", 0, n),
-            tuple(str(level.raw("name"))[:100] for level in levels),
+            n, said.integer("terms", 0, min(255 * n, MOST)), said.integer("chunks", 0, n),
+            tuple(level.text("name")[:100] for level in levels),
             tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
-            said.number("metres_per_unit"), identity,
+            info.metres_per_unit, identity,
         )  # fmt: skip
         sizes = RECORD_BYTES, found.term_bits, found.axis_bytes
         if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits", "axis_bytes")) != sizes:

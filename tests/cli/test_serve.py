@@ -84,6 +84,18 @@ def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
     assert all(line[:4].isdecimal() and " INFO " in line for line in said.splitlines()), said
 
 
+def test_a_log_of_objects(package: Path) -> None:
+    with process(package, "--port", 0, "--log-format", "json") as (running, url):
+        patient(url, package)
+        running.send_signal(signal.SIGTERM)
+        _, said = running.communicate(timeout=60)
+    lines = [json.loads(line) for line in said.splitlines()]
+    assert {"ready", "listening", "accepted", "opened", "closed", "stopped"} <= {line["event"] for line in lines}
+    (closed,) = (line for line in lines if line["event"] == "closed")
+    assert (closed["level"], closed["client"], closed["reason"]) == ("INFO", 1, "left")
+    assert closed["sent_bytes"] > 10_000
+
+
 @pytest.mark.slow
 def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(package: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:

@@ -250,6 +250,8 @@ def test_a_newer_version_is_refused_with_a_clear_line(saved: tuple[Path, Gaussia
         (b'"variant":"axes"', b'"variant":"yuvx"', "variant: expected one of"),
         (b'"variant":"axes"', b'"variant":"yuv" ', "column 'terms': expected list"),
         (b'"variant":"axes"', b'"variant":"rgb" ', "column 'terms': expected list"),
+        (b'"variant":"axes"', b'"variant":["ax"]', "variant: expected one of"),
+        (b"opacities", b"opac\xff\xfeies", "an Arrow schema"),
         (b'"quantised":null', b'"quantised":1234', "quantised: expected an object"),
         (b"opacities", b"opacitiez", "column 'opacities'"),
         (b'"scene":"', b'"scena":"', "scene: expected the hash of a scene, got None"),
