@@ -18,6 +18,7 @@ except ImportError as error:
 
 from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.client import ClientConfig, StreamClient, fetch
+from gsvis.serve.clock import Clock, ManualClock
 from gsvis.serve.limits import Limits
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import Scenes, ServedScene, open_scenes
@@ -27,7 +28,9 @@ __all__ = [
     "Address",
     "AppConfig",
     "ClientConfig",
+    "Clock",
     "Limits",
+    "ManualClock",
     "Metrics",
     "Scenes",
     "ServedScene",
