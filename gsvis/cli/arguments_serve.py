@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.readers import BYTES, COUNTED, ORIGINS, PACKAGES, PLAIN, PORT, SECONDS, WHOLE, hint
+from gsvis.cli.readers import ADDRESSES, BYTES, COUNTED, HOSTS, ORIGINS, PACKAGES, PLAIN, PORT, SECONDS, WHOLE, hint
 
 __all__ = ["Serve"]
 
@@ -32,10 +32,16 @@ class Serve:
     """Its key (PEM)."""
     origins: Annotated[tuple[str, ...], ORIGINS, hint("its own address")] = ()
     """Web pages of these origins may stream, too, such as https://example.org; * is every page."""
+    hosts: Annotated[tuple[str, ...], HOSTS, hint("--host")] = ()
+    """Names under which the server is reached, such as stream.example.org; .example.org is all below, * every name."""
+    proxies: Annotated[tuple[str, ...], ADDRESSES, hint("none")] = ()
+    """Addresses of proxies in front, such as 127.0.0.1 or 10.0.0.0/8; what they say of viewers is believed."""
     policy: Annotated[Literal["utility", "fov-first", "low-first"], PLAIN] = "utility"
     """What is sent first. (default: utility)"""
     clients: Annotated[int, COUNTED] = 100
     """Most viewers at once."""
+    per_address: Annotated[int | None, COUNTED, hint("a quarter of --clients, at least 8")] = None
+    """Most viewers of one address at once, and most other connections of it."""
     messages: Annotated[int, COUNTED] = 200
     """Most messages of a viewer a second, on average over ten seconds."""
     message_bytes: Annotated[int | None, BYTES, hint("what holdings of the largest scene take")] = None
@@ -44,6 +50,8 @@ class Serve:
     """Poses of a viewer a second that are looked at."""
     handshake: Annotated[float, SECONDS] = 10.0
     """Seconds in which a viewer has to say hello."""
+    keep_alive: Annotated[float, SECONDS] = 15.0
+    """Seconds from an answer to the next request of a connection."""
     idle: Annotated[float, SECONDS] = 60.0
     """Seconds of silence after which a viewer is gone."""
     stall: Annotated[float, SECONDS] = 30.0

@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 __all__ = [
+    "ADDRESSES",
     "BOX",
     "BYTES",
     "CELLS",
@@ -26,6 +27,7 @@ __all__ = [
     "FACE_PIXELS",
     "FACE_RAYS",
     "FACTOR",
+    "HOSTS",
     "INDICES",
     "MEAN_TERMS",
     "NAMES",
@@ -211,6 +213,8 @@ SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none)
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)
 PACKAGES = _spec("*", "PACKAGE [PACKAGE ...]", _read_packages)
 ORIGINS = _spec("*", "ORIGIN [ORIGIN ...]", tuple)
+HOSTS = _spec("*", "NAME [NAME ...]", tuple)
+ADDRESSES = _spec("*", "ADDRESS [ADDRESS ...]", tuple)
 PORT = _number("N", int, 0, 65535, "a port of 0 to 65535")
 SECONDS = _number("S", float, 0.01, 86400.0, "seconds in [0.01, 86400]")
 CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")

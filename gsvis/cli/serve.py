@@ -30,9 +30,12 @@ def run_serve(command: Serve) -> None:
     limits = Limits(
         connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
         poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
+        keep_alive_s=command.keep_alive, per_address=command.per_address,
     )  # fmt: skip
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
-    config = AppConfig(token, command.origins, limits, SchedulerConfig(policy=command.policy))
+    config = AppConfig(
+        token, command.origins, limits, SchedulerConfig(policy=command.policy), command.hosts, command.proxies
+    )
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:

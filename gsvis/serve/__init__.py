@@ -19,6 +19,7 @@ except ImportError as error:
 
 from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.client import ClientConfig, StreamClient, fetch
+from gsvis.serve.clock import Clock, ManualClock
 from gsvis.serve.limits import Limits
 from gsvis.serve.log_lines import JsonLines, TextLines
 from gsvis.serve.metrics import Metrics
@@ -30,7 +31,9 @@ __all__ = [
     "AppConfig",
     "ClientConfig",
     "JsonLines",
+    "Clock",
     "Limits",
+    "ManualClock",
     "Metrics",
     "Scenes",
     "ServedScene",

@@ -7,7 +7,8 @@
     /healthz, /metrics
 
 With a token, all but `/healthz` want it: as `Authorization: Bearer TOKEN`, or `?token=TOKEN` where a browser cannot set
-headers. A WebSocket that a page of another origin opens is turned away, unless that origin is allowed.
+headers. A WebSocket that a page of another origin opens is turned away, unless that origin is allowed. Requests by a
+name that the server does not know get 421, except for `/healthz`: a page could have made its own name point here.
 """
 
 from __future__ import annotations
@@ -15,24 +16,27 @@ from __future__ import annotations
 import hmac
 import itertools
 import logging
-import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
+from starlette.middleware import Middleware
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
+from gsvis.serve._addresses import Proxies, is_known_host, owner_of
 from gsvis.serve._log import EventLog
-from gsvis.serve._protocols import ABORT
+from gsvis.serve._protocols import GUARD
+from gsvis.serve.clock import Clock
 from gsvis.serve.connection import Connection, GoneError, Setting
-from gsvis.serve.limits import Limits, Pace
+from gsvis.serve.limits import Limits, Pace, Seats
 from gsvis.serve.metrics import CONTENT_TYPE, Metrics
 from gsvis.serve.parts import respond
 from gsvis.serve.scenes import ServedScene
@@ -42,6 +46,7 @@ __all__ = ["AppConfig", "build_app"]
 
 _ENDED = 1012  # what uvicorn closes with when the server stops
 _LEFT = (1000, 1001)
+_HEALTH = "/healthz"
 
 
 @dataclass(frozen=True)
@@ -54,17 +59,23 @@ class AppConfig:
             server's own address may always.
         limits: Bounds.
         scheduler: Of every client.
+        hosts: Names by which the server may be asked, as in the Host header, without port; ".example.org" is all below
+            it, "*" is every one. Addresses and localhost are always good; `Server` adds the name that it listens on.
+        proxies: Addresses or networks of proxies whose X-Forwarded-For is believed, such as "127.0.0.1".
 
     Raises:
-        ValueError: If the token is empty, or not ASCII.
+        ValueError: If the token is empty, or not ASCII, or a proxy is no address.
     """
 
     token: str | None = field(default=None, repr=False)
     origins: tuple[str, ...] = ()
     limits: Limits = field(default_factory=Limits)
     scheduler: SchedulerConfig = field(default_factory=SchedulerConfig)
+    hosts: tuple[str, ...] = ()
+    proxies: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        Proxies(self.proxies)
         if self.token is not None and not (self.token and self.token.isascii() and self.token.isprintable()):
             raise ValueError("token: expected printable ASCII characters, got none or others")
 
@@ -76,50 +87,67 @@ class _App:
         config: AppConfig,
         metrics: Metrics,
         log: EventLog,
-        planners: Executor | None,
-        pace: Pace,
+        setting: Setting,
     ) -> None:
-        self.scenes, self.config, self.metrics, self.log = scenes, config, metrics, log
-        self.setting = Setting(config.limits, metrics, log, config.scheduler, time.monotonic, planners, pace)
+        self.scenes, self.config, self.metrics, self.log, self.setting = scenes, config, metrics, log, setting
         self.numbers = itertools.count(1)
-        self.clients = 0
+        self.seats, self.proxies = Seats(config.limits), Proxies(config.proxies)
 
     async def stream(self, socket: WebSocket) -> None:
         """One client, from its request to its end."""
-        number, peer = next(self.numbers), _place(socket)
+        number, peer = next(self.numbers), self.place(socket)
         name = socket.path_params.get("name") or next(iter(self.scenes))
         if not self.admits(socket):
             return await self.deny(socket, number, "token", "a token is needed\n", 401)
         if not _same_origin(socket, self.config.origins):
-            return await self.deny(socket, number, "origin", "pages of this origin may not stream from here\n", 403)
+            line = "pages of this origin may not stream from here\n"
+            return await self.deny(socket, number, "origin", line, 403, _why_not_origin(socket))
         if name not in self.scenes:
             return await self.deny(socket, number, "unknown", "no such scene\n", 404)
         await socket.accept()
-        served, most = self.scenes[name], self.config.limits.connections
+        served, owner = self.scenes[name], owner_of(self.address(socket))
         if served.fault:
             return await self.turn_away(socket, number, "damaged", "the scene is damaged on the server", "refused")
-        if self.clients >= most:
-            return await self.turn_away(socket, number, "too-many", "too many clients; try again later", "too-many")
-        self.clients += 1
-        self.metrics.clients.set(self.clients)
-        self.log("accepted", client=number, peer=peer, scene=name, clients=self.clients)
-        try:
-            await Connection(_Peer(socket), served, self.setting, number).run()
-        finally:
-            self.clients -= 1
-            self.metrics.clients.set(self.clients)
+        if why := self.seats.why_not(owner):
+            return await self.turn_away(socket, number, why, "too many clients; try again later", "too-many")
+        self.log("accepted", client=number, peer=peer, scene=name, clients=self.seats.taken)
+        await self.serve(socket, served, number, owner)
         return None
 
-    async def deny(self, socket: WebSocket, number: int, reason: str, line: str, status: int) -> None:
+    async def serve(self, socket: WebSocket, served: ServedScene, number: int, owner: str) -> None:
+        """A client that may say HELLO; it has a seat from then on."""
+        guard = socket.scope.get("extensions", {}).get(GUARD)
+        seated = False
+
+        def seat() -> str:
+            nonlocal seated
+            why = self.seats.take(owner)
+            seated = not why
+            if seated:
+                self.metrics.clients.set(self.seats.taken)
+                if guard is not None:
+                    guard.stream()
+            return why
+
+        try:
+            await Connection(_Peer(socket), served, self.setting, number, seat).run()
+        finally:
+            if seated:
+                self.seats.leave(owner)
+                self.metrics.clients.set(self.seats.taken)
+
+    async def deny(
+        self, socket: WebSocket, number: int, reason: str, line: str, status: int, why: str | None = None
+    ) -> None:
         """No stream: an answer of HTTP."""
         self.metrics.refused.add(of=reason)
-        self.log("refused", logging.WARNING, client=number, peer=_place(socket), reason=reason)
+        self.log("refused", logging.WARNING, client=number, peer=self.place(socket), reason=reason, why=why)
         await socket.send_denial_response(PlainTextResponse(line, status))
 
     async def turn_away(self, socket: WebSocket, number: int, reason: str, line: str, fault: str) -> None:
         """No stream: a word of the protocol."""
         self.metrics.refused.add(of=reason)
-        self.log("refused", logging.WARNING, client=number, peer=_place(socket), reason=reason)
+        self.log("refused", logging.WARNING, client=number, peer=self.place(socket), reason=reason)
         try:
             await socket.send_bytes(ServerFault(FAULTS[fault], line).to_bytes())
             await socket.close(1013, reason)
@@ -183,10 +211,20 @@ class _App:
             shown = asked.query_params.get("token", "")
         return hmac.compare_digest(shown.strip().encode("utf-8", "replace"), token.encode())
 
+    def address(self, asked: HTTPConnection) -> str:
+        """The address of a client: of its socket, or what trusted proxies say."""
+        forwarded = asked.headers.getlist("x-forwarded-for")
+        return self.proxies.client_of(asked.client.host if asked.client else "-", forwarded)
+
+    def place(self, asked: HTTPConnection) -> str:
+        """The same, for the log."""
+        address = self.address(asked)
+        return f"{address}:{asked.client.port}" if asked.client and asked.client.host == address else address
+
     def unauthorized(self, request: Request) -> Response:
         """401."""
         self.metrics.refused.add(of="token")
-        self.log("refused", logging.WARNING, peer=_place(request), reason="token")
+        self.log("refused", logging.WARNING, peer=self.place(request), reason="token")
         return PlainTextResponse("a token is needed\n", 401, {"www-authenticate": "Bearer"})
 
 
@@ -221,13 +259,9 @@ class _Peer:
             raise GoneError("lost") from error
 
     def abort(self) -> None:
-        abort = self._socket.scope.get("extensions", {}).get(ABORT)
-        if abort is not None:
-            abort()
-
-
-def _place(asked: HTTPConnection) -> str:
-    return f"{asked.client.host}:{asked.client.port}" if asked.client else "-"
+        guard = self._socket.scope.get("extensions", {}).get(GUARD)
+        if guard is not None:
+            guard.cut()
 
 
 def _same_origin(socket: WebSocket, allowed: tuple[str, ...]) -> bool:
@@ -238,6 +272,40 @@ def _same_origin(socket: WebSocket, allowed: tuple[str, ...]) -> bool:
     return urlsplit(origin).netloc.lower() == socket.headers.get("host", "").lower() != ""
 
 
+def _why_not_origin(socket: WebSocket) -> str:
+    origin, host = socket.headers.get("origin"), socket.headers.get("host")
+    return (
+        f"Origin is {origin}, Host is {host}; a proxy in front has to pass Host on, or name the origin with --origins"
+    )
+
+
+class _HostCheck:
+    """Refuses requests by names that the server does not know."""
+
+    def __init__(self, inner: ASGIApp, app: _App) -> None:
+        self._inner, self._app = inner, app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket") or self._is_good(scope):
+            await self._inner(scope, receive, send)
+            return
+        app, asked = self._app, HTTPConnection(scope)
+        app.metrics.refused.add(of="host")
+        why = f"Host is {asked.headers.get('host')}; name it with --hosts if it is this server"
+        app.log("refused", logging.WARNING, peer=app.place(asked), reason="host", why=why)
+        answer = PlainTextResponse("this server is not known by this name\n", 421)
+        if scope["type"] == "websocket":
+            await WebSocket(scope, receive, send).send_denial_response(answer)
+        else:
+            await answer(scope, receive, send)
+
+    def _is_good(self, scope: Scope) -> bool:
+        host = HTTPConnection(scope).headers.get("host")
+        if host is None:  # no page sends such a request
+            return True
+        return scope["path"] == _HEALTH or is_known_host(host, self._app.config.hosts)
+
+
 def build_app(
     scenes: Mapping[str, ServedScene],
     config: AppConfig | None = None,
@@ -246,6 +314,7 @@ def build_app(
     log: EventLog | None = None,
     planners: Executor | None = None,
     pace: Pace | None = None,
+    clock: Clock | None = None,
 ) -> Starlette:
     """The application.
 
@@ -256,16 +325,22 @@ def build_app(
         log: Where to say what happened.
         planners: Where batches are planned; None plans in the thread of the event loop.
         pace: How far behind the server is, kept by whoever runs it; None takes it to be on time.
+        clock: Where deadlines come from; None means `Clock()`.
     """
-    app = _App(scenes, config or AppConfig(), metrics or Metrics(), log or EventLog(), planners, pace or Pace())
+    config, metrics, log = config or AppConfig(), metrics or Metrics(), log or EventLog()
+    setting = Setting(
+        config.limits, metrics, log, config.scheduler, clock or Clock(), planners=planners, pace=pace or Pace()
+    )
+    app = _App(scenes, config, metrics, log, setting)
     return Starlette(
         routes=[
             Route("/", app.index, methods=["GET"]),
-            Route("/healthz", app.health, methods=["GET"]),
+            Route(_HEALTH, app.health, methods=["GET"]),
             Route("/metrics", app.counts, methods=["GET"]),
             Route("/packages/{name}/manifest.json", app.file, methods=["GET"]),
             Route("/packages/{name}/parts/{part}", app.file, methods=["GET"]),
             WebSocketRoute("/stream", app.stream),
             WebSocketRoute("/stream/{name}", app.stream),
-        ]
+        ],
+        middleware=[Middleware(_HostCheck, app)],
     )

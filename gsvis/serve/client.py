@@ -26,6 +26,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.errors import ProtocolError
+from gsvis.serve.clock import Clock
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Received, Receiver
 from gsvis.stream.wire import ERROR, FAULTS, ServerFault
 
@@ -33,6 +34,10 @@ __all__ = ["ClientConfig", "Pose", "StreamClient", "fetch"]
 
 Pose = Callable[[float], tuple[ArrayLike, ArrayLike]]
 """Position (3,) and quaternion (4,) wxyz, world from camera, at seconds since the start; `HeadPath.at` is one."""
+
+_OPEN_S = 10.0  # seconds in which a connection has to stand
+_LEAVE_S = 0.5  # seconds that BYE may take
+_PING_S = 20.0  # seconds between pings, and for the answer to one
 
 _AGAIN = {FAULTS[name] for name in ("too-many", "late", "internal", "ending")}
 
@@ -74,6 +79,7 @@ class StreamClient:
         view: What it shows.
         config: None means `ClientConfig()`.
         receiver: What an earlier client has received; None is nothing.
+        clock: Where deadlines come from; None means `Clock()`.
 
     Attributes:
         receiver: What has come; None before the first WELCOME.
@@ -83,10 +89,17 @@ class StreamClient:
     """
 
     def __init__(
-        self, url: str, view: FieldOfView, config: ClientConfig | None = None, *, receiver: Receiver | None = None
+        self,
+        url: str,
+        view: FieldOfView,
+        config: ClientConfig | None = None,
+        *,
+        receiver: Receiver | None = None,
+        clock: Clock | None = None,
     ) -> None:
         self.url, self.view, self.config, self.receiver = url, view, config or ClientConfig(), receiver
         self.connections, self.nbytes, self.restarts = 0, 0, 0
+        self._clock = clock or Clock()
         self._stopped = asyncio.Event()
         self._began = 0.0
 
@@ -112,18 +125,20 @@ class StreamClient:
         self._began = time.monotonic()
         work = asyncio.create_task(self._keep_on(pose, on_batch))
         ended = asyncio.create_task(self._stopped.wait())
+        timer = None if np.isinf(seconds) else self._clock.call_later(seconds, self.stop)
         try:
-            timeout = None if np.isinf(seconds) else seconds
-            done, _ = await asyncio.wait({work, ended}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait({work, ended}, return_when=asyncio.FIRST_COMPLETED)
             if work in done:
                 work.result()
         finally:
+            if timer is not None:
+                timer.cancel()
             for task in (work, ended):
                 task.cancel()
             await asyncio.gather(work, ended, return_exceptions=True)
 
     async def _keep_on(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
-        wait, lost = self.config.first_wait_s, time.monotonic()
+        wait, lost = self.config.first_wait_s, self._clock.now()
         while True:
             before = self.connections
             try:
@@ -141,11 +156,11 @@ class StreamClient:
                 if status < 500:
                     raise ProtocolError(f"{self.url}: {status} {answer[:200]}", FAULTS["refused"]) from None
                 why = f"{status} {answer[:200]}"
-            except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
+            except (OSError, ConnectionClosed, InvalidHandshake) as error:
                 why = str(error) or type(error).__name__
             if self.connections > before:
-                wait, lost = self.config.first_wait_s, time.monotonic()
-            if time.monotonic() - lost > self.config.give_up_s:
+                wait, lost = self.config.first_wait_s, self._clock.now()
+            if self._clock.now() - lost > self.config.give_up_s:
                 raise ConnectionError(f"{self.url}: no stream for {self.config.give_up_s:g} s; {why}")
             await asyncio.sleep(wait * random.uniform(0.5, 1.0))
             wait = min(2.0 * wait, self.config.longest_wait_s)
@@ -156,10 +171,11 @@ class StreamClient:
         options: dict[str, Any] = {} if config.tls is None else {"ssl": config.tls}
         if config.token is not None:
             options["additional_headers"] = {"Authorization": f"Bearer {config.token}"}
-        async with connect(
-            self.url, compression=None, max_size=config.message_bytes, open_timeout=10, close_timeout=1, proxy=None,
-            **options,
-        ) as socket:  # fmt: skip
+        opening = connect(
+            self.url, compression=None, max_size=config.message_bytes, open_timeout=None, close_timeout=1, proxy=None,
+            ping_interval=None, **options,
+        )  # fmt: skip
+        async with await self._clock.within(_OPEN_S, _open(opening)) as socket:
             hello = Hello(self.view) if self.receiver is None else self.receiver.hello(self.view)
             await _say(socket, hello.to_bytes())
             welcome = await _next(socket)
@@ -170,7 +186,7 @@ class StreamClient:
                 self.restarts += 1
             self.connections += 1
             await _say(socket, Ack(0).to_bytes())
-            telling = asyncio.create_task(self._tell(socket, pose))
+            beside = [asyncio.create_task(self._tell(socket, pose)), asyncio.create_task(self._keep_alive(socket))]
             try:
                 while True:
                     data = await _next(socket)
@@ -180,11 +196,27 @@ class StreamClient:
                     if on_batch is not None:
                         on_batch(received)
             except asyncio.CancelledError:
-                await _leave(socket)
+                await self._leave(socket)
                 raise
             finally:
-                telling.cancel()
-                await asyncio.gather(telling, return_exceptions=True)
+                for task in beside:
+                    task.cancel()
+                await asyncio.gather(*beside, return_exceptions=True)
+
+    async def _keep_alive(self, socket: ClientConnection) -> None:
+        """Close the connection when the server does not answer any more."""
+        with suppress(ConnectionClosed):
+            while True:
+                await asyncio.sleep(_PING_S)
+                answer = await socket.ping()
+                try:
+                    await self._clock.within(_PING_S, answer)
+                except TimeoutError:
+                    await socket.close()
+
+    async def _leave(self, socket: ClientConnection) -> None:
+        with suppress(ConnectionClosed, TimeoutError):
+            await self._clock.within(_LEAVE_S, socket.send(Bye().to_bytes()))
 
     async def _tell(self, socket: ClientConnection, pose: Pose) -> None:
         """Say where the viewer is, at a steady pace."""
@@ -219,9 +251,8 @@ async def _say(socket: ClientConnection, data: bytes) -> None:
         await socket.send(data)
 
 
-async def _leave(socket: ClientConnection) -> None:
-    with suppress(ConnectionClosed, asyncio.TimeoutError):
-        await asyncio.wait_for(socket.send(Bye().to_bytes()), 0.5)
+async def _open(opening: connect) -> ClientConnection:
+    return await opening
 
 
 def fetch(
@@ -232,6 +263,7 @@ def fetch(
     config: ClientConfig | None = None,
     *,
     receiver: Receiver | None = None,
+    clock: Clock | None = None,
 ) -> StreamClient:
     """Stream for a while, from a program without an event loop.
 
@@ -242,6 +274,7 @@ def fetch(
         seconds: How long.
         config: None means `ClientConfig()`.
         receiver: What an earlier client has received.
+        clock: Where deadlines come from; None means `Clock()`.
 
     Returns:
         The client, with what has come in `receiver`.
@@ -252,7 +285,7 @@ def fetch(
     """
 
     async def stream() -> StreamClient:
-        client = StreamClient(url, view, config, receiver=receiver)
+        client = StreamClient(url, view, config, receiver=receiver, clock=clock)
         await client.run(pose, seconds=seconds)
         return client
 

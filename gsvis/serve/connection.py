@@ -2,13 +2,15 @@
 
 One loop listens and keeps what it hears in a short list; the other takes it from there, plans and sends, so a sender is
 never used by two at once. Nothing here grows with what a client does: what is under way is bounded by the sender's
-allowance, what waits to be looked at by counts. Seconds of a clock that does not fall, bytes of messages.
+allowance, what waits to be looked at by counts. Deadlines come from the clock of the server; links are measured, and
+batches paced, by real time. Seconds, bytes of messages.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -18,6 +20,7 @@ from typing import Protocol, TypeVar
 from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve._log import EventLog
+from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits, Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
@@ -29,6 +32,7 @@ __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 _MOST_HEARD = 256  # poses and acknowledgements that wait to be looked at
 _ROUND = 1.0  # seconds after which a client is looked after even if nothing happens
 _FAREWELL = 1.0  # seconds that the last words may take
+_SLACK = 1e-6  # seconds that rounding may cost
 
 
 _T = TypeVar("_T")
@@ -67,7 +71,8 @@ class Setting:
         metrics: Counts.
         log: Lines.
         config: Of the schedulers.
-        clock: Seconds that do not fall.
+        clock: Where deadlines come from.
+        measure: Seconds that do not fall, by which links are measured and work is paced.
         planners: Where batches are planned; None is the thread of the event loop.
         pace: How far behind the server is.
     """
@@ -76,7 +81,8 @@ class Setting:
     metrics: Metrics
     log: EventLog
     config: SchedulerConfig
-    clock: Callable[[], float]
+    clock: Clock = field(default_factory=Clock)
+    measure: Callable[[], float] = time.monotonic
     planners: Executor | None = None
     pace: Pace = field(default_factory=Pace)
 
@@ -118,14 +124,17 @@ class Connection:
         served: The scene.
         setting: What all share.
         number: For the log.
+        seat: Called once HELLO is understood; returns why this client may not stream, or "". None lets it.
 
     Attributes:
         sender: What decides; None before HELLO.
         reason: Why it ended: "left", "lost", or a limit or fault.
     """
 
-    def __init__(self, peer: Peer, served: ServedScene, setting: Setting, number: int) -> None:
-        self._peer, self._served, self._setting, self.number = peer, served, setting, number
+    def __init__(
+        self, peer: Peer, served: ServedScene, setting: Setting, number: int, seat: Callable[[], str] | None = None
+    ) -> None:
+        self._peer, self._served, self._setting, self.number, self._seat = peer, served, setting, number, seat
         self.sender: Sender | None = None
         self.reason = ""
         self._heard: list[tuple[float, PoseAt | Ack]] = []
@@ -134,12 +143,14 @@ class Connection:
         self._messages = RateBucket(limits.messages_per_s, limits.messages_per_s * limits.burst_s)
         self._poses = RateBucket(limits.poses_per_s, limits.poses_per_s)
         self._pose_clock = PoseClock()
-        self._alive = self._moved = self._planned = setting.clock()
+        self._alive = self._moved = setting.clock.now()
+        self._planned = setting.measure()
+        self._alarm: Timer | None = None
         self._has_pose, self._fresh, self._dry = False, False, False  # a pose; one not planned for; nothing to send
 
     async def run(self) -> None:
         """All of it; raises nothing but cancellation."""
-        began, fault = self._setting.clock(), None
+        began, fault = self._setting.measure(), None
         loops: list[asyncio.Task[None]] = []
         try:
             await self._greet()
@@ -154,6 +165,8 @@ class Connection:
         finally:
             for task in loops:
                 task.cancel()
+            if self._alarm is not None:
+                self._alarm.cancel()
             await asyncio.gather(*loops, return_exceptions=True)
             self._account(began)
         if self.reason not in ("left", "lost", "ending"):
@@ -163,18 +176,20 @@ class Connection:
         """HELLO in, WELCOME out."""
         limits, clock = self._setting.limits, self._setting.clock
         try:
-            data = await asyncio.wait_for(self._peer.receive(), limits.handshake_s)
-        except asyncio.TimeoutError:
-            raise ProtocolError("HELLO: expected it at once, got silence", FAULTS["late"]) from None
+            data = await clock.within(limits.handshake_s, self._peer.receive())
+        except TimeoutError:
+            raise ProtocolError(f"no HELLO within {limits.handshake_s:g} s; closing", FAULTS["late"]) from None
         said = parse_client(data, most_hello=limits.message_bytes or self._served.scene.most_hello)
         if not isinstance(said, Hello):
             raise ProtocolError(f"message: expected HELLO first, got {type(said).__name__}")
+        if self._seat is not None and (why := self._seat()):
+            raise ProtocolError(f"no seat ({why}); try again later", FAULTS["too-many"])
         try:
             self.sender = await self._apart(partial(Sender.greeted, self._served.scene, said, self._setting.config))
         except ValueError as error:
             raise ProtocolError(f"HELLO: {error}") from error
-        self._alive = self._moved = clock()
-        await self._peer.send(self.sender.welcome(self._alive).data)
+        self._alive = self._moved = clock.now()
+        await self._peer.send(self.sender.welcome(self._setting.measure()).data)
         self._setting.metrics.opened.add(of=self._served.name)
         self._setting.log(
             "opened", client=self.number, scene=self._served.name, held=len(self.sender.holdings.received) or None
@@ -185,7 +200,7 @@ class Connection:
         clock, metrics = self._setting.clock, self._setting.metrics
         while True:
             data = await self._peer.receive()
-            now = self._alive = clock()
+            now = self._alive = clock.now()
             if not self._messages.take(now):
                 raise ProtocolError("messages: expected fewer, got a flood", FAULTS["flood"])
             said = parse_client(data, most_hello=64)
@@ -201,16 +216,16 @@ class Connection:
                 self._heard = [entry for entry in self._heard if isinstance(entry[1], Ack)]
                 if len(self._heard) >= _MOST_HEARD:
                     raise ProtocolError("ACK: expected one a message, got more", FAULTS["flood"])
-            self._heard.append((now, said))
+            self._heard.append((self._setting.measure(), said))
             if isinstance(said, Ack) or not self._has_pose:
                 self._ring()
 
     async def _talk(self) -> None:
         """Plan and send until something ends it."""
         while True:
-            now = self._setting.clock()
-            self._look_after(now)
+            now = self._setting.measure()
             self._take_in()
+            self._look_after()
             if (wait := self._idle_for(now)) > 0.0:
                 await self._wait(wait)
                 continue
@@ -239,10 +254,10 @@ class Connection:
 
     def _plan(self) -> tuple[Message | None, float]:
         """The next batch, and how long it took; perhaps in another thread."""
-        sender, began = self._sender, self._setting.clock()
+        sender, began = self._sender, self._setting.measure()
         budget = min(sender.room(self._piece_s), float(self._setting.limits.batch_bytes))
         message = sender.next_message(began, budget)
-        return message, self._setting.clock() - began
+        return message, self._setting.measure() - began
 
     def _count(self, message: Message) -> None:
         metrics = self._setting.metrics
@@ -260,22 +275,29 @@ class Connection:
                     before = sender.outstanding
                     sender.on_ack(t, said.sequence)
                     if sender.outstanding < before:
-                        self._moved = t
+                        self._moved = self._setting.clock.now()
                 else:
                     sender.on_pose(self._pose_clock.at(t, said.time_ms), self._served.within(said.position), said.quat)
                     self._has_pose = self._fresh = True
             except ValueError as error:
                 raise ProtocolError(f"{type(said).__name__}: {error}") from error
 
-    def _look_after(self, now: float) -> None:
-        """End what is silent or does not read."""
-        limits = self._setting.limits
-        if now - self._alive > limits.idle_s:
-            raise ProtocolError(f"messages: expected one in {limits.idle_s:g} s, got none", FAULTS["late"])
+    def _look_after(self) -> None:
+        """End what is silent or does not read; come back when that may next be so."""
+        limits, now = self._setting.limits, self._setting.clock.now()
+        if now - self._alive >= limits.idle_s - _SLACK:
+            raise ProtocolError(f"no message within {limits.idle_s:g} s; closing", FAULTS["late"])
         if self._sender.outstanding == 0:
             self._moved = now
-        if now - self._moved > limits.stall_s:
-            raise ProtocolError(f"ACK: expected one in {limits.stall_s:g} s, got none", FAULTS["late"])
+        if now - self._moved >= limits.stall_s - _SLACK:
+            raise ProtocolError(f"no ACK within {limits.stall_s:g} s; closing", FAULTS["late"])
+        if self._alarm is None:
+            due = min(self._alive + limits.idle_s, self._moved + limits.stall_s)
+            self._alarm = self._setting.clock.call_later(due - now, self._wake)
+
+    def _wake(self) -> None:
+        self._alarm = None
+        self._ring()
 
     async def _apart(self, work: Callable[[], _T]) -> _T:
         executor = self._setting.planners
@@ -325,7 +347,7 @@ class Connection:
             return
         self._setting.metrics.closed.add(of=self.reason or "ending")
         self._setting.log(
-            "closed", client=self.number, reason=self.reason or "ending", seconds=self._setting.clock() - began,
+            "closed", client=self.number, reason=self.reason or "ending", seconds=self._setting.measure() - began,
             sent_bytes=self.sender.wire_bytes, unacknowledged=self.sender.outstanding, rate=self.sender.rate,
         )  # fmt: skip
 
@@ -338,6 +360,6 @@ class Connection:
             await self._peer.close(self.reason)
 
         try:
-            await asyncio.wait_for(say(), _FAREWELL)
-        except (asyncio.TimeoutError, GoneError):
+            await self._setting.clock.within(_FAREWELL, say())
+        except (TimeoutError, GoneError):
             self._peer.abort()

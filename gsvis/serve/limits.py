@@ -11,7 +11,7 @@ import numpy as np
 
 from gsvis import _check
 
-__all__ = ["Limits", "Pace", "RateBucket"]
+__all__ = ["Limits", "Pace", "RateBucket", "Seats"]
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,17 @@ class Limits:
     """Bounds of one server; the defaults are safe for one that strangers can reach.
 
     Attributes:
-        connections: Streaming clients at once. As many plain requests and half-open connections may stand beside them.
+        connections: Streaming clients at once.
+        waiting: Connections at once that do not stream: requests, idle ones, handshakes. None: as many as
+            `connections`, at least 32. Beyond it the one that waits longest gives way.
+        per_address: Streaming clients of one address at once, and as many connections that do not stream. None: a
+            quarter of `connections`, at least 8. An IPv6 network of 64 bits is one address.
         message_bytes: Bytes of one message of a client. None: what the holdings of the largest scene can take.
         messages_per_s: Messages of a client a second, in the mean over `burst_s`; one that sends more is sent away.
         burst_s: Seconds of messages that may come at once, as they do after a link has stalled.
         poses_per_s: Poses of a client a second that are looked at; further ones are passed over.
-        handshake_s: Seconds from a connection to a request, and from there to the first message.
+        handshake_s: Seconds from a connection to a whole request, TLS included, and from there to the first message.
+        keep_alive_s: Seconds from an answer to the end of the next request of a connection.
         idle_s: Seconds of silence after which a client is gone.
         stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
             client does not read.
@@ -33,11 +38,14 @@ class Limits:
     """
 
     connections: int = 100
+    waiting: int | None = None
+    per_address: int | None = None
     message_bytes: int | None = None
     messages_per_s: float = 200.0
     burst_s: float = 10.0
     poses_per_s: float = 60.0
     handshake_s: float = 10.0
+    keep_alive_s: float = 15.0
     idle_s: float = 60.0
     stall_s: float = 30.0
     tick_s: float = 0.1
@@ -48,11 +56,62 @@ class Limits:
             value = getattr(self, entry.name)
             if entry.name in ("connections", "batch_bytes"):
                 _check.positive_int(entry.name, value)
-            elif entry.name == "message_bytes":
+            elif entry.name in ("message_bytes", "waiting", "per_address"):
                 if value is not None:
-                    _check.positive_int(entry.name, value, at_least=64)
+                    _check.positive_int(entry.name, value, at_least=64 if entry.name == "message_bytes" else 1)
             elif not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{entry.name}: expected a finite number > 0, got {value!r}")
+
+    @property
+    def most_waiting(self) -> int:
+        """Connections at once that do not stream."""
+        return max(self.connections, 32) if self.waiting is None else self.waiting
+
+    @property
+    def most_per_address(self) -> int:
+        """Clients of one address, and connections of it that do not stream."""
+        return max(self.connections // 4, 8) if self.per_address is None else self.per_address
+
+
+class Seats:
+    """Counts the clients that stream, all and by address.
+
+    Args:
+        limits: Bounds.
+
+    Attributes:
+        taken: How many.
+
+    Examples:
+        >>> seats = Seats(Limits(connections=3, per_address=2))
+        >>> [seats.take(owner) for owner in ("a", "a", "a", "b", "c")]
+        ['', '', 'address-full', '', 'too-many']
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._by_owner: dict[str, int] = {}
+        self.taken = 0
+
+    def why_not(self, owner: str) -> str:
+        """Return why a client of an address has no seat; "" if there is one."""
+        if self.taken >= self._limits.connections:
+            return "too-many"
+        return "address-full" if self._by_owner.get(owner, 0) >= self._limits.most_per_address else ""
+
+    def take(self, owner: str) -> str:
+        """Take a seat. Return why there is none, or ""."""
+        if not (why := self.why_not(owner)):
+            self.taken += 1
+            self._by_owner[owner] = self._by_owner.get(owner, 0) + 1
+        return why
+
+    def leave(self, owner: str) -> None:
+        """Give a seat back."""
+        self.taken -= 1
+        self._by_owner[owner] -= 1
+        if not self._by_owner[owner]:
+            del self._by_owner[owner]
 
 
 class RateBucket:

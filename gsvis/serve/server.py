@@ -5,27 +5,35 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+import ssl
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
+from typing import Any
 
 import uvicorn
 
 from gsvis import _check
+from gsvis.serve._addresses import Proxies
+from gsvis.serve._door import Door
+from gsvis.serve._head import MOST_BYTES
 from gsvis.serve._log import EventLog
-from gsvis.serve._protocols import protocols
+from gsvis.serve._protocols import Plain, Socket
 from gsvis.serve.app import AppConfig, build_app
-from gsvis.serve.limits import Pace
+from gsvis.serve.clock import Clock
+from gsvis.serve.limits import Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
 
 __all__ = ["Address", "Server"]
 
 _LOOK_S = 0.2
-_STOP_S = 3  # seconds that connections have to end when the server stops
+_STOP_S = 3.0  # seconds that connections have to end when the server stops
+_NEVER = 1_000_000  # seconds; for time-outs of uvicorn that guards keep by themselves
+_LINES_PER_S = 20.0  # of each logger of asyncio and uvicorn
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,10 @@ class Server:
         config: None means `AppConfig()`.
         address: None means `Address()`.
         planners: Threads that plan; 0 plans in the thread of the event loop.
+        clock: Where deadlines come from; None means `Clock()`.
 
     Attributes:
+        clock: Where its deadlines come from.
         metrics: What it counts.
         port: The one it listens on.
 
@@ -79,42 +89,29 @@ class Server:
         address: Address | None = None,
         *,
         planners: int = 0,
+        clock: Clock | None = None,
     ) -> None:
-        self.config, self.address = config or AppConfig(), address or Address()
-        self.metrics, self._log = Metrics(), EventLog()
+        self.config, self.address, self.clock = config or AppConfig(), address or Address(), clock or Clock()
+        self.metrics, self._log = Metrics(), EventLog(clock=self.clock.now)
         self._threads = None
         if _check.positive_int("planners", planners, at_least=0):
             self._threads = ThreadPoolExecutor(planners, thread_name_prefix="gsvis-plan")
         self._pace = Pace()
         app = build_app(
-            scenes, self.config, metrics=self.metrics, log=self._log, planners=self._threads, pace=self._pace
-        )
-        limits = self.config.limits
-        plain, stream = protocols(limits, self._log)
+            scenes,
+            replace(self.config, hosts=(*self.config.hosts, self.address.host)),
+            metrics=self.metrics, log=self._log, planners=self._threads, pace=self._pace, clock=self.clock,
+        )  # fmt: skip
         open_scenes = [served.opened for served in scenes.values() if served.opened is not None]
-        a = self.address
-        settings = uvicorn.Config(
-            app,
-            http=plain,
-            ws=stream,
-            ws_max_size=limits.message_bytes or max([scene.most_hello for scene in open_scenes], default=1 << 16),
-            ws_per_message_deflate=False,
-            ws_ping_interval=None,
-            lifespan="off",
-            log_config=None,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            limit_concurrency=2 * limits.connections + 1,
-            timeout_graceful_shutdown=_STOP_S,
-            ssl_certfile=None if a.ssl_certfile is None else fspath(a.ssl_certfile),
-            ssl_keyfile=None if a.ssl_keyfile is None else fspath(a.ssl_keyfile),
-            ssl_keyfile_password=a.ssl_keyfile_password,
-        )
-        settings.load()  # a wrong certificate shows here
-        self._server = uvicorn.Server(settings)
-        self._socket = _listen(a.host, a.port)
+        most_hello = max([scene.most_hello for scene in open_scenes], default=1 << 16)
+        settings = _settings(app, self.address, self.config.limits.message_bytes or most_hello)
+        self._socket = _listen(self.address.host, self.address.port)
         self.port = int(self._socket.getsockname()[1])
+        self._server = _Uvicorn(settings, self.clock, self._log, self._open_door)
+
+    def _open_door(self, inner: Callable[[], Any], tls: ssl.SSLContext | None) -> Door:
+        proxies = Proxies(self.config.proxies)
+        return Door(self._socket, self.config.limits, self.clock, self._log, inner, proxies, tls)
 
     @property
     def url(self) -> str:
@@ -137,10 +134,18 @@ class Server:
 
     async def _serve(self) -> None:
         watching = asyncio.create_task(self._watch_lateness())
+        asyncio.get_running_loop().set_exception_handler(self._note)
         try:
-            await self._server.serve([self._socket])
+            with _few_lines():
+                await self._server.serve()
         finally:
             watching.cancel()
+
+    def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """What asyncio would log by itself, without a limit."""
+        error = context.get("exception")
+        why = context.get("message", "") + (f": {type(error).__name__}: {error}" if error is not None else "")
+        self._log("failed", logging.ERROR, why=why)
 
     async def _watch_lateness(self) -> None:
         loop = asyncio.get_running_loop()
@@ -171,6 +176,92 @@ class Server:
         finally:
             self.stop()
             thread.join()
+
+
+class _Uvicorn(uvicorn.Server):
+    """uvicorn's server with a door of ours, and an end that no connection can spoil."""
+
+    def __init__(
+        self,
+        settings: uvicorn.Config,
+        clock: Clock,
+        log: EventLog,
+        door: Callable[[Callable[[], Any], ssl.SSLContext | None], Door],
+    ) -> None:
+        super().__init__(settings)
+        self._clock, self._log, self._make_door = clock, log, door
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to accept."""
+        self._door = self._make_door(self._plain, self.config.ssl)
+        self._door.open()
+        self.started = True
+
+    def _plain(self) -> Plain:
+        return Plain(self.config, self.server_state, {})
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Tell everybody, wait a little, cut the rest."""
+        door, tasks = self._door, self.server_state.tasks
+        door.close()
+        await door.wait_closed()
+        for guard in list(door.guards):
+            guard.shut_down()
+        end = self._clock.now() + _STOP_S
+        while (door.guards or tasks) and not self.force_exit and self._clock.now() < end:
+            await asyncio.sleep(0.02)
+        for guard in list(door.guards):
+            guard.cut("does not end", logging.INFO)
+        for task in tasks:
+            task.cancel()
+
+
+def _settings(app: Any, address: Address, message_bytes: int) -> uvicorn.Config:
+    settings = uvicorn.Config(
+        app,
+        http=Plain,
+        ws=Socket,
+        ws_max_size=message_bytes,
+        ws_per_message_deflate=False,
+        ws_ping_interval=None,
+        lifespan="off",
+        log_config=None,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        h11_max_incomplete_event_size=2 * MOST_BYTES,
+        timeout_keep_alive=_NEVER,
+        ssl_certfile=None if address.ssl_certfile is None else fspath(address.ssl_certfile),
+        ssl_keyfile=None if address.ssl_keyfile is None else fspath(address.ssl_keyfile),
+        ssl_keyfile_password=address.ssl_keyfile_password,
+    )
+    settings.load()  # a wrong certificate shows here
+    return settings
+
+
+class _Few(logging.Filter):
+    """Lets so many lines a second pass."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._bucket = RateBucket(_LINES_PER_S, 10.0 * _LINES_PER_S)
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        return self._bucket.take(record.created)
+
+
+@contextmanager
+def _few_lines() -> Iterator[None]:
+    """Limit the lines of the loggers beside ours; peers can make both talk."""
+    filters = [(logging.getLogger(name), _Few()) for name in ("asyncio", "uvicorn.error")]
+    for logger, few in filters:
+        logger.addFilter(few)
+    try:
+        yield
+    finally:
+        for logger, few in filters:
+            logger.removeFilter(few)
 
 
 def _listen(host: str, port: int) -> socket.socket:

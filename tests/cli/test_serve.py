@@ -13,18 +13,23 @@ import ssl
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from gsvis.cli import main
-from gsvis.serve import ClientConfig, StreamClient, fetch
-from tests.serve.servers import VIEW, has_all, patient, slow_link, still
+from gsvis.serve import ClientConfig, ManualClock, StreamClient
+from gsvis.stream import Hello
+from tests.serve.certificates import certificate
+from tests.serve.servers import PATIENCE, VIEW, give_up, has_all, patient, slow_link, still
 from tests.stream.worlds import package_of
 
 PLAIN = {**os.environ, "PYTHONWARNINGS": "error", "GSVIS_DEBUG": ""}
 PLAIN.pop("GSVIS_TOKEN", None)
+PATIENT = ("--handshake", "86400", "--idle", "86400", "--stall", "86400")  # no time decides
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +42,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def process(*arguments: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A server and its address."""
-    command = [sys.executable, "-m", "gsvis.cli", "serve", *map(str, arguments), "--json"]
+    command = [sys.executable, "-m", "gsvis.cli", "serve", *map(str, arguments), *PATIENT, "--json"]
     running = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment
     )
@@ -76,7 +81,7 @@ def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
         client, _ = patient(url, package, config=ClientConfig(token="word-of-mouth"))
         assert has_all(client.receiver, package)
         running.send_signal(signal.SIGTERM)
-        _, said = running.communicate(timeout=60)
+        _, said = running.communicate(timeout=PATIENCE)
     assert running.returncode == 0
     assert "word-of-mouth" not in said
     for event in ("ready scene=room", "listening url=ws://127.0.0.1", "opened client=1", "closed client=1", "stopped"):
@@ -96,6 +101,38 @@ def test_a_log_of_objects(package: Path) -> None:
     assert closed["sent_bytes"] > 10_000
 
 
+REFUSED = {
+    "a control character": b"X-A: a\x01b\r\n",
+    "a long header": b"X-A: " + b"a" * 20_000 + b"\r\n",
+    "many headers": b"X-A: a\r\n" * 130,
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_upgrades_do_not_spoil_its_end(package: Path, name: str) -> None:
+    upgrade = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    asked = b"GET /stream HTTP/1.1\r\nHost: localhost\r\n" + upgrade + REFUSED[name] + b"\r\n"
+    with process(package, "--port", 0) as (running, url), ExitStack() as stack:
+        port = int(url.rpartition(":")[2].partition("/")[0])
+        standing = stack.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE))
+        standing.sendall(asked)
+        answer = standing.recv(12)
+        viewers = [stack.enter_context(connect(url, proxy=None, open_timeout=PATIENCE)) for _ in range(5)]
+        for ws in viewers:
+            ws.send(Hello(VIEW).to_bytes())
+            assert ws.recv(timeout=PATIENCE)
+        running.send_signal(signal.SIGTERM)
+        for ws in viewers:
+            with suppress(ConnectionClosed):
+                while True:
+                    ws.recv(timeout=PATIENCE)
+            assert ws.close_code == 1012
+        _, said = running.communicate(timeout=PATIENCE)
+    assert answer.startswith(b"HTTP/1.1 4")
+    assert running.returncode == 0
+    assert "Error" not in said
+
+
 @pytest.mark.slow
 def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(package: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -103,7 +140,7 @@ def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(pa
     came: list[int] = []
 
     async def stream(first: subprocess.Popen[str], url: str, after: ExitStack) -> StreamClient:
-        client = StreamClient(url, VIEW, ClientConfig(first_wait_s=0.05, give_up_s=120.0))
+        client = StreamClient(url, VIEW, ClientConfig(first_wait_s=0.05), clock=ManualClock())
 
         def look(received: object) -> None:
             came.extend(received.gaussians.tolist())  # type: ignore[attr-defined]
@@ -113,7 +150,7 @@ def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(pa
             if has_all(client.receiver, package):
                 client.stop()
 
-        running = asyncio.create_task(client.run(still, seconds=180.0, on_batch=look))
+        running = asyncio.create_task(asyncio.wait_for(client.run(still, on_batch=look), PATIENCE))
         while first.poll() is None:
             await asyncio.sleep(0.02)
         assert not has_all(client.receiver, package)
@@ -145,24 +182,14 @@ def test_what_cannot_be_served_is_told_in_one_line(
 
 
 def test_tls(package: Path, tmp_path: Path) -> None:
-    openssl = shutil.which("openssl")
-    if openssl is None:
-        pytest.skip("no openssl to make a certificate with")
-    key, chain = tmp_path / "key.pem", tmp_path / "chain.pem"
-    subprocess.run(
-        [
-            *(openssl, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=127.0.0.1"),
-            *("-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(chain)),
-        ],
-        check=True, capture_output=True,
-    )  # fmt: skip
+    chain, key = certificate(tmp_path)
     with process(package, "--port", 0, "--ssl-certfile", chain, "--ssl-keyfile", key) as (running, url):
         assert url.startswith("wss://")
         trusting = ssl.create_default_context(cafile=str(chain))
         client, _ = patient(url, package, config=ClientConfig(tls=trusting))
         assert has_all(client.receiver, package)
         with pytest.raises(ConnectionError, match="certificate"):
-            fetch(url, VIEW, still, 5.0, ClientConfig(give_up_s=0.1))
+            give_up(url)
         running.send_signal(signal.SIGINT)
-        running.communicate(timeout=60)
+        running.communicate(timeout=PATIENCE)
     assert running.returncode == 0

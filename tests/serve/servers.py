@@ -1,8 +1,13 @@
-"""Servers and clients of tests: small time-outs, and raw sockets for what no decent client does."""
+"""Servers and clients of tests, and raw sockets for what no decent client does.
+
+No test rests on a time. The clock of a server stands still: a deadline expires because the test advances it. Tests wait
+for facts; `PATIENCE` ends one that hangs, and decides nothing else.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import struct
 import threading
@@ -18,12 +23,14 @@ from websockets.sync.client import ClientConnection, connect
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.package import Package
-from gsvis.serve import Address, AppConfig, ClientConfig, Limits, Server, StreamClient, open_scenes
+from gsvis.serve import Address, AppConfig, ClientConfig, Limits, ManualClock, Server, StreamClient, open_scenes
 from gsvis.stream import Hello, PoseAt, Receiver
 
 VIEW = FieldOfView.of_degrees(80, 60, margin=8)
-QUICK = Limits(handshake_s=0.4, idle_s=5.0, stall_s=0.6, tick_s=0.02)
-"""Limits that tests can wait for."""
+PATIENCE = float(os.environ.get("GSVIS_PATIENCE", "300"))
+"""Seconds after which a test hangs."""
+LIMITS = Limits(tick_s=0.02, messages_per_s=1000.0)
+"""Limits of the servers of tests."""
 
 
 def still(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -32,19 +39,35 @@ def still(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 @contextmanager
-def serving(*packages: Path, limits: Limits = QUICK, port: int = 0, **config: object) -> Iterator[Server]:
-    """A running server."""
+def serving(
+    *packages: Path, limits: Limits = LIMITS, port: int = 0, tls: tuple[Path, Path] | None = None, **config: object
+) -> Iterator[Server]:
+    """A running server, with a `ManualClock`; `tls` is a chain and a key."""
     settings = AppConfig(limits=limits, **config)  # type: ignore[arg-type]
+    clock = ManualClock()
     with open_scenes(packages) as scenes:
-        server = Server(scenes, settings, Address(port=port))
+        server = Server(scenes, settings, Address("127.0.0.1", port, *(tls or ())), clock=clock)
         with server.running():
-            yield server
+            try:
+                yield server
+            finally:
+                server.stop()
+                threading.Thread(target=_let_end, args=(server, clock), daemon=True).start()
+
+
+def _let_end(server: Server, clock: ManualClock) -> None:
+    """Let a server that stops come to its end, whoever does not listen."""
+    while server._socket.fileno() >= 0:
+        time.sleep(0.05)
+        clock.advance(0.1)
 
 
 @contextmanager
 def raw(server: Server, hello: bytes | None = None, name: str = "") -> Iterator[ClientConnection]:
     """A WebSocket that has said HELLO, unless `hello` is b""."""
-    with connect(server.url + name, compression=None, proxy=None, ping_interval=None, close_timeout=0.2) as ws:
+    with connect(
+        server.url + name, compression=None, proxy=None, ping_interval=None, open_timeout=PATIENCE, close_timeout=0.2
+    ) as ws:
         ws.send(Hello(VIEW).to_bytes() if hello is None else hello) if hello != b"" else None
         yield ws
 
@@ -53,12 +76,34 @@ def pose(x: float = 0.0, ms: int = 0) -> bytes:
     return PoseAt(ms, (x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)).to_bytes()
 
 
-def until(fact: Callable[[], bool], seconds: float = 10.0) -> None:
+def heard(ws: ClientConnection) -> bytes:
+    """The next message of the server."""
+    data = ws.recv(timeout=PATIENCE)
+    assert isinstance(data, bytes)
+    return data
+
+
+def until(fact: Callable[[], bool]) -> None:
     """Wait for a fact."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + PATIENCE
     while not fact():
         assert time.monotonic() < end, "it did not come to pass"
-        time.sleep(0.01)
+        time.sleep(0.005)
+
+
+def advance_until(server: Server, fact: Callable[[], bool], step: float = 1.0) -> None:
+    """Let the time of a server pass until a fact holds; only for tests in which nobody is to be spared."""
+
+    def passes() -> bool:
+        server.clock.advance(step)  # type: ignore[attr-defined]
+        return fact()
+
+    until(passes)
+
+
+def phases(server: Server) -> list[str]:
+    """What the connections of a server are doing."""
+    return sorted(guard.phase.value for guard in list(server._server._door.guards))
 
 
 def wanted(package: Path) -> tuple[np.ndarray, int]:
@@ -78,7 +123,7 @@ def has_all(receiver: Receiver | None, package: Path) -> bool:
 
 
 def patient(
-    url: str, package: Path, *, seconds: float = 30.0, config: ClientConfig | None = None,
+    url: str, package: Path, *, config: ClientConfig | None = None,
     receiver: Receiver | None = None, moved: Callable[[StreamClient], None] | None = None,
 ) -> tuple[StreamClient, list[int]]:  # fmt: skip
     """A client that stays until it has all; also the ids of the Gaussians that came, in their order."""
@@ -86,7 +131,7 @@ def patient(
     came: list[int] = []
 
     async def stream() -> StreamClient:
-        client = StreamClient(url, VIEW, config, receiver=receiver)
+        client = StreamClient(url, VIEW, config, receiver=receiver, clock=ManualClock())
 
         def look(received: object) -> None:
             came.extend(received.gaussians.tolist())  # type: ignore[attr-defined]
@@ -97,10 +142,35 @@ def patient(
             if np.array_equal(np.sort(held.shown()), high) and len(held.holdings.received_terms) >= terms:
                 client.stop()
 
-        await client.run(still, seconds=seconds, on_batch=look)
+        await asyncio.wait_for(client.run(still, on_batch=look), PATIENCE)
         return client
 
     return asyncio.run(stream()), came
+
+
+def after_one_batch(url: str, config: ClientConfig | None = None) -> StreamClient:
+    """A client that leaves after its first batch."""
+
+    async def stream() -> StreamClient:
+        client = StreamClient(url, VIEW, config, clock=ManualClock())
+        await asyncio.wait_for(client.run(still, on_batch=lambda _: client.stop()), PATIENCE)
+        return client
+
+    return asyncio.run(stream())
+
+
+def give_up(url: str, config: ClientConfig | None = None) -> None:
+    """A client whose time passes until it gives up."""
+
+    async def stream() -> None:
+        clock = ManualClock()
+        running = asyncio.create_task(StreamClient(url, VIEW, config, clock=clock).run(still))
+        while not running.done():
+            clock.advance(1.0)
+            await asyncio.sleep(0.01)
+        running.result()
+
+    asyncio.run(asyncio.wait_for(stream(), PATIENCE))
 
 
 class SlowLink:
@@ -111,12 +181,21 @@ class SlowLink:
         self._to, self._rate = (parts.hostname, parts.port), bytes_per_s
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}{parts.path}"
-        self._open = threading.Event()
+        self._open, self.is_free = threading.Event(), False
         self.go_on()
         threading.Thread(target=self._accept, daemon=True).start()
 
+    @property
+    def is_stalled(self) -> bool:
+        return not self._open.is_set()
+
     def stall(self) -> None:
         self._open.clear()
+
+    def carry_freely(self) -> None:
+        """Go on, and faster than anybody can send."""
+        self._rate, self.is_free = 1e9, True
+        self.go_on()
 
     def go_on(self) -> None:
         self._open.set()
@@ -172,14 +251,14 @@ def slow_link(url: str, bytes_per_s: float) -> Iterator[SlowLink]:
 def plain_socket(server: Server) -> socket.socket:
     """A TCP connection."""
     parts = urlsplit(server.url)
-    return socket.create_connection((parts.hostname, parts.port), timeout=10.0)
+    return socket.create_connection((parts.hostname, parts.port), timeout=PATIENCE)
 
 
 def upgraded(server: Server, path: str = "/stream") -> socket.socket:
     """A TCP connection that is a WebSocket now, for frames made by hand."""
     found = plain_socket(server)
     found.sendall(
-        f"GET {path} HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        f"GET {path} HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
     )
     answer = b""
@@ -204,19 +283,28 @@ def frame(data: bytes, opcode: int = 2, *, fin: bool = True, claimed: int | None
 
 def ask(server: Server, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
     """Status, headers and body of a plain request; the path goes out as it is."""
+    headers = {"Host": "localhost"} | headers
     with plain_socket(server) as found:
-        lines = [f"{method} {path} HTTP/1.1", "Host: x", "Connection: close"]
+        lines = [f"{method} {path} HTTP/1.1", "Connection: close"]
         lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
         found.sendall("\r\n".join([*lines, "", ""]).encode("latin-1"))
-        answer = b""
-        while piece := found.recv(1 << 16):
-            answer += piece
+        answer = rest_of(found)
     head, _, body = answer.partition(b"\r\n\r\n")
     first, *rest = head.decode("latin-1").split("\r\n")
     fields = dict(line.lower().split(": ", 1) for line in rest)
     return int(first.split()[1]), fields, body
 
 
-def quick(**changes: object) -> Limits:
-    """`QUICK`, changed."""
-    return replace(QUICK, **changes)  # type: ignore[arg-type]
+def rest_of(found: socket.socket) -> bytes:
+    """What comes until the server ends the connection, or cuts it."""
+    found.settimeout(PATIENCE)
+    answer = b""
+    with suppress(ConnectionError):
+        while piece := found.recv(1 << 16):
+            answer += piece
+    return answer
+
+
+def limits_of(**changes: object) -> Limits:
+    """`LIMITS`, changed."""
+    return replace(LIMITS, **changes)  # type: ignore[arg-type]

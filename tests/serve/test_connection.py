@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,11 @@ from typing import Any
 import pytest
 
 from gsvis.abr.scheduler import SchedulerConfig
-from gsvis.serve import Limits, Metrics, open_scenes
+from gsvis.serve import Limits, ManualClock, Metrics, open_scenes
 from gsvis.serve._log import EventLog
 from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.stream import Ack, Hello
-from tests.serve.servers import VIEW, pose, quick
+from tests.serve.servers import PATIENCE, VIEW, limits_of, pose
 
 
 class FakePeer:
@@ -25,6 +24,7 @@ class FakePeer:
         self.said, self.room, self.again = list(said), room, again
         self.sent: list[bytes] = []
         self.closed, self.aborted, self.heard = "", False, 0
+        self.is_silent = asyncio.Event()
 
     async def receive(self) -> bytes:
         if self.said:
@@ -33,12 +33,13 @@ class FakePeer:
             self.heard += 1
             await asyncio.sleep(0)
             return self.again(self.heard)
-        await asyncio.sleep(3600)
+        self.is_silent.set()
+        await asyncio.Event().wait()
         raise GoneError("lost")
 
     async def send(self, data: bytes) -> None:
         if not self.room and data[0] != 129:
-            await asyncio.sleep(3600)
+            await asyncio.Event().wait()
         self.sent.append(data)
 
     async def close(self, reason: str) -> None:
@@ -48,23 +49,43 @@ class FakePeer:
         self.aborted = True
 
 
-def served_to(plain: Path, peer: FakePeer, limits: Limits) -> tuple[Connection, Metrics]:
-    metrics = Metrics()
+Passing = Callable[[Connection, ManualClock], Coroutine[Any, Any, None]]
+
+
+def served_to(
+    plain: Path, peer: FakePeer, limits: Limits, passing: Passing | None = None
+) -> tuple[Connection, Metrics, ManualClock]:
+    """A connection at its end; time passes as `passing` says."""
+    metrics, clock = Metrics(), ManualClock()
 
     async def alone() -> Connection:
-        setting = Setting(limits, metrics, EventLog(), SchedulerConfig(), time.monotonic)
+        setting = Setting(limits, metrics, EventLog(), SchedulerConfig(), clock)
         connection = Connection(peer, scenes["plain"], setting, 1)
-        await connection.run()
-        assert len(asyncio.all_tasks()) == 1  # both loops have ended
+        beside = [] if passing is None else [asyncio.create_task(passing(connection, clock))]
+        await asyncio.wait_for(connection.run(), PATIENCE)
+        await asyncio.gather(*beside)
+        assert len(asyncio.all_tasks()) == 2  # this one and its hang guard: both loops have ended
         return connection
 
+    async def guarded() -> Connection:
+        return await asyncio.wait_for(asyncio.create_task(alone()), PATIENCE)
+
     with open_scenes([plain]) as scenes:
-        return asyncio.run(alone()), metrics
+        return asyncio.run(guarded()), metrics, clock
+
+
+async def past_the_farewell(connection: Connection, clock: ManualClock) -> None:
+    while not connection.reason:
+        await asyncio.sleep(0)
+    for _ in range(20):  # until the last words are on their way
+        await asyncio.sleep(0)
+    clock.advance(1.0)
 
 
 def test_without_room_in_the_socket_nothing_piles_up(plain: Path) -> None:
     peer = FakePeer(Hello(VIEW).to_bytes(), pose(), room=False, again=lambda k: pose(ms=k))
-    connection, _ = served_to(plain, peer, quick(messages_per_s=500.0, burst_s=2.0, poses_per_s=1e6, stall_s=60.0))
+    limits = limits_of(messages_per_s=500.0, burst_s=2.0, poses_per_s=1e6)
+    connection, _, _ = served_to(plain, peer, limits, past_the_farewell)
     assert connection.reason == "flood"
     assert len(connection._heard) <= 257
     assert peer.aborted  # its last words had no room either
@@ -73,40 +94,65 @@ def test_without_room_in_the_socket_nothing_piles_up(plain: Path) -> None:
 
 def test_acknowledgements_without_room_are_a_flood(plain: Path) -> None:
     peer = FakePeer(Hello(VIEW).to_bytes(), pose(), room=False, again=lambda k: Ack(0).to_bytes())
-    connection, _ = served_to(plain, peer, quick(messages_per_s=500.0, burst_s=2.0, stall_s=60.0))
+    connection, _, _ = served_to(plain, peer, limits_of(messages_per_s=500.0, burst_s=2.0), past_the_farewell)
     assert connection.reason == "flood"
     assert len(connection._heard) <= 257
 
 
 @pytest.mark.parametrize(
-    ("said", "reason"),
-    [((), "late"), ((Hello(VIEW).to_bytes(),), "late"), ((Hello(VIEW).to_bytes(), b"\x04\0\0\0"), "left")],
+    ("said", "seconds"),
+    [
+        ((), 10.0),
+        ((Hello(VIEW).to_bytes(),), 30.0),  # WELCOME is not acknowledged
+        ((Hello(VIEW).to_bytes(), Ack(0).to_bytes()), 60.0),
+    ],
 )
-def test_silence_and_farewell(plain: Path, said: tuple[bytes, ...], reason: str) -> None:
+def test_silence_ends_a_connection_at_its_deadline_and_not_before(
+    plain: Path, said: tuple[bytes, ...], seconds: float
+) -> None:
     peer = FakePeer(*said)
-    connection, metrics = served_to(plain, peer, quick(handshake_s=0.05, idle_s=0.1))
-    assert connection.reason == reason
-    assert (metrics.closed if said else metrics.refused).value(reason) == 1
-    assert peer.closed == ("" if reason == "left" else "late")
+
+    async def passing(connection: Connection, clock: ManualClock) -> None:
+        await peer.is_silent.wait()
+        while connection._heard:  # what it has said is taken in
+            await asyncio.sleep(0)
+        clock.advance(seconds - 0.01)
+        for _ in range(50):
+            await asyncio.sleep(0)
+        assert connection.reason == ""
+        clock.advance(0.01)
+
+    connection, metrics, clock = served_to(plain, peer, limits_of(handshake_s=10.0, stall_s=30.0, idle_s=60.0), passing)
+    assert (connection.reason, peer.closed) == ("late", "late")
+    assert clock.now() == pytest.approx(seconds)
+    assert (metrics.closed if said else metrics.refused).value("late") == 1
+
+
+def test_farewell(plain: Path) -> None:
+    peer = FakePeer(Hello(VIEW).to_bytes(), b"\x04\0\0\0")
+    connection, metrics, _ = served_to(plain, peer, limits_of())
+    assert (connection.reason, peer.closed) == ("left", "")
+    assert metrics.closed.value("left") == 1
 
 
 def test_no_batch_exceeds_its_limit_and_the_pace_is_kept(plain: Path) -> None:
-    def acknowledge(k: int) -> bytes:
-        return Ack(len(peer.sent) - 1).to_bytes()
-
     peer = FakePeer(Hello(VIEW).to_bytes(), pose())
     waiting: Callable[[], Coroutine[Any, Any, bytes]] = peer.receive
+    acknowledged = -1
 
     async def paced() -> bytes:
+        nonlocal acknowledged
         if peer.said:
             return await waiting()
         if len(peer.sent) > 12:
             return b"\x04\0\0\0"
-        await asyncio.sleep(0.01)
-        return acknowledge(0)
+        while len(peer.sent) - 1 == acknowledged:
+            await asyncio.sleep(0)
+        acknowledged = len(peer.sent) - 1
+        return Ack(acknowledged).to_bytes()
 
     peer.receive = paced  # type: ignore[method-assign]
-    connection, metrics = served_to(plain, peer, quick(batch_bytes=5000, messages_per_s=1e4))
+    connection, metrics, _ = served_to(plain, peer, limits_of(batch_bytes=5000, messages_per_s=1e4))
     assert connection.reason == "left"
     assert max(len(data) for data in peer.sent[1:]) <= 1.1 * 5000
     assert metrics.batches.value() == len(peer.sent) - 1

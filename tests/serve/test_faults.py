@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import gc
 import logging
 import socket
 import struct
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,18 +17,24 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from gsvis.errors import FormatError, ProtocolError
-from gsvis.serve import Server, fetch, open_scenes
-from gsvis.stream import Ack, Hello, PoseAt
+from gsvis.serve import ClientConfig, ManualClock, Server, StreamClient, open_scenes
+from gsvis.stream import Ack, Hello, PoseAt, Sender
 from gsvis.stream.wire import FAULTS, ServerFault
 from tests.serve.servers import (
+    PATIENCE,
     VIEW,
+    advance_until,
+    after_one_batch,
     frame,
     has_all,
+    heard,
+    limits_of,
     patient,
+    phases,
     plain_socket,
     pose,
-    quick,
     raw,
+    rest_of,
     serving,
     slow_link,
     still,
@@ -35,27 +42,58 @@ from tests.serve.servers import (
     upgraded,
 )  # fmt: skip
 
+SLOW = ClientConfig(poses_per_s=2.0)  # no flood, however long a test takes
 NAN = struct.pack("<B3xI3f4f", 2, 0, float("nan"), 0, 0, 1, 0, 0, 0)
 NO_TURN = struct.pack("<B3xI3f4f", 2, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 @contextmanager
 def beside_a_decent_client(server: Server, package: Path) -> Iterator[None]:
-    """Whatever happens meanwhile, this one gets everything, over one connection."""
-    found: list[object] = []
+    """Whatever happens meanwhile, this one gets everything, over one connection: half before, the rest after."""
+    found: list[StreamClient] = []
+    with slow_link(server.url, 300e3) as link:
 
-    def stay() -> None:
-        with slow_link(server.url, 300e3) as link:
-            found.append(patient(link.url, package)[0])
+        def moved(client: StreamClient) -> None:
+            if not link.is_free:
+                link.stall()
 
-    thread = threading.Thread(target=stay, daemon=True)
-    thread.start()
-    until(lambda: server.metrics.batches.value() > 0)
-    yield
-    thread.join(30.0)
+        thread = threading.Thread(
+            target=lambda: found.append(patient(link.url, package, config=SLOW, moved=moved)[0]), daemon=True
+        )
+        thread.start()
+        until(lambda: link.is_stalled)
+        yield
+        assert thread.is_alive()
+        link.carry_freely()
+        thread.join(PATIENCE)
     (client,) = found
     assert client.connections == 1
     assert has_all(client.receiver, package)
+
+
+@contextmanager
+def beside_one_that_has_all(server: Server, package: Path) -> Iterator[None]:
+    """Time may pass: this one has acknowledged all, goes on to say where it is, and keeps its connection."""
+    clients: list[StreamClient] = []
+    loops: list[asyncio.AbstractEventLoop] = []
+
+    async def stay() -> None:
+        client = StreamClient(server.url, VIEW, SLOW, clock=ManualClock())
+        loops.append(asyncio.get_running_loop())
+        clients.append(client)
+        await client.run(still)
+
+    thread = threading.Thread(target=lambda: asyncio.run(stay()), daemon=True)
+    thread.start()
+    until(lambda: bool(clients) and has_all(clients[0].receiver, package))
+    until(lambda: server.metrics.received.value("Ack") == server.metrics.batches.value() + 1)  # and WELCOME
+    before = server.metrics.received.value("PoseAt")
+    yield
+    until(lambda: server.metrics.received.value("PoseAt") > before)
+    assert clients[0].connections == 1
+    loops[0].call_soon_threadsafe(clients[0].stop)
+    thread.join(PATIENCE)
+    until(lambda: server.metrics.closed.value("left") == 1)
 
 
 def fault_of(ws: object) -> ServerFault:
@@ -63,7 +101,7 @@ def fault_of(ws: object) -> ServerFault:
     fault = None
     with contextlib.suppress(ConnectionClosed):
         while True:
-            data = ws.recv(timeout=10.0)  # type: ignore[attr-defined]
+            data = ws.recv(timeout=PATIENCE)  # type: ignore[attr-defined]
             if data[0] == 131:
                 fault = ServerFault.parse(data)
     assert fault is not None
@@ -90,7 +128,7 @@ def test_garbage(
 ) -> None:  # fmt: skip
     with caplog.at_level(logging.INFO, "gsvis.serve"), serving(plain) as server:
         with raw(server) as ws:
-            ws.recv()
+            heard(ws)
             ws.send(pose())
             ws.send(said)
             fault = fault_of(ws)
@@ -98,7 +136,7 @@ def test_garbage(
         until(lambda: server.metrics.closed.value(reason) == 1)
         assert server.metrics.clients.value() == 0
         assert any("refused" in record.getMessage() and reason in record.getMessage() for record in caplog.records)
-        assert fetch(server.url, VIEW, still, 1.0).connections == 1
+        assert after_one_batch(server.url).connections == 1
 
 
 @pytest.mark.parametrize(
@@ -120,11 +158,11 @@ def test_a_first_message_that_is_no_hello(plain: Path, first: bytes, reason: str
 
 def test_holdings_that_cannot_be(plain: Path) -> None:
     with serving(plain) as server:
-        client = fetch(server.url, VIEW, still, 1.0)
+        client = after_one_batch(server.url)
         identity = bytes.fromhex(client.receiver.about.identity)
         with raw(server, Hello(VIEW, identity, b"GVH1 and nonsense").to_bytes()) as ws:
             assert "HELLO" in fault_of(ws).line
-        assert server.metrics.refused.value("malformed") == 1
+        until(lambda: server.metrics.refused.value("malformed") == 1)
 
 
 def test_a_huge_frame_is_refused_before_it_is_held(plain: Path) -> None:
@@ -132,22 +170,14 @@ def test_a_huge_frame_is_refused_before_it_is_held(plain: Path) -> None:
         for claimed in (1 << 40, 1 << 62, 1 << 26):
             with upgraded(server) as ws:
                 ws.sendall(frame(b"x" * 1000, claimed=claimed))
-                ended(ws)
+                rest_of(ws)
         with upgraded(server) as ws:  # the same in pieces
             with contextlib.suppress(OSError):
                 ws.sendall(frame(b"x" * 60_000, fin=False))
                 for _ in range(100):
                     ws.sendall(frame(b"x" * 60_000, 0, fin=False))
-            ended(ws)
+            rest_of(ws)
         until(lambda: server.metrics.clients.value() <= 1)
-
-
-def ended(ws: socket.socket, seconds: float = 10.0) -> None:
-    """The server ends the connection."""
-    ws.settimeout(seconds)
-    with contextlib.suppress(ConnectionError):
-        while ws.recv(1 << 16):
-            pass
 
 
 def test_a_message_in_too_many_pieces(plain: Path) -> None:
@@ -156,12 +186,11 @@ def test_a_message_in_too_many_pieces(plain: Path) -> None:
             ws.sendall(frame(b"", fin=False))
             for _ in range(50):
                 ws.sendall(frame(b"", 0, fin=False) * 100)
-        ended(ws)
+        rest_of(ws)
 
 
 def test_pings_that_nobody_reads_the_answers_of(plain: Path) -> None:
-    with serving(plain, limits=quick(handshake_s=30.0)) as server, upgraded(server) as ws:
-        ws.settimeout(5.0)
+    with serving(plain, limits=limits_of()) as server, upgraded(server) as ws:
         many = frame(b"x" * 120, 9) * 200
         with pytest.raises(OSError, match=r"reset|[Bb]roken|timed out") as cut:
             for _ in range(4000):  # 100 MB of pings
@@ -171,18 +200,29 @@ def test_pings_that_nobody_reads_the_answers_of(plain: Path) -> None:
 
 def test_a_pose_far_outside_is_served_as_from_the_nearest_cell(celled: Path) -> None:
     with serving(celled) as server, raw(server) as ws:
-        ws.recv()
+
+        def is_planned() -> bool:  # what comes is acknowledged, so that there is room for the next
+            with contextlib.suppress(TimeoutError):
+                while True:
+                    data = ws.recv(timeout=0.02)
+                    seen.append(data[0])
+                    ws.send(Ack(max(seen.count(130), 0)).to_bytes())
+            return server.metrics.planning.count > before
+
+        seen: list[int] = []
         for k, far in enumerate((1e4, -1e20, 3e38)):
+            before = server.metrics.planning.count
             ws.send(PoseAt(50 * k, (far, -far, far), (1e5, 0, 0, 1e5)).to_bytes())
-            time.sleep(0.1)
+            until(is_planned)
+        before = server.metrics.planning.count
         ws.send(PoseAt(500, (0, 0, 0), (1, 0, 0, 0)).to_bytes())
-        assert ws.recv(timeout=5.0)[0] == 130
+        until(lambda: is_planned() and 130 in seen)
         assert server.metrics.clients.value() == 1
 
 
 def test_a_flood_is_cut_and_the_others_are_served(plain: Path) -> None:
     with (
-        serving(plain, limits=quick(messages_per_s=50.0, burst_s=4.0)) as server,
+        serving(plain, limits=limits_of(messages_per_s=500.0, burst_s=4.0)) as server,
         beside_a_decent_client(server, plain),
     ):
         with raw(server) as ws:
@@ -195,29 +235,39 @@ def test_a_flood_is_cut_and_the_others_are_served(plain: Path) -> None:
 
 
 def test_more_poses_than_are_looked_at_are_passed_over(plain: Path) -> None:
-    with serving(plain, limits=quick(poses_per_s=10.0)) as server, raw(server) as ws:
+    with serving(plain, limits=limits_of(poses_per_s=10.0)) as server, raw(server) as ws:
         for k in range(60):
             ws.send(pose(ms=k))
         until(lambda: server.metrics.received.value("PoseAt") == 60)
-        assert server.metrics.skipped.value() >= 45
+        until(lambda: server.metrics.skipped.value() == 50)  # no time has passed: a second's worth is looked at
         assert server.metrics.clients.value() == 1
+        server.clock.advance(1.0)  # type: ignore[attr-defined]
+        for k in range(12):
+            ws.send(pose(ms=60 + k))
+        until(lambda: server.metrics.skipped.value() == 52)
 
 
 def test_one_that_never_reads_is_cut(plain: Path) -> None:
-    with serving(plain) as server, beside_a_decent_client(server, plain), raw(server) as ws:
+    limits = limits_of(stall_s=30.0, idle_s=60.0)
+    with serving(plain, limits=limits) as server, beside_one_that_has_all(server, plain), raw(server) as ws:
+        batches = server.metrics.batches.value()
         ws.send(pose())  # and not one acknowledgement
+        until(lambda: server.metrics.batches.value() > batches)
+        server.clock.advance(30.0)  # type: ignore[attr-defined]
         until(lambda: server.metrics.closed.value("late") == 1)
+        assert server.metrics.clients.value() == 1
 
 
 def test_one_that_asks_for_files_and_never_reads_is_cut(plain: Path) -> None:
     part = max((plain / "parts").iterdir(), key=lambda path: path.stat().st_size)
-    asked = f"GET /packages/plain/parts/{part.name} HTTP/1.1\r\nHost: x\r\n\r\n".encode()
-    with serving(plain) as server, beside_a_decent_client(server, plain):
+    asked = f"GET /packages/plain/parts/{part.name} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
+    with serving(plain, limits=limits_of(idle_s=1e6)) as server, beside_one_that_has_all(server, plain):
         with socket.socket() as found:
             found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             found.connect(("127.0.0.1", server.port))
             found.sendall(asked * 200)
-            until(lambda: _is_reset(found))
+            until(lambda: any(guard.is_full for guard in list(server._server._door.guards)))
+            advance_until(server, lambda: _is_reset(found), 10.0)
         assert server.metrics.parts.value("200") < 200
 
 
@@ -226,18 +276,19 @@ def _is_reset(one: socket.socket) -> bool:
 
 
 def test_one_that_says_nothing_is_cut(plain: Path) -> None:
-    with serving(plain, limits=quick(handshake_s=0.3, idle_s=0.6)) as server:
+    with serving(plain) as server:
         with plain_socket(server) as silent, plain_socket(server) as slow:
             slow.sendall(b"GET / HTTP/1.1\r\nHo")  # and never the rest
-            ended(silent)
-            ended(slow)
+            until(lambda: phases(server) == ["asking", "asking"])
+            advance_until(server, lambda: phases(server) == [])
+            assert rest_of(silent) == rest_of(slow) == b""
         with raw(server, b"") as ws:
+            advance_until(server, lambda: server.metrics.refused.value("late") == 1)
             assert fault_of(ws).code == FAULTS["late"]
         with raw(server) as ws:
-            ws.recv()
+            heard(ws)
+            advance_until(server, lambda: server.metrics.closed.value("late") == 1)
             assert fault_of(ws).code == FAULTS["late"]
-        until(lambda: server.metrics.closed.value("late") == 1)
-        assert server.metrics.refused.value("late") == 1
 
 
 def test_one_that_goes_in_mid_batch(plain: Path) -> None:
@@ -252,14 +303,14 @@ def test_one_that_goes_in_mid_batch(plain: Path) -> None:
 
 
 def test_no_more_clients_than_the_limit(plain: Path) -> None:
-    with serving(plain, limits=quick(connections=2)) as server:
+    with serving(plain, limits=limits_of(connections=2)) as server:
         with raw(server) as first, raw(server) as second:
-            assert first.recv()[0] == second.recv()[0] == 129
+            assert heard(first)[0] == heard(second)[0] == 129
             with raw(server, b"") as third:
                 assert fault_of(third).code == FAULTS["too-many"]
         until(lambda: server.metrics.clients.value() == 0)
         with raw(server) as fourth:
-            assert fourth.recv()[0] == 129
+            assert heard(fourth)[0] == 129
         crowd = [plain_socket(server) for _ in range(12)]  # and of those that do not even ask
         until(lambda: any(_is_over(one) for one in crowd))
         for one in crowd:
@@ -286,7 +337,7 @@ def test_a_scene_found_damaged_while_it_is_served_is_refused(
 
         monkeypatch.setattr("gsvis.abr.cells.StoreCells.members", damaged)
         with raw(server, name="/celled") as ws:
-            ws.recv()
+            heard(ws)
             ws.send(pose())
             fault = fault_of(ws)
         assert "damaged" in fault.line
@@ -294,7 +345,7 @@ def test_a_scene_found_damaged_while_it_is_served_is_refused(
         with raw(server, b"", name="/celled") as ws:
             assert fault_of(ws).code == FAULTS["refused"]
         with pytest.raises(ProtocolError, match="damaged"):
-            fetch(server.url + "/celled", VIEW, still, 5.0)
+            after_one_batch(server.url + "/celled")
         assert server.metrics.faults.value("celled") == 1
         assert any("sets.pvs: cell 3" in record.getMessage() for record in caplog.records)
 
@@ -309,29 +360,23 @@ def test_a_fault_of_the_server_is_told_to_nobody_but_the_log(
         with monkeypatch.context() as patch:
             patch.setattr("gsvis.stream.sender.Sender.on_pose", broken)
             with raw(server) as ws:
-                ws.recv()
+                heard(ws)
                 ws.send(pose())
                 fault = fault_of(ws)
         assert (fault.code, "inside" in fault.line) == (FAULTS["internal"], False)
         assert any("ZeroDivisionError: the inside of it" in record.getMessage() for record in caplog.records)
-        assert fetch(server.url, VIEW, still, 1.0).connections == 1
+        assert after_one_batch(server.url).connections == 1
 
 
 def test_memory_does_not_grow_with_clients_that_come_and_go(plain: Path) -> None:
-    import gc
-
-    from gsvis.stream import Sender
-
     with serving(plain) as server:
         for _ in range(10):
             with raw(server) as ws:
-                ws.recv()
+                heard(ws)
                 ws.send(pose())
-                ws.recv()
+                heard(ws)
         until(lambda: server.metrics.clients.value() == 0)
-        time.sleep(0.1)
-        gc.collect()
-        assert sum(type(thing) is Sender for thing in gc.get_objects()) <= 1
+        until(lambda: gc.collect() >= 0 and sum(type(thing) is Sender for thing in gc.get_objects()) <= 1)
 
 
 def test_a_scene_that_cannot_be_made_ready_is_refused_at_once(

@@ -26,7 +26,9 @@ def test_a_steady_rate_within_the_limit_is_never_refused() -> None:
     assert all(bucket.take(0.1 * k + 1e-9) for k in range(200))
 
 
-@pytest.mark.parametrize("name", ["handshake_s", "idle_s", "stall_s", "tick_s", "poses_per_s", "messages_per_s"])
+@pytest.mark.parametrize(
+    "name", ["handshake_s", "keep_alive_s", "idle_s", "stall_s", "tick_s", "poses_per_s", "messages_per_s"]
+)
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_limit_has_to_be_one(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
@@ -34,6 +36,6 @@ def test_a_limit_has_to_be_one(name: str, value: float) -> None:
 
 
 def test_counts_have_to_be_counts() -> None:
-    for wrong in ({"connections": 0}, {"batch_bytes": 0}, {"message_bytes": 3}):
+    for wrong in ({"connections": 0}, {"waiting": 0}, {"per_address": 0}, {"batch_bytes": 0}, {"message_bytes": 3}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             Limits(**wrong)

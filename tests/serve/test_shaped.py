@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks._shaped_link import PAYLOAD, SERVER, shaped_link, why_not
+from benchmarks._shaped_link import SERVER, shaped_link, why_not
 from gsvis.abr.traces import BandwidthTrace, load_trace
-from gsvis.serve import Address, ClientConfig, Server, StreamClient, open_scenes
-from tests.serve.servers import VIEW, still
+from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, open_scenes
+from gsvis.stream import Received
+from tests.serve.servers import PATIENCE, VIEW, still
 from tests.stream.worlds import package_of
 
-SECONDS = 5.0
+LATE = 3.0
+"""Seconds from the begin after which the first batch ends the exchange, however long it takes to come."""
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +33,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exchanged(package: Path, trace: BandwidthTrace) -> tuple[StreamClient, np.ndarray, np.ndarray]:
-    """A client at one end of the link for some seconds; when how much came, and at most could."""
+    """A client at one end of the link until something comes late; when how much came, and at most could."""
     reason = why_not()
     if reason is not None:
         pytest.skip(reason)
@@ -39,17 +41,21 @@ def exchanged(package: Path, trace: BandwidthTrace) -> tuple[StreamClient, np.nd
     began: list[float] = []
     stopped = threading.Event()
     with open_scenes([package]) as scenes, shaped_link() as link:
-        server = link.at("server", lambda: Server(scenes, address=Address(SERVER, 0)))()
+        server = link.at("server", lambda: Server(scenes, address=Address(SERVER, 0), clock=ManualClock()))()
         running = link.at("server", server.run)
 
         async def stream() -> StreamClient:
-            client = StreamClient(server.url, VIEW, ClientConfig(poses_per_s=10.0))
+            client = StreamClient(server.url, VIEW, ClientConfig(poses_per_s=10.0), clock=ManualClock())
             start = time.monotonic()
             began.append(start)
             threading.Thread(target=link.follow, args=(trace, start, stopped), daemon=True).start()
-            await client.run(
-                still, seconds=SECONDS, on_batch=lambda got: came.append((time.monotonic() - start, got.nbytes))
-            )
+
+            def on_batch(got: Received) -> None:
+                came.append((time.monotonic() - start, got.nbytes))
+                if came[-1][0] > LATE:
+                    client.stop()
+
+            await asyncio.wait_for(client.run(still, on_batch=on_batch), PATIENCE)
             return client
 
         link.rate(trace.rate_at(0.0))
@@ -61,14 +67,14 @@ def exchanged(package: Path, trace: BandwidthTrace) -> tuple[StreamClient, np.nd
     return client, np.array(came), np.array(most)
 
 
-def check(client: StreamClient, came: np.ndarray, most: np.ndarray, trace: BandwidthTrace) -> None:
+def check(client: StreamClient, came: np.ndarray, most: np.ndarray) -> None:
     assert client.connections == 1
     assert client.receiver is not None
     assert client.nbytes == came[:, 1].sum()
     gaussians, _ = client.receiver.scene()
     assert len(gaussians) == len(client.receiver.shown()) > 0
     assert (np.cumsum(came[:, 1]) <= most + 16_000).all()  # no link brings more than it carries, and its bucket
-    assert client.nbytes >= 0.3 * PAYLOAD * trace.bytes_between(0.0, SECONDS)  # even on a busy machine
+    assert came[-1, 0] > LATE  # and after all that the link did, it still comes
 
 
 @pytest.mark.slow
@@ -76,12 +82,11 @@ def check(client: StreamClient, came: np.ndarray, most: np.ndarray, trace: Bandw
 def test_a_recorded_link(large: Path, realdata: Path) -> None:
     trace = load_trace(realdata / "traces" / "cooked_3gp" / "norway_tram_10")
     client, came, most = exchanged(large, trace)
-    check(client, came, most, trace)
+    check(client, came, most)
 
 
 @pytest.mark.slow
 def test_a_link_that_falls_silent_and_comes_back(large: Path) -> None:
-    trace = BandwidthTrace([1.5, 2.5, 20.0], [2.0, 0.0, 2.0])
+    trace = BandwidthTrace([1.5, 2.5, 1000.0], [2.0, 0.0, 2.0])
     client, came, most = exchanged(large, trace)
-    check(client, came, most, trace)
-    assert came[-1, 0] > 3.0
+    check(client, came, most)

@@ -6,16 +6,35 @@ import asyncio
 import logging
 import socket
 import threading
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsvis.errors import ProtocolError
-from gsvis.serve import Address, ClientConfig, Server, StreamClient, fetch, open_scenes
+from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, fetch, open_scenes
 from gsvis.serve.connection import PoseClock
-from tests.serve.servers import QUICK, VIEW, ask, has_all, patient, pose, quick, raw, serving, slow_link, still, until
+from gsvis.stream import Receiver, Sender
+from tests.serve.servers import (
+    LIMITS,
+    PATIENCE,
+    VIEW,
+    advance_until,
+    after_one_batch,
+    ask,
+    give_up,
+    has_all,
+    heard,
+    limits_of,
+    patient,
+    pose,
+    raw,
+    serving,
+    slow_link,
+    still,
+    until,
+)  # fmt: skip
 
 
 def test_all_arrives_and_nothing_twice(plain: Path) -> None:
@@ -41,11 +60,16 @@ def test_planning_in_threads_brings_the_same(plain: Path) -> None:
 def test_clients_do_not_disturb_each_other(plain: Path, celled: Path) -> None:
     async def all_of_them(url: str) -> list[StreamClient]:
         names = ["", "/plain", "/celled", "/celled"]
-        clients = [StreamClient(url + name, VIEW) for name in names]
-        await asyncio.gather(*(client.run(still, seconds=1.5) for client in clients))
+        clients = [StreamClient(url + name, VIEW, clock=ManualClock()) for name in names]
+
+        def stops(client: StreamClient) -> Callable[[object], None]:
+            return lambda _: client.stop() if len(client.receiver.shown()) else None
+
+        runs = [client.run(still, on_batch=stops(client)) for client in clients]
+        await asyncio.wait_for(asyncio.gather(*runs), PATIENCE)
         return clients
 
-    with serving(plain, celled, limits=quick(stall_s=20.0)) as server:
+    with serving(plain, celled) as server:
         clients = asyncio.run(all_of_them(server.url))
         sizes = [client.receiver.about.gaussians for client in clients]
         assert sizes == [6000, 6000, 1500, 1500]
@@ -53,13 +77,20 @@ def test_clients_do_not_disturb_each_other(plain: Path, celled: Path) -> None:
         assert server.metrics.opened.value("celled") == 2
 
 
-def after_one_batch(url: str) -> StreamClient:
+def after_a_plan(server: Server, receiver: Receiver) -> StreamClient:
+    """A client that comes back and leaves once the server has planned for it."""
+
     async def stream() -> StreamClient:
-        client = StreamClient(url, VIEW)
-        await client.run(still, seconds=30.0, on_batch=lambda _: client.stop())
+        client = StreamClient(server.url, VIEW, receiver=receiver, clock=ManualClock())
+        before = server.metrics.planning.count
+        running = asyncio.create_task(client.run(still))
+        while server.metrics.planning.count == before:
+            await asyncio.sleep(0.01)
+        client.stop()
+        await running
         return client
 
-    return asyncio.run(stream())
+    return asyncio.run(asyncio.wait_for(stream(), PATIENCE))
 
 
 def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
@@ -73,14 +104,13 @@ def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
         assert has_all(second.receiver, plain)
         assert not held & set(came)
         assert second.receiver is first.receiver
-        again, nothing = patient(server.url, plain, receiver=second.receiver, seconds=0.5)
-        assert (nothing, again.nbytes) == ([], 0)
+        assert after_a_plan(server, second.receiver).nbytes == 0
         assert whole.restarts == second.restarts == 0
 
 
 def test_what_is_held_of_another_scene_is_worth_nothing(plain: Path, celled: Path) -> None:
     with serving(celled, plain) as server:
-        other = fetch(server.url, VIEW, still, 1.0)
+        other = after_one_batch(server.url)
         client, _ = patient(server.url + "/plain", plain, receiver=other.receiver)
         assert client.restarts == 1
         assert has_all(client.receiver, plain)
@@ -90,9 +120,9 @@ def test_a_token_opens_the_stream(plain: Path, caplog: pytest.LogCaptureFixture)
     with caplog.at_level(logging.DEBUG), serving(plain, token="s3cret-word") as server:
         for wrong in (None, "s3cret"):
             with pytest.raises(ProtocolError, match="a token is needed"):
-                fetch(server.url, VIEW, still, 5.0, ClientConfig(token=wrong))
-        right = fetch(server.url, VIEW, still, 0.2, ClientConfig(token="s3cret-word"))
-        in_query = fetch(server.url + "?token=s3cret-word", VIEW, still, 1.0)
+                after_one_batch(server.url, ClientConfig(token=wrong))
+        right = after_one_batch(server.url, ClientConfig(token="s3cret-word"))
+        in_query = after_one_batch(server.url + "?token=s3cret-word")
         assert right.connections == in_query.connections == 1
         said = [record for record in caplog.records if record.name.startswith(("gsvis", "uvicorn"))]
         assert not any("s3cret-word" in record.getMessage() for record in said)
@@ -123,7 +153,7 @@ def test_pages_of_other_origins_are_turned_away(plain: Path) -> None:
 
 def test_a_scene_that_is_not_there(plain: Path) -> None:
     with serving(plain) as server, pytest.raises(ProtocolError, match="no such scene"):
-        fetch(server.url + "/other", VIEW, still, 5.0)
+        fetch(server.url + "/other", VIEW, still, PATIENCE)
 
 
 def test_no_server_for_too_long_is_an_error() -> None:
@@ -131,7 +161,7 @@ def test_no_server_for_too_long_is_an_error() -> None:
         taken.bind(("127.0.0.1", 0))
         url = f"ws://127.0.0.1:{taken.getsockname()[1]}/stream"
         with pytest.raises(ConnectionError, match="no stream for"):
-            fetch(url, VIEW, still, 30.0, ClientConfig(give_up_s=0.3))
+            give_up(url)
 
 
 def test_an_address_that_is_taken_is_an_error(plain: Path) -> None:
@@ -142,27 +172,32 @@ def test_an_address_that_is_taken_is_an_error(plain: Path) -> None:
     assert Address().host == "127.0.0.1"
 
 
-def test_what_is_under_way_never_exceeds_the_window(plain: Path) -> None:
-    with serving(plain, limits=quick(stall_s=20.0)) as server, raw(server) as ws:
-        ws.recv()
+def test_what_is_under_way_never_exceeds_the_window(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rooms: list[float] = []
+    room = Sender.room
+
+    def noted(self: Sender, *arguments: float) -> float:
+        rooms.append(room(self, *arguments))
+        return rooms[-1]
+
+    monkeypatch.setattr(Sender, "room", noted)
+    with serving(plain) as server, raw(server) as ws:
+        heard(ws)
         ws.send(pose())
-        time.sleep(0.6)  # nothing is acknowledged
+        until(lambda: bool(rooms) and rooms[-1] == 0.0)  # nothing is acknowledged, so nothing else may go
         assert 0 < server.metrics.sent_bytes.value() <= 0.3 * 250e3 * 1.05
 
 
-@pytest.mark.parametrize("seconds", [1.0, pytest.param(5.0, marks=pytest.mark.slow)])
-def test_a_link_that_stalls_loses_nothing(plain: Path, seconds: float) -> None:
-    with (
-        serving(plain, limits=quick(stall_s=seconds + 5.0, idle_s=seconds + 5.0)) as server,
-        slow_link(server.url, 200e3) as link,
-    ):
+def test_a_link_that_stalls_for_less_than_the_limit_loses_nothing(plain: Path) -> None:
+    with serving(plain, limits=limits_of(stall_s=30.0)) as server, slow_link(server.url, 200e3) as link:
         stalled = []
 
         def moved(client: StreamClient) -> None:
             if not stalled and client.nbytes > 10_000:
                 stalled.append(client.nbytes)
                 link.stall()
-                threading.Timer(seconds, link.go_on).start()
+                server.clock.advance(29.9)  # type: ignore[attr-defined]
+                link.go_on()
 
         client, came = patient(link.url, plain, moved=moved)
         assert stalled
@@ -172,14 +207,19 @@ def test_a_link_that_stalls_loses_nothing(plain: Path, seconds: float) -> None:
 
 
 def test_a_client_that_is_cut_off_comes_back_by_itself(plain: Path) -> None:
-    with serving(plain, limits=QUICK) as server, slow_link(server.url, 200e3) as link:
-        cuts = []
+    with serving(plain, limits=LIMITS) as server, slow_link(server.url, 200e3) as link:
+        cuts: list[threading.Thread] = []
+
+        def hold() -> None:  # beyond what the server waits for
+            closed = server.metrics.closed
+            advance_until(server, lambda: closed.value("late") + closed.value("lost") >= 1)
+            link.go_on()
 
         def moved(client: StreamClient) -> None:
             if not cuts and client.nbytes > 10_000:
-                cuts.append(1)
-                link.stall()  # beyond what the server waits for
-                threading.Timer(1.5, link.go_on).start()
+                link.stall()
+                cuts.append(threading.Thread(target=hold, daemon=True))
+                cuts[0].start()
 
         client, came = patient(link.url, plain, moved=moved, config=ClientConfig(first_wait_s=0.05))
         assert client.connections >= 2

@@ -1,0 +1,166 @@
+"""The door of a server: accepts connections, counts them by kind and by address, and decides who gives way.
+
+Viewers that stream have seats of their own (see `app`) and never give way. All others share `Limits.waiting` places,
+and an address has at most `Limits.per_address` of them. The newcomer gets in; the one that gives way belongs to the
+address that holds most, and has waited longest there. So a crowd harms itself first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+import ssl
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from gsvis.serve._addresses import Proxies, owner_of
+from gsvis.serve._guard import Guard, Phase
+from gsvis.serve._log import EventLog
+from gsvis.serve.clock import Clock
+from gsvis.serve.limits import Limits
+
+__all__ = ["Door"]
+
+_NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_PAUSE_S = 0.05  # before the next try to accept after an error; twice as long each time
+_LONGEST_PAUSE_S = 1.0
+_QUIET_S = 10.0  # one line in so many seconds
+_IN_A_ROW = 16  # connections accepted before the others get their turn
+_NEVER = 1e6  # seconds; for time-outs of asyncio that the guard keeps by itself
+
+
+class Door:
+    """Accepts connections.
+
+    Args:
+        listener: A listening socket that does not block.
+        limits: Bounds.
+        clock: Where deadlines come from.
+        log: Where to say what happened.
+        inner: Makes the protocol that answers the requests of a connection.
+        proxies: Whom to believe about addresses; their own are not counted.
+        tls: None for plain connections.
+
+    Attributes:
+        guards: All connections.
+    """
+
+    def __init__(
+        self,
+        listener: socket.socket,
+        limits: Limits,
+        clock: Clock,
+        log: EventLog,
+        inner: Callable[[], Any],
+        proxies: Proxies,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        self._listener, self._limits, self._clock, self._log = listener, limits, clock, log
+        self._inner, self._proxies, self._tls = inner, proxies, tls
+        self.guards: set[Guard] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._accepting: asyncio.Task[None] | None = None
+        self._said = -_QUIET_S
+
+    def open(self) -> None:
+        """Begin to accept."""
+        self._accepting = asyncio.create_task(self._accept())
+
+    def close(self) -> None:
+        """Accept nobody else."""
+        if self._accepting is not None:
+            self._accepting.cancel()
+
+    async def wait_closed(self) -> None:
+        """Wait until nobody is accepted any more."""
+        if self._accepting is not None:
+            await asyncio.wait([self._accepting])
+
+    async def _accept(self) -> None:
+        pause = _PAUSE_S
+        try:
+            while True:
+                for _ in range(_IN_A_ROW):
+                    try:
+                        sock, place = await asyncio.get_running_loop().sock_accept(self._listener)
+                    except OSError as error:
+                        self._make_do(error)
+                        await asyncio.sleep(pause)
+                        pause = min(2.0 * pause, _LONGEST_PAUSE_S)
+                        continue
+                    pause = _PAUSE_S
+                    self._take(sock, (str(place[0]), int(place[1])) if isinstance(place, tuple) else ("-", 0))
+                await asyncio.sleep(0)
+        finally:
+            self._listener.close()
+
+    def _make_do(self, error: OSError) -> None:
+        """Say that a connection could not be accepted, and make room if that was the reason."""
+        now = self._clock.now()
+        if now - self._said >= _QUIET_S:
+            self._said = now
+            self._log("accept-failed", logging.ERROR, why=str(error), connections=len(self.guards))
+        if error.errno in _NO_ROOM:
+            self._make_room(self._waiting())
+
+    def _take(self, sock: socket.socket, peer: tuple[str, int]) -> None:
+        sock.setblocking(False)
+        guard = Guard(sock, peer, self._limits, self._clock, self._log, self._inner, self._place, self._forget)
+        self.guards.add(guard)
+        self._crowd(guard)
+        task = asyncio.create_task(self._begin(guard, sock))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _begin(self, guard: Guard, sock: socket.socket) -> None:
+        options: dict[str, Any] = {}
+        if self._tls is not None:
+            options = {"ssl": self._tls, "ssl_handshake_timeout": _NEVER}
+        try:
+            await asyncio.get_running_loop().connect_accepted_socket(lambda: guard, sock, **options)
+        except OSError as error:  # no handshake; the connection is closed by now
+            self._log("cut", logging.INFO, reason="no TLS", peer=str(guard), why=type(error).__name__)
+            guard.end()
+        except asyncio.CancelledError:
+            guard.end()
+            raise
+
+    def _place(self, peer: str, forwarded: list[str]) -> str:
+        return self._proxies.client_of(peer, forwarded)
+
+    def _forget(self, guard: Guard) -> None:
+        self.guards.discard(guard)
+
+    def _waiting(self) -> list[Guard]:
+        return [guard for guard in self.guards if guard.phase is not Phase.STREAMING and not guard.is_cut]
+
+    def _crowd(self, newcomer: Guard) -> None:
+        """Keep to the limits: somebody gives way to the newcomer."""
+        waiting = self._waiting()
+        if newcomer.address not in self._proxies:
+            owner = owner_of(newcomer.address)
+            same = [guard for guard in waiting if owner_of(guard.address) == owner]
+            if len(same) > self._limits.most_per_address:
+                self._make_room(same)
+                waiting = self._waiting()
+        if len(waiting) > self._limits.most_waiting:
+            self._make_room(waiting)
+
+    def _make_room(self, among: list[Guard]) -> None:
+        """Cut the one that can best be spared."""
+        if not among:
+            return
+        held = Counter(owner_of(guard.address) for guard in among)
+        last = min(
+            among,
+            key=lambda guard: (
+                guard.phase is Phase.ANSWERING and not guard.is_full,
+                -held[owner_of(guard.address)],
+                guard.phase is not Phase.ENDING,
+                guard.since,
+            ),
+        )
+        last.cut("gives way to others")

@@ -1,0 +1,357 @@
+"""The guard of one connection: between its socket and uvicorn's protocols, from accept to end.
+
+Whatever a peer does, a connection is in one phase, and each phase ends: by progress, by a deadline, or by giving way.
+
+    ASKING     no whole request yet; also the TLS handshake           handshake_s
+    ANSWERING  a request is being answered                            as long as the answer is read
+    IDLE       between requests, until the next one is whole          keep_alive_s
+    GREETING   a WebSocket before its HELLO                           handshake_s, kept by `Connection`
+    STREAMING  a viewer                                               kept by `Connection`
+    ENDING     closed by us, or refused; what is left is being sent   stall_s
+
+In all of them a socket without room must take bytes at a pace. The guard reads the head of each request itself and
+hands over one whole request at a time; what follows waits here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+import http
+import itertools
+import logging
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Protocol
+
+from gsvis.serve._head import MOST_BYTES, Refusal, check_head, find_end
+from gsvis.serve._log import EventLog
+from gsvis.serve.clock import Clock, Timer
+from gsvis.serve.limits import Limits
+
+__all__ = ["Guard", "Phase", "Wire"]
+
+_AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
+_MOST_PENDING = 1 << 20  # bytes of answers to pings that nobody reads
+_PACE = 1 << 10  # bytes that a peer takes in `stall_s`, at least
+
+_numbers = itertools.count()
+
+
+class Phase(enum.Enum):
+    """What a connection is doing."""
+
+    ASKING = "asking"
+    ANSWERING = "answering"
+    IDLE = "idle"
+    GREETING = "greeting"
+    STREAMING = "streaming"
+    ENDING = "ending"
+
+
+class _Inner(Protocol):
+    """A protocol of uvicorn."""
+
+    def connection_made(self, transport: Any) -> None: ...
+    def connection_lost(self, exc: Exception | None) -> None: ...
+    def data_received(self, data: bytes) -> None: ...
+    def pause_writing(self) -> None: ...
+    def resume_writing(self) -> None: ...
+    def shutdown(self) -> None: ...
+
+
+class Wire:
+    """A transport as uvicorn's protocols see it: the guard stays in front whatever they do.
+
+    Attributes:
+        guard: The guard of this connection.
+    """
+
+    def __init__(self, transport: Any, guard: Guard) -> None:
+        self._transport, self.guard = transport, guard
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def set_protocol(self, protocol: Any) -> None:
+        """Hand the connection to another protocol, behind the guard."""
+        self.guard.upgrade(protocol)
+
+    def close(self) -> None:
+        """Close once all has been sent; not later than the guard allows."""
+        self.guard.close()
+
+
+class Guard(asyncio.Protocol):
+    """Watches one connection.
+
+    Args:
+        sock: The socket, as it was accepted.
+        peer: Address of the other end.
+        limits: Bounds.
+        clock: Where deadlines come from.
+        log: Where to say what happened.
+        inner: Makes the protocol that answers requests.
+        seen: Called when the guard's address is to be found in the headers of a request; returns it.
+        gone: Called once, when the connection has ended.
+
+    Attributes:
+        phase: What it does.
+        since: Rises with each change of phase; the smallest has waited longest.
+        address: Of whoever is behind it.
+        is_cut: Whether it has been cut; the transport reports its end a little later.
+    """
+
+    def __init__(
+        self,
+        sock: socket.socket,
+        peer: tuple[str, int],
+        limits: Limits,
+        clock: Clock,
+        log: EventLog,
+        inner: Callable[[], Any],
+        seen: Callable[[str, list[str]], str],
+        gone: Callable[[Guard], object],
+    ) -> None:  # fmt: skip
+        self._sock, self.peer, self._limits, self._clock, self._log = sock, peer, limits, clock, log
+        self._make, self._seen, self._gone = inner, seen, gone
+        self.address, self.is_cut = peer[0], False
+        self._transport: Any = None
+        self._inner: _Inner | None = None
+        self._buffer, self._seen_bytes = bytearray(), 0
+        self._deadline: Timer | None = None
+        self._room: Timer | None = None
+        self._is_over = self._is_upgraded = False
+        self._left = 0  # bytes that waited to be sent at the last look, while it ends
+        self._enter(Phase.ASKING, limits.handshake_s)
+
+    def __str__(self) -> str:
+        return f"{self.peer[0]}:{self.peer[1]}"
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the socket has no room."""
+        return self._room is not None
+
+    # from the transport
+
+    def connection_made(self, transport: Any) -> None:
+        """The connection stands; with TLS, after the handshake."""
+        self._transport = transport
+        if self.is_cut:
+            transport.abort()
+            return
+        self._inner = self._make()
+        self._inner.connection_made(Wire(transport, self))
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes of the peer."""
+        if self.is_cut or (self.phase is Phase.ENDING and not self._is_upgraded):
+            return
+        if self._is_upgraded:
+            self._hand_over(data)
+            return
+        self._buffer += data
+        if self.phase in (Phase.ASKING, Phase.IDLE):
+            self._take_request()
+        elif len(self._buffer) > MOST_BYTES:
+            self._transport.pause_reading()  # until the answer is out
+
+    def eof_received(self) -> bool | None:
+        """The peer says no more; whoever has not asked by now never will."""
+        return None
+
+    def pause_writing(self) -> None:
+        """The socket has no room."""
+        if self._inner is not None:
+            self._inner.pause_writing()
+        if self._room is None:
+            self._watch_room()
+
+    def resume_writing(self) -> None:
+        """The socket has room again."""
+        if self._room is not None:
+            self._room.cancel()
+            self._room = None
+        if self._inner is not None:
+            self._inner.resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The connection has ended."""
+        self.end()
+        if self._inner is not None:
+            self._inner.connection_lost(exc)
+
+    # from the server
+
+    def answered(self) -> None:
+        """The answer to a request is out, or waits in the buffer of the socket."""
+        if self.phase is not Phase.ANSWERING:
+            return
+        self._enter(Phase.IDLE, self._limits.keep_alive_s)
+        self._transport.resume_reading()
+        if self._buffer:
+            asyncio.get_running_loop().call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        if self.phase is Phase.IDLE and not self._is_over:
+            self._take_request()
+
+    def upgrade(self, protocol: Any) -> None:
+        """The connection is a WebSocket from now on."""
+        self._inner, self._is_upgraded = protocol, True
+        if self.phase is Phase.ANSWERING:
+            self._enter(Phase.GREETING)
+
+    def stream(self) -> None:
+        """A viewer: does not give way to others."""
+        if self.phase is Phase.GREETING:
+            self._enter(Phase.STREAMING)
+
+    def close(self) -> None:
+        """End the connection once all has been sent, at the latest after `stall_s`."""
+        self.finish()
+        if self._transport is not None:
+            self._transport.close()
+
+    def finish(self) -> None:
+        """The last has been said; the other side has `stall_s` to take it and to agree."""
+        if self.phase is not Phase.ENDING:
+            self._left = self._unsent()
+            self._enter(Phase.ENDING, self._limits.stall_s)
+
+    def cut(self, reason: str = "", level: int = logging.WARNING) -> None:
+        """End the connection now and forget what waits to be sent, in the kernel, too.
+
+        Args:
+            reason: For the log; "" logs nothing.
+            level: Of the line.
+        """
+        if self._is_over or self.is_cut:
+            return
+        self.is_cut = True
+        if reason:
+            self._log("cut", level, reason=reason, peer=str(self), phase=self.phase.value)
+        with suppress(OSError):
+            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+        if self._transport is not None:
+            self._transport.abort()
+        else:  # in the handshake: it ends when it reads the end
+            with suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)
+
+    def shut_down(self) -> None:
+        """The server stops: say so. Never raises, so that the next one hears it as well."""
+        if self._inner is None or self.phase is Phase.ENDING:
+            if self._inner is None:
+                self.cut()
+            return
+        try:
+            self._inner.shutdown()
+        except Exception as error:
+            self._log("failed", logging.ERROR, peer=str(self), why=f"shutdown: {type(error).__name__}: {error}")
+            self.cut()
+
+    def end(self) -> None:
+        """Stop watching."""
+        if self._is_over:
+            return
+        self._is_over = True
+        for timer in (self._deadline, self._room):
+            if timer is not None:
+                timer.cancel()
+        self._buffer.clear()
+        self._gone(self)
+
+    # inside
+
+    def _enter(self, phase: Phase, seconds: float | None = None) -> None:
+        self.phase, self.since = phase, next(_numbers)
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
+
+    def _too_late(self) -> None:
+        if self.phase is Phase.IDLE and not self._buffer:
+            self.close()  # nothing is wrong: it just has no further request
+            return
+        if self.phase is Phase.ENDING:
+            left, self._left = self._left, self._unsent()
+            if left - self._left >= _PACE:  # it takes what is left
+                self._enter(Phase.ENDING, self._limits.stall_s)
+                return
+            self.cut("does not read" if self._left else "does not end", logging.INFO)
+            return
+        self.cut("no request in time", logging.INFO)
+
+    def _unsent(self) -> int:
+        return 0 if self._transport is None else int(self._transport.get_write_buffer_size())
+
+    def _take_request(self) -> None:
+        while self._buffer.startswith(b"\r\n"):  # allowed between requests
+            del self._buffer[:2]
+            self._seen_bytes = 0
+        end = find_end(self._buffer, self._seen_bytes)
+        self._seen_bytes = len(self._buffer) if end is None else 0
+        if end is None:
+            return
+        if isinstance(end, Refusal):
+            self._refuse(end)
+            return
+        raw = bytes(self._buffer[:end])
+        head = check_head(raw)
+        if isinstance(head, Refusal):
+            self._refuse(head)
+            return
+        del self._buffer[:end]
+        self.address = self._seen(self.peer[0], [value for name, value in head.headers if name == "x-forwarded-for"])
+        self._enter(Phase.ANSWERING)
+        self._hand_over(raw)
+        if self._is_upgraded and self._buffer:
+            data = bytes(self._buffer)
+            self._buffer.clear()
+            self._hand_over(data)
+
+    def _hand_over(self, data: bytes) -> None:
+        inner = self._inner
+        assert inner is not None
+        try:
+            inner.data_received(data)
+        except Exception as error:  # a parser that stumbles costs its own connection
+            self._log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
+            self.cut()
+            return
+        if self._is_upgraded and self._unsent() > _MOST_PENDING:
+            self.cut("pings and does not read")
+
+    def _refuse(self, refusal: Refusal) -> None:
+        """Answer without bothering anybody else, and read no more than the other side still sends."""
+        self._log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
+        body = f"{refusal.line}\n".encode()
+        phrase = http.HTTPStatus(refusal.status).phrase
+        self._buffer.clear()
+        self._transport.write(
+            f"HTTP/1.1 {refusal.status} {phrase}\r\ncontent-type: text/plain; charset=utf-8\r\n"
+            f"content-length: {len(body)}\r\nconnection: close\r\n\r\n".encode()
+            + body
+        )
+        self.finish()
+        if self._transport.can_write_eof():
+            self._transport.write_eof()  # a close with unread bytes would take the answer back
+        else:
+            self._transport.close()
+
+    def _watch_room(self) -> None:
+        """Look whether the peer reads: `_PACE` bytes in `stall_s`, or all."""
+        waiting = self._unsent()
+
+        def look() -> None:
+            now = self._unsent()
+            if now > 0 and waiting - now < _PACE:
+                self.cut("does not read")
+            else:
+                self._watch_room()
+
+        self._room = self._clock.call_later(self._limits.stall_s, look)
