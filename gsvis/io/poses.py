@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._table import Table, read_table
+from gsvis.io._table import Table, listed, read_table
 from gsvis.io.atomic import atomic_path
+from gsvis.io.eyenav import COLUMNS as EYENAV_COLUMNS
 from gsvis.io.eyenav import is_eyenav, path_of_recording
 from gsvis.scene.paths import HeadPath
 
@@ -44,8 +45,8 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
     if is_eyenav(table):
         return path_of_recording(table)
     if not set(COLUMNS) & set(table.header):
-        known = f"{','.join(COLUMNS)} or the columns of EyeNavGS"
-        raise FormatError(path, f"line {table.lines[0]}", known, ",".join(table.header)[:120])
+        known = f"columns {','.join(COLUMNS)} or those of EyeNavGS ({', '.join(EYENAV_COLUMNS)}, Timestamp or timestep)"
+        raise FormatError(path, f"line {table.lines[0]}", known, listed(table.header))
     return _path_of(table)
 
 
