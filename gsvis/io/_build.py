@@ -102,4 +102,5 @@ def gaussians_from(
     except ValueError as error:
         where, _, rest = str(error).partition(": expected ")
         expected, _, got = rest.partition(", got ")
+        got = got.partition("; ")[0]  # the remedy is for who passes arrays, not for who has a file
         raise FormatError(path, where, expected or "valid values", got or str(error)) from error
