@@ -13,6 +13,7 @@ from pathlib import Path
 
 from gsvis.errors import FormatError
 from gsvis.io._json import parse_object
+from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
@@ -24,8 +25,8 @@ from gsvis.scene.gaussians import Gaussians
 __all__ = ["load_scene", "save_scene"]
 
 _KNOWN = (
-    "a scene: PLY (.ply, .compressed.ply), .splat, SPZ (.spz), SOG (.sog or a folder with meta.json) "
-    "or streamed SOG (lod-meta.json or its folder)"
+    "a scene: PLY (.ply, .compressed.ply), .splat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
+    "streamed SOG (lod-meta.json or its folder) or a checkpoint of gsplat or nerfstudio (.pt, .ckpt)"
 )
 _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".ply": load_ply,
@@ -45,8 +46,9 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
     """Read a scene of 3D Gaussians in any of the formats that gsvis knows.
 
     Args:
-        path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its folder)
-            or a streamed SOG (`lod-meta.json` or its folder).
+        path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its
+            folder), a streamed SOG (`lod-meta.json` or its folder), or a checkpoint of gsplat or of nerfstudio's
+            splatfacto (`.pt`, `.ckpt`).
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest that is present. Other formats
             have one level and want None.
 
@@ -116,8 +118,11 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
         head = stream.read(8)
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):
-            return _READERS[suffix]
+            return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]
     reader = _READERS.get(path.suffix.lower())
+    if reader is None and head.startswith(b"\x80"):
+        expected, remedy = "a zip, as torch writes checkpoints since 1.6", "load it with torch and torch.save it again"
+        raise FormatError(path, "", expected, "a bare pickle, perhaps of torch before 1.6", remedy)
     if reader is None:
         found = "an empty file" if not head else f"a file beginning {head!r} named {path.name!r}"
         raise FormatError(path, "", _KNOWN, found)
