@@ -206,3 +206,7 @@ def _stop_politely() -> signal._HANDLER:
         return signal.signal(signal.SIGTERM, stop)
     except ValueError:  # not in the main thread: leave signals alone
         return None
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

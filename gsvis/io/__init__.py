@@ -9,3 +9,7 @@ from gsvis.io.points import load_points
 from gsvis.io.scenes import load_scene, save_scene
 
 __all__ = ["convert_scene", "from_gsplat", "load_cameras", "load_points", "load_scene", "save_scene"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
