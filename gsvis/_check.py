@@ -7,8 +7,10 @@ that is already of the right dtype and contiguous. Torch tensors are taken from 
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ __all__ = [
     "in_range",
     "integers",
     "one_of",
+    "path",
     "plain",
     "positive_int",
     "same_length",
@@ -159,6 +162,19 @@ def suggestion(value: object, choices: Iterable[str]) -> str:
     lowered = {choice.lower(): choice for choice in choices}
     near = difflib.get_close_matches(value.lower(), lowered, n=1, cutoff=0.7)
     return f"did you mean {lowered[near[0]]}?" if near else ""
+
+
+def path(name: str, value: str | os.PathLike[str]) -> Path:
+    """The path of a string or of anything with `__fspath__`; a leading `~` becomes the home folder."""
+    try:
+        text = os.fsdecode(value)
+    except TypeError:
+        raise ValueError(f"{name}: expected a path, got {type(value).__name__}") from None
+    if not text:
+        raise ValueError(f"{name}: expected a path, got an empty text")
+    if "\0" in text:
+        raise ValueError(f"{name}: expected a path, got a text with a NUL in it")
+    return Path(os.path.expanduser(text))
 
 
 def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._limits import Budget, read_whole
 
@@ -110,7 +111,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
         FileNotFoundError: If there is no file.
         FormatError: If it is no text, damaged, without header, or a row has another number of cells than the header.
     """
-    path = Path(path)
+    path = _check.path("path", path)
     text = _text(path)
     reader = csv.reader(_lines(path, text), strict=True)
     rows: list[list[str]] = []

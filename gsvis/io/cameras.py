@@ -43,7 +43,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
         if not isinstance(size, tuple | list) or len(size) != 2:
             raise ValueError(f"size: expected (width, height), got {size!r}")
         size = (_check.positive_int("size[0]", size[0]), _check.positive_int("size[1]", size[1]))
-    return _views(Path(path), size).cameras(size)
+    return _views(_check.path("path", path), size).cameras(size)
 
 
 def _views(path: Path, size: tuple[int, int] | None) -> Views:

@@ -186,7 +186,7 @@ class _Storage(NamedTuple):
 
     kind: str
     key: str
-    count: int
+    values: int
 
 
 class _Tensor(NamedTuple):
@@ -302,7 +302,7 @@ class _Records:
         Raises:
             FormatError: If they are no floating-point numbers, or do not lie in their record.
         """
-        storage, shape = tensor.storage, tensor.shape
+        storage, shape, stored = tensor.storage, tensor.shape, tensor.storage.values
         if not storage.kind:
             raise FormatError(self.path, name, "float16, bfloat16, float32 or float64", "another type")
         dtype = np.dtype(self.order + storage.kind)
@@ -311,12 +311,14 @@ class _Records:
             raise FormatError(self.path, name, f"its values in {record}", "no such record", _DAMAGED)
         size, count = self.archive.getinfo(record).file_size, prod(shape)
         last = tensor.offset + sum((n - 1) * step for n, step in zip(shape, tensor.strides, strict=True))
-        if count and not (last < storage.count and count <= storage.count and storage.count * dtype.itemsize <= size):
-            promised = f"{count:,} values up to number {last:,} of {storage.count:,}"
+        if count and not (
+            last < storage.values and count <= storage.values and storage.values * dtype.itemsize <= size
+        ):
+            promised = f"{count:,} values up to number {last:,} of {stored:,}"
             raise FormatError(self.path, name, f"values inside the {size:,} bytes of {record}", promised, _DAMAGED)
         if not count:
             return np.zeros(shape, np.float32)
-        flat = np.frombuffer(_record(self.path, self.archive, record), dtype, storage.count)
+        flat = np.frombuffer(_record(self.path, self.archive, record), dtype, storage.values)
         steps = tuple(step * dtype.itemsize for step in tensor.strides)
         values = np.lib.stride_tricks.as_strided(flat[tensor.offset :], shape, steps, writeable=False)
         if storage.kind == "u2":  # bfloat16 is the upper half of float32

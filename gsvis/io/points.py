@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._limits import safe_name
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
@@ -51,7 +52,7 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
         >>> load_points("../shared/data/photos/bonsai")  # doctest: +SKIP
         PointCloud(51,939)
     """
-    given = Path(path)
+    given = _check.path("path", path)
     if not given.exists():
         raise FileNotFoundError(errno.ENOENT, "no file or folder of points here", str(path))
     found = find_points(given)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._table import Table, listed, read_table
 from gsvis.io.atomic import atomic_path
@@ -78,9 +79,10 @@ def write_poses(poses: HeadPath, path: str | os.PathLike[str]) -> None:
 
 
 def _open(path: str | os.PathLike[str]) -> Table:
-    if Path(path).is_dir():
+    path = _check.path("path", path)
+    if path.is_dir():
         raise FormatError(path, "", "a file of poses", "a folder", "name one of the files in it")
-    if not Path(path).exists():
+    if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no pose file here", str(path))
     return read_table(path)
 

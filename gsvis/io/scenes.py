@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import parse_object
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
@@ -60,7 +61,7 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
         FormatError: If the format is unknown, or the file is damaged, truncated, empty or made to exhaust memory.
         ValueError: If `lod` is negative or no integer, or given for a format with one level.
     """
-    where = Path(path)
+    where = _check.path("path", path)
     if not where.exists():
         raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(where))
     if _is_streamed(where):
@@ -84,12 +85,13 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         ValueError: If the suffix is another one, the scene is empty, or the format cannot hold it.
         OSError: If the file cannot be written.
     """
-    where = Path(path)
+    where = _check.path("path", path)
     writer = _WRITERS.get(where.suffix.lower())
     if writer is None or where.name.lower().endswith(".compressed.ply"):
+        near = _check.suggestion(where.suffix, _WRITERS) if writer is None else ""
         raise ValueError(
             f"path: expected a name that ends in {', '.join(_WRITERS)}, got {where.name!r}; "
-            "other formats, compressed PLY among them, are only read"
+            + (near or "other formats, compressed PLY among them, are only read")
         )
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got an empty scene; there is nothing to write")

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gsvis import _check
 from gsvis.io.atomic import atomic_path
 from gsvis.io.locks import locked
 
@@ -36,7 +37,7 @@ class WorkFolder:
     """
 
     def __init__(self, package: str | os.PathLike[str]) -> None:
-        target = Path(os.path.abspath(package))
+        target = Path(os.path.abspath(_check.path("package", package)))
         self.path = target.with_name(f"{target.name}.work")
         self._used: set[str] = set()
 

@@ -14,7 +14,6 @@ import os
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -172,7 +171,7 @@ def _document(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise ValueError(f"the constant {name}")
 
     try:
-        document = json.loads(Path(path).read_bytes(), parse_constant=constant)
+        document = json.loads(_check.path("path", path).read_bytes(), parse_constant=constant)
     except (ValueError, RecursionError) as error:  # JSON and UTF-8 errors are ValueErrors
         raise FormatError(path, "", "JSON", f"'{error}'", "save the result of the test again") from error
     if not isinstance(document, dict):

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from os import PathLike, fspath
+from os import PathLike
 
 import uvicorn
 
@@ -107,8 +107,8 @@ class Server:
             server_header=False,
             limit_concurrency=2 * limits.connections + 1,
             timeout_graceful_shutdown=_STOP_S,
-            ssl_certfile=None if a.ssl_certfile is None else fspath(a.ssl_certfile),
-            ssl_keyfile=None if a.ssl_keyfile is None else fspath(a.ssl_keyfile),
+            ssl_certfile=None if a.ssl_certfile is None else str(_check.path("ssl_certfile", a.ssl_certfile)),
+            ssl_keyfile=None if a.ssl_keyfile is None else str(_check.path("ssl_keyfile", a.ssl_keyfile)),
             ssl_keyfile_password=a.ssl_keyfile_password,
         )
         settings.load()  # a wrong certificate shows here
