@@ -270,7 +270,7 @@ def _unpickled(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str
     try:
         for opcode, argument, at in pickletools.genops(data):
             # A memo index is a promise of memory to the unpickler; every other length has been checked here.
-            if opcode.name.endswith("PUT") and not 0 <= int(argument) < len(data):
+            if opcode.name.endswith("PUT") and not (type(argument) is int and 0 <= argument < len(data)):
                 raise FormatError(path, f"{name}, byte {at:,}", f"a memo index below {len(data):,}", str(argument)[:40])
         return _Unpickler(io.BytesIO(data)).load()
     except FormatError:

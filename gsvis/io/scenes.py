@@ -14,7 +14,9 @@ from pathlib import Path
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import parse_object
+from gsvis.io._table import listed
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
+from gsvis.io.folders import scene_remedy
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
@@ -105,6 +107,11 @@ def _is_streamed(path: Path) -> bool:
     if path.suffix.lower() != ".json":
         return False
     fields = parse_object(path, path.read_bytes())
+    if not any(key in fields for key in ("tree", "filenames", "means")) and path.name not in (
+        "meta.json",
+        "lod-meta.json",
+    ):
+        raise FormatError(path, "", _KNOWN, f"JSON with keys {listed(list(fields.value))}", scene_remedy(path.parent))
     return "tree" in fields or "filenames" in fields or path.name == "lod-meta.json"
 
 
@@ -112,12 +119,14 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
     """The reader for a file or folder that is no streamed SOG."""
     if path.is_dir():
         if not (path / "meta.json").is_file():
-            raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json")
+            raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json", scene_remedy(path))
         return load_sog
     if path.suffix.lower() == ".json":
         return load_sog
     with open(path, "rb") as stream:
         head = stream.read(8)
+    if not head:
+        raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export cut short?")
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):
             return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]
@@ -126,6 +135,7 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
         expected, remedy = "a zip, as torch writes checkpoints since 1.6", "load it with torch and torch.save it again"
         raise FormatError(path, "", expected, "a bare pickle, perhaps of torch before 1.6", remedy)
     if reader is None:
-        found = "an empty file" if not head else f"a file beginning {head!r} named {path.name!r}"
-        raise FormatError(path, "", _KNOWN, found)
+        # nerfstudio and gsplat write a config.yml or cfg.yml beside what they train
+        remedy = scene_remedy(path.parent) if path.suffix.lower() in (".yml", ".yaml") else ""
+        raise FormatError(path, "", _KNOWN, f"a file beginning {head!r} named {path.name!r}", remedy)
     return reader
