@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gsvis.errors import BackendError, FormatError, GsvisError, SceneError
-    from gsvis.io import load_cameras, load_scene, save_scene
+    from gsvis.io import from_gsplat, load_cameras, load_scene, save_scene
     from gsvis.raycast import EllipsoidProxies, Tracer, visible_from, visible_in
     from gsvis.render import rasterize
     from gsvis.scene.cameras import Cameras
@@ -32,6 +32,7 @@ __all__ = [
     "GsvisError",
     "SceneError",
     "Tracer",
+    "from_gsplat",
     "load_cameras",
     "load_scene",
     "rasterize",
@@ -42,7 +43,7 @@ __all__ = [
 
 _HOMES = {
     "gsvis.errors": ("BackendError", "FormatError", "GsvisError", "SceneError"),
-    "gsvis.io": ("load_cameras", "load_scene", "save_scene"),
+    "gsvis.io": ("from_gsplat", "load_cameras", "load_scene", "save_scene"),
     "gsvis.raycast": ("EllipsoidProxies", "Tracer", "visible_from", "visible_in"),
     "gsvis.render": ("rasterize",),
     "gsvis.scene.cameras": ("Cameras",),
@@ -59,4 +60,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted([*__all__, "__version__"])

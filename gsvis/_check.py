@@ -1,17 +1,33 @@
 """Coerce and check array arguments; every error about a shape, a dtype or a range is worded here.
 
 Shapes are tuples of integers and names: `("N", 3)` takes any first length. Nothing here copies an array
-that is already of the right dtype and contiguous.
+that is already of the right dtype and contiguous. Torch tensors are taken from any device; torch is not imported.
 """
 
 from __future__ import annotations
 
+import difflib
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["floats", "in_range", "integers", "one_of", "positive_int", "same_length", "unit_vectors"]
+__all__ = [
+    "floats",
+    "in_range",
+    "integers",
+    "one_of",
+    "path",
+    "plain",
+    "positive_int",
+    "same_length",
+    "suggestion",
+    "unit_vectors",
+]
 
 Shape = tuple[int | str, ...]
 
@@ -28,16 +44,40 @@ def _check_shape(name: str, array: NDArray[Any], shape: Shape) -> None:
         raise ValueError(f"{name}: expected shape {_spell(shape)}, got {array.shape}")
 
 
+def plain(value: Any) -> Any:
+    """Return a torch tensor, or a list of them, as NumPy arrays; anything else as it is.
+
+    A tensor that requires a gradient is copied, because an optimizer will write to it.
+    """
+    torch = sys.modules.get("torch")
+    if torch is None:  # then nothing can be a tensor
+        return value
+    if isinstance(value, torch.Tensor):
+        array = value.detach().float() if value.dtype == torch.bfloat16 else value.detach()
+        return array.numpy(force=True).copy() if value.requires_grad else array.numpy(force=True)
+    if isinstance(value, list | tuple) and _holds_tensors(value, torch.Tensor):
+        return [plain(each) for each in value]
+    return value
+
+
+def _holds_tensors(value: Any, tensor: type) -> bool:
+    """Whether the first item, at whatever depth, is a tensor."""
+    while isinstance(value, list | tuple) and value:
+        value = value[0]
+    return isinstance(value, tensor)
+
+
 def floats(
     name: str, value: ArrayLike, shape: Shape, dtype: type[np.floating[Any]] = np.float32, *, finite: bool = True
 ) -> NDArray[Any]:
     """A C-contiguous float array of the given shape, finite unless told otherwise."""
     try:
-        if np.iscomplexobj(value):
+        numbers = plain(value)
+        if np.iscomplexobj(numbers):
             raise TypeError
         with np.errstate(over="ignore"):  # what overflows to inf is refused below
-            array = np.asarray(value, dtype=dtype, order="C")
-    except (TypeError, ValueError, OverflowError) as error:
+            array = np.asarray(numbers, dtype=dtype, order="C")
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers of shape {_spell(shape)}, got {type(value).__name__}") from error
     _check_shape(name, array, shape)
     if finite and array.size and not all_finite(array):
@@ -56,7 +96,7 @@ def all_finite(array: NDArray[Any]) -> bool:
 
 def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[Any]] = np.int64) -> NDArray[Any]:
     """A C-contiguous integer array of the given shape; floats are refused, not rounded."""
-    array = np.asarray(value)
+    array = np.asarray(plain(value))
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"{name}: expected integers, got dtype {array.dtype}")
     if array.size and not np.can_cast(array.dtype, dtype):  # would wrap around in silence
@@ -66,7 +106,9 @@ def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[A
     return array
 
 
-def in_range(name: str, array: NDArray[Any], low: float, high: float, *, open_low: bool = False) -> None:
+def in_range(
+    name: str, array: NDArray[Any], low: float, high: float, *, open_low: bool = False, remedy: str = ""
+) -> None:
     """Raise unless low <= array <= high everywhere (low < array with `open_low`)."""
     if array.size == 0:
         return
@@ -76,7 +118,11 @@ def in_range(name: str, array: NDArray[Any], low: float, high: float, *, open_lo
         worst = most if above else least
         left = "(" if open_low or low == -np.inf else "["
         right = ")" if high == np.inf else "]"
-        raise ValueError(f"{name}: expected values in {left}{low:g}, {high:g}{right}, got {worst:g}")
+        raise ValueError(f"{name}: expected values in {left}{low:g}, {high:g}{right}, got {worst:g}" + _and(remedy))
+
+
+def _and(remedy: str) -> str:
+    return f"; {remedy}" if remedy else ""
 
 
 def same_length(**arrays: NDArray[Any]) -> int:
@@ -98,8 +144,37 @@ def positive_int(name: str, value: Any, *, at_least: int = 1) -> int:
 def one_of(name: str, value: str, choices: tuple[str, ...]) -> str:
     """The value, if it is one of the choices."""
     if value not in choices:
-        raise ValueError(f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}")
+        raise ValueError(
+            f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}" + _and(suggestion(value, choices))
+        )
     return value
+
+
+def suggestion(value: object, choices: Iterable[str]) -> str:
+    """Return 'did you mean X?' for the choice that looks most like the value; nothing where none is near.
+
+    Examples:
+        >>> suggestion("anlyze", ("analyze", "convert"))
+        'did you mean analyze?'
+    """
+    if not isinstance(value, str) or len(value) > 100:  # the comparison takes time by the square of the length
+        return ""
+    lowered = {choice.lower(): choice for choice in choices}
+    near = difflib.get_close_matches(value.lower(), lowered, n=1, cutoff=0.7)
+    return f"did you mean {lowered[near[0]]}?" if near else ""
+
+
+def path(name: str, value: str | os.PathLike[str]) -> Path:
+    """The path of a string or of anything with `__fspath__`; a leading `~` becomes the home folder."""
+    try:
+        text = os.fsdecode(value)
+    except TypeError:
+        raise ValueError(f"{name}: expected a path, got {type(value).__name__}") from None
+    if not text:
+        raise ValueError(f"{name}: expected a path, got an empty text")
+    if "\0" in text:
+        raise ValueError(f"{name}: expected a path, got a text with a NUL in it")
+    return Path(os.path.expanduser(text))
 
 
 def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:

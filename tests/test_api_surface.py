@@ -97,6 +97,19 @@ def test_public_names_are_documented_where_they_live() -> None:
                 assert inspect.getdoc(value), f"{package}.{name} has no docstring"
 
 
+def test_dir_shows_what_is_public_and_nothing_else() -> None:
+    for package in packages():
+        module = importlib.import_module(package)
+        if not hasattr(module, "__path__"):
+            continue
+        files = [p.stem for p in Path(module.__path__[0]).glob("*.py") if not p.stem.startswith("_")]
+        public = getattr(module, "__all__", files)
+        extra = {"__version__"} if package == "gsvis" else set()
+        assert set(dir(module)) == {*public, *extra}, package
+        if hasattr(module, "__all__"):
+            assert all(hasattr(module, name) for name in dir(module)), package
+
+
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
     text = json.dumps(surface(), indent=1, ensure_ascii=False) + "\n"

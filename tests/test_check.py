@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -132,3 +134,51 @@ def test_a_zero_direction_is_named() -> None:
     with pytest.raises(ValueError, match="x: expected non-zero directions, got a zero vector at index 1"):
         _check.unit_vectors("x", [[1, 0, 0], [0, 0, 0]])
     assert _check.unit_vectors("x", np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_tensors_are_taken_detached_and_those_that_train_are_copied() -> None:
+    torch = pytest.importorskip("torch")
+    frozen, trained = torch.ones(4, 3), torch.ones(4, 3, requires_grad=True)
+    assert np.shares_memory(_check.floats("x", frozen, ("N", 3)), frozen.numpy())
+    array = _check.floats("x", trained, ("N", 3))
+    with torch.no_grad():
+        trained.mul_(2.0)
+    assert np.array_equal(array, np.ones((4, 3)))
+    half = _check.floats("x", torch.full((2,), 0.5, dtype=torch.bfloat16), ("N",))
+    assert half.dtype == np.float32
+    assert half.tolist() == [0.5, 0.5]
+    rows: list[Any] = [torch.zeros(3), torch.ones(3, requires_grad=True)]
+    assert _check.floats("x", rows, ("N", 3)).tolist() == [[0, 0, 0], [1, 1, 1]]
+    assert _check.floats("x", [[row[0] for row in rows]], (1, "N")).tolist() == [[0, 1]]
+    assert _check.integers("x", [torch.tensor(3), torch.tensor(4)], ("N",)).tolist() == [3, 4]
+    with pytest.raises(ValueError, match=r"x: expected shape \(N, 3\), got \(4, 2\)"):
+        _check.floats("x", torch.zeros(4, 2, requires_grad=True), ("N", 3))
+    with pytest.raises(ValueError, match="x: expected numbers of shape"):
+        _check.floats("x", torch.zeros(4, 3).to_sparse(), ("N", 3))
+
+
+def test_torch_is_not_imported_to_look_for_tensors() -> None:
+    code = (
+        "import sys, gsvis; gsvis.Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], [[[0, 0, 0]]]);"
+        "assert 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("anlyze", "did you mean analyze?"),
+        ("CONVERT", "did you mean convert?"),
+        ("convrt", "did you mean convert?"),
+        ("zzz", ""),
+        ("", ""),
+        (3, ""),
+        ("a" * 10**6, ""),
+    ],
+)
+def test_what_looks_alike_is_suggested(value: Any, told: str) -> None:
+    assert _check.suggestion(value, ("analyze", "convert")) == told
+    with pytest.raises(ValueError, match=r"mode: expected one of 'analyze', 'convert', got") as caught:
+        _check.one_of("mode", value, ("analyze", "convert"))
+    assert str(caught.value).endswith(told)

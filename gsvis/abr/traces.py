@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,6 +170,6 @@ def load_trace(path: str | os.PathLike[str]) -> BandwidthTrace:
         FileNotFoundError: If there is no file.
         FormatError: If it is malformed.
     """
-    path = Path(path)
+    path = _check.path("path", path)
     read = read_bandwidth_5g if path.suffix.lower() in (".csv", ".gz") else read_bandwidth_text
     return BandwidthTrace(*read(path), path.name)

@@ -83,7 +83,11 @@ def parse(arguments: Sequence[str]) -> Command:
     import tyro
 
     from gsvis.cli.arguments import Command
+    from gsvis.cli.spelling import expand_home, misspelling
 
+    wrong = misspelling(arguments)
+    if wrong is not None:
+        raise SystemExit(_told(f"error: {wrong}", 2))
     command: Command = tyro.cli(
         Command,
         prog="gsvis",
@@ -91,7 +95,7 @@ def parse(arguments: Sequence[str]) -> Command:
         args=_axes_as_values(arguments),
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
     )
-    return command
+    return expand_home(command)
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:
@@ -206,3 +210,7 @@ def _stop_politely() -> signal._HANDLER:
         return signal.signal(signal.SIGTERM, stop)
     except ValueError:  # not in the main thread: leave signals alone
         return None
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -108,7 +109,8 @@ def check_source(scene: str, lod: int | None) -> None:
     name = scene.removeprefix(BUILTIN)
     if name not in BUILTIN_SCENES:
         known = ", ".join(BUILTIN + each for each in BUILTIN_SCENES)
-        raise ValueError(f"SCENE: expected one of {known}, or a path, got {scene!r}")
+        near = _check.suggestion(scene, [BUILTIN + each for each in BUILTIN_SCENES])
+        raise ValueError(f"SCENE: expected one of {known}, or a path, got {scene!r}" + (f"; {near}" if near else ""))
     if lod is not None:
         raise ValueError(f"--lod: expected none for a built-in scene, got {lod}; leave it out")
 

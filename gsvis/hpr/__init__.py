@@ -19,3 +19,7 @@ __all__ = [
     "look_around",
     "visible_gaussians",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -17,6 +17,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
 from gsvis.io._limits import Budget, open_regular
@@ -81,7 +82,7 @@ class ArrowFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], name: str, version: int) -> None:
-        self.path, self._name = Path(path), name
+        self.path, self._name = _check.path("path", path), name
         with open_regular(self.path) as file:
             head, self._size = file.read(len(_MAGIC)), os.fstat(file.fileno()).st_size
         if head != _MAGIC or self._size < 16 + _TAIL:

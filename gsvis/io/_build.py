@@ -16,7 +16,16 @@ from gsvis.errors import FormatError
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["bytes_of_scene", "exp_scales", "gaussians_from", "largest_from_three", "logits", "sh0_from_rgb", "sigmoid"]
+__all__ = [
+    "bytes_of_scene",
+    "exp_scales",
+    "format_error",
+    "gaussians_from",
+    "largest_from_three",
+    "logits",
+    "sh0_from_rgb",
+    "sigmoid",
+]
 
 F32 = NDArray[np.float32]
 LEAST_SCALE = float(np.finfo(np.float32).tiny)
@@ -101,6 +110,12 @@ def gaussians_from(
     try:
         return Gaussians(means, quats, scales, opacities, sh0, shN)
     except ValueError as error:
-        where, _, rest = str(error).partition(": expected ")
-        expected, _, got = rest.partition(", got ")
-        raise FormatError(path, where, expected or "valid values", got or str(error)) from error
+        raise format_error(path, error) from error
+
+
+def format_error(path: str | os.PathLike[str], error: ValueError) -> FormatError:
+    """The error about a file for an error about arrays that came from it."""
+    where, _, rest = str(error).partition(": expected ")
+    expected, _, got = rest.partition(", got ")
+    got = got.partition("; ")[0]  # the remedy is for who passes arrays, not for who has a file
+    return FormatError(path, where if rest else "", expected or "valid values", got or str(error))

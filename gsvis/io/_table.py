@@ -10,16 +10,18 @@ import gzip
 import io
 import os
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._limits import Budget, read_whole
 
-__all__ = ["Table", "read_table"]
+__all__ = ["Table", "listed", "read_table"]
 
 _CHUNK = 1 << 20
 _LONGEST_LINE = 1 << 16
@@ -52,18 +54,38 @@ class Table:
         Raises:
             FormatError: If there is none of that name, or more than one.
         """
-        if self.header.count(name) != 1:
-            found = "two or more" if name in self.header else ", ".join(self.header)[:120]
-            raise FormatError(self.path, f"line {self.lines[0]}, column {name}", f"one column {name}", found)
-        return self.header.index(name)
+        return self.columns((name,))[0]
 
-    def numbers(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """(rows, len(names)) finite numbers of the given columns.
+    def columns(self, names: tuple[str, ...], known: tuple[str, ...] = ()) -> list[int]:
+        """Indices of columns; the message about missing ones names every column that differs.
+
+        Args:
+            names: The columns.
+            known: Further columns that the format has; they are not listed as unexpected.
 
         Raises:
-            FormatError: At the first cell that is none.
+            FormatError: If one of them is missing, or there is more than one of its name.
         """
-        places = [self.column(name) for name in names]
+        counts = Counter(self.header)
+        missing = [name for name in names if name not in counts]
+        if missing:
+            others = [name for name in counts if name not in names and name not in known]
+            what = ("columns " if len(names) > 1 else "a column ") + ", ".join(names)
+            got = f"no {', '.join(missing)}" + (f"; unexpected: {listed(others)}" if others else "")
+            raise FormatError(self.path, f"line {self.lines[0]}", what, got)
+        repeated = next((name for name in names if counts[name] > 1), None)
+        if repeated is not None:
+            where = f"line {self.lines[0]}, column {repeated}"
+            raise FormatError(self.path, where, f"one column {repeated}", f"{counts[repeated]} of that name")
+        return [self.header.index(name) for name in names]
+
+    def numbers(self, names: tuple[str, ...], known: tuple[str, ...] = ()) -> NDArray[np.float64]:
+        """(rows, len(names)) finite numbers of the given columns; `known` as in `columns`.
+
+        Raises:
+            FormatError: If a column is missing, or at the first cell that is no finite number.
+        """
+        places = self.columns(names, known)
         cells = [[row[place] for place in places] for row in self.rows]
         try:
             values = np.array(cells, np.float64).reshape(len(cells), len(names))
@@ -77,6 +99,12 @@ class Table:
         return values
 
 
+def listed(names: list[str], most: int = 16) -> str:
+    """The names for a message, absurdly long ones and what is beyond the first `most` only counted."""
+    shown = ", ".join(repr(name[:40]) if len(name) > 40 or not name.isprintable() else name for name in names[:most])
+    return shown + (f" and {len(names) - most:,} more" if len(names) > most else "")
+
+
 def read_table(path: str | os.PathLike[str]) -> Table:
     """Read a comma-separated file whose first line names its columns; blank lines are passed over.
 
@@ -84,7 +112,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
         FileNotFoundError: If there is no file.
         FormatError: If it is no text, damaged, without header, or a row has another number of cells than the header.
     """
-    path = Path(path)
+    path = _check.path("path", path)
     data = read_whole(path)
     budget = Budget(path, len(data))
     reader = csv.reader(_lines(path, _text(path, data, budget), budget), strict=True)

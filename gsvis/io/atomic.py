@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from gsvis import _check
+
 __all__ = ["atomic_folder", "atomic_path"]
 
 
@@ -27,7 +29,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Yields:
         The path to write to, with the same suffix.
     """
-    target = Path(path)
+    target = _check.path("path", path)
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
     os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # the usual rights, unlike mkstemp's
@@ -50,7 +52,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     Yields:
         The folder to write to.
     """
-    target = Path(path)
+    target = _check.path("path", path)
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:

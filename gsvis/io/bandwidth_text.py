@@ -6,11 +6,11 @@ The rate of a line holds from the line before it to its own time; that of the fi
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._limits import read_whole
 
@@ -33,7 +33,7 @@ def read_bandwidth_text(path: str | os.PathLike[str]) -> tuple[F64, F64]:
         FileNotFoundError: If there is no file.
         FormatError: If a line is not two numbers, times do not rise, a rate is out of range, or nothing is left.
     """
-    path = Path(path)
+    path = _check.path("path", path)
     data = read_whole(path)
     times: list[float] = []
     rates: list[float] = []

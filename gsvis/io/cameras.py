@@ -13,6 +13,7 @@ from pathlib import Path
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io.colmap import find_colmap, read_colmap
+from gsvis.io.folders import cameras_remedy
 from gsvis.io.inria_cameras import read_inria_cameras
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
@@ -43,7 +44,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
         if not isinstance(size, tuple | list) or len(size) != 2:
             raise ValueError(f"size: expected (width, height), got {size!r}")
         size = (_check.positive_int("size[0]", size[0]), _check.positive_int("size[1]", size[1]))
-    return _views(Path(path), size).cameras(size)
+    return _views(_check.path("path", path), size).cameras(size)
 
 
 def _views(path: Path, size: tuple[int, int] | None) -> Views:
@@ -54,11 +55,15 @@ def _views(path: Path, size: tuple[int, int] | None) -> Views:
         for name in ("transforms.json", "cameras.json"):
             if (path / name).is_file():
                 return _views(path / name, size)
-        raise FormatError(path, "", _KNOWN, "a folder without any of them")
+        raise FormatError(path, "", _KNOWN, "a folder without any of them", cameras_remedy(path))
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no camera file or folder here", str(path))
     if path.suffix in (".bin", ".txt"):
         return read_colmap(path.parent)
+    with path.open("rb") as stream:
+        start = stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if path.suffix.lower() != ".json" and start[:1] not in (b"{", b"["):
+        raise FormatError(path, "", _KNOWN, f"a file beginning {start[:8]!r} named {path.name!r}")
     content = read_json(path)
     if isinstance(content, dict):
         return read_transforms(path, content, size)

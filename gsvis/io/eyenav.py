@@ -3,11 +3,21 @@
 A row is one eye of one frame; `scene_setting.csv` has the tilt and the scale of each scene. What comes out is in metres
 with +y up, x and z level, the head in OpenCV axes.
 
+Two groups published recordings. The first (Rutgers) ends rows with `Timestamp`, gaze position before gaze rotation; the
+second (NTHU) with `timestep`, gaze rotation before gaze position, and has settings of its own: each recording wants the
+`scene_setting.csv` of its group.
+
+Times are milliseconds. The first group's notes say so of `Timestamp`. No note says so of `timestep`: it is inferred.
+The second group's script for frame rates divides it by 1000 for seconds, and the data agree: all 289 recordings end at
+59,882 to 60,000 (one minute), frames are 28 apart in the median (36 Hz, half of the headset's 72), and the median
+person walks at 0.18 m/s with the 99th percentile of speed at 0.2 to 1.3 m/s, as in the first group.
+
 The axes, which the data set does not state, follow from the 44 recordings of the room and the truck (tests hold this):
 
 - Positions and quaternions (xyzw) are world from head, in a right-handed frame. The right eye lies at +x of the left
   in the head's axes, by 120 to 138 mm in room (scale 2) and 45 to 53 mm in truck (scale 0.76), constant to a
   millimetre within a recording: +x is right, and metres are `position / Scale`, as pupils are 59 to 70 mm apart.
+  In the second group it is 70 mm in every recording, by its own scales.
 - Turned by the scene's quaternion, the head's +y is up: its mean lies within 20 degrees of world +y in every recording.
 - People walk forwards and look ahead: -z of the head agrees with the direction of walking (mean cosine 0.4) and with
   -z of the gaze, where that was recorded (median cosine above 0.9). These are the axes of OpenXR.
@@ -32,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._table import Table, read_table
+from gsvis.io._table import Table, listed, read_table
 from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
 from gsvis.scene.paths import HeadPath
 
@@ -45,7 +55,12 @@ COLUMNS = (
     "ViewIndex",
     *(f"Position{axis}" for axis in "XYZ"),
     *(f"Quaternion{axis}" for axis in "XYZW"),
-    "Timestamp",
+)
+TIMES = ("Timestamp", "timestep")  # the last column of either group, milliseconds
+_UNREAD = (
+    *(f"FOV{side}" for side in "1234"),
+    *(f"GazePos{axis}" for axis in "XYZ"),
+    *(f"GazeQ{axis}" for axis in "XYZW"),
 )
 _OPENGL = np.diag([1.0, -1.0, -1.0])  # OpenXR axes to OpenCV's: y and z point the other way
 _SAME_TURN = 1.0 - 1e-5  # |dot| of two quaternions of three decimals that are one orientation; half a degree
@@ -70,8 +85,8 @@ class SceneSetting:
 
 
 def is_eyenav(table: Table) -> bool:
-    """Whether a table has the columns that only these recordings have."""
-    return {"ViewIndex", "QuaternionW", "Timestamp"} <= set(table.header)
+    """Whether a table has most of the columns that only these recordings have; the rest may be missing."""
+    return 2 * len({*COLUMNS} & set(table.header)) > len(COLUMNS)
 
 
 def read_eyenav(path: str | os.PathLike[str], setting: SceneSetting | None = None) -> HeadPath:
@@ -121,7 +136,8 @@ def read_scene_settings(path: str | os.PathLike[str]) -> dict[str, SceneSetting]
 def path_of_recording(table: Table, setting: SceneSetting | None = None) -> HeadPath:
     """The head's path of a recording that was read as a table; as `read_eyenav`."""
     setting = setting or _setting_of(table.path)
-    values = table.numbers(COLUMNS)
+    time = _time_column(table)
+    values = table.numbers((*COLUMNS, time), known=(*_UNREAD, *TIMES))
     if len(values) == 0:
         raise FormatError(table.path, f"line {table.lines[0] + 1}", "at least one pose", "the end of the file")
     eyes, positions, quats, stamps = values[:, 0], values[:, 1:4], values[:, [7, 4, 5, 6]], values[:, 8]
@@ -138,6 +154,21 @@ def path_of_recording(table: Table, setting: SceneSetting | None = None) -> Head
         up=np.array([0.0, 1.0, 0.0]),
         metres_per_unit=1.0,
     )
+
+
+def _time_column(table: Table) -> str:
+    """The column with the time of each row, whose name differs between the groups.
+
+    Raises:
+        FormatError: If there is none; the columns of the header that are unknown are named.
+    """
+    time = next((name for name in TIMES if name in table.header), None)
+    if time is None:
+        missing = [name for name in COLUMNS if name not in table.header]
+        others = [name for name in table.header if name not in COLUMNS and name not in _UNREAD]
+        got = f"no {', '.join([*missing, ' or '.join(TIMES)])}" + (f"; unexpected: {listed(others)}" if others else "")
+        raise FormatError(table.path, f"line {table.lines[0]}", f"columns {', '.join(COLUMNS)}, {TIMES[0]}", got)
+    return time
 
 
 def _check_cells(table: Table, eyes: F64, quats: F64) -> None:
@@ -182,7 +213,8 @@ def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> t
     if dropped > _MOST_DROPPED * len(rows):
         row = int(rows[np.flatnonzero(~keep)[0]])
         got, remedy = f"{dropped} of {len(rows)} that do not", "are these several recordings in one file?"
-        raise FormatError(table.path, table.where(row, "Timestamp"), "times that rise", got, remedy)
+        where = table.where(row, _time_column(table))
+        raise FormatError(table.path, where, "times that rise", got, remedy)
     if dropped:
         _log.warning("%s: dropped %d frames whose time does not rise", table.path, dropped)
     longest = float(np.diff(stamps[rows[keep]]).max(initial=0.0)) / 1000.0
@@ -204,8 +236,8 @@ def _setting_of(path: Path) -> SceneSetting:
     for name in names:
         if name in settings:
             return settings[name]
-    told = ", ".join(sorted(settings))[:120]
-    raise FormatError(path, "", f"the name of a scene of {SETTINGS} ({told})", " or ".join(map(repr, names)))
+    known, got = listed(sorted(settings)), " or ".join(map(repr, dict.fromkeys(names)))
+    raise FormatError(path, "", f"the name of a scene of {SETTINGS} ({known})", got, "pass setting=SceneSetting(...)")
 
 
 def _unit(quats: F64) -> F64:

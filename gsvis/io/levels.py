@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._arrow import ArrowFile, write_arrow
 from gsvis.io._json import Fields
@@ -110,7 +111,7 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
             "format": FORMAT, "version": VERSION, "gaussians": len(levels.union), "levels": rows, "extra": kept,
         }  # fmt: skip
         write_arrow(partial / MAP, _FIELDS, header, _batches(levels))
-        (Path(folder) / MAP).unlink(missing_ok=True)
+        (_check.path("folder", folder) / MAP).unlink(missing_ok=True)
 
 
 def load_levels(folder: str | os.PathLike[str]) -> Levels:
@@ -123,7 +124,7 @@ def load_levels(folder: str | os.PathLike[str]) -> Levels:
         FormatError: If the map is damaged or of a newer version, or a PLY is missing or was changed since.
         OSError: If the folder or its map cannot be opened.
     """
-    file = ArrowFile(Path(folder) / MAP, FORMAT, VERSION)
+    file = ArrowFile(_check.path("folder", folder) / MAP, FORMAT, VERSION)
     info = _info(file)
     first, last, scales, opacities = _columns(file, info)
     parts: list[Gaussians] = []
@@ -156,7 +157,7 @@ def levels_info(folder: str | os.PathLike[str]) -> LevelsInfo:
         FormatError: If the map is damaged or of a newer version.
         OSError: If it cannot be opened.
     """
-    return _info(ArrowFile(Path(folder) / MAP, FORMAT, VERSION))
+    return _info(ArrowFile(_check.path("folder", folder) / MAP, FORMAT, VERSION))
 
 
 def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:

@@ -56,6 +56,7 @@ def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     if vertex is None:
         names = ", ".join(e.name for e in header.elements) or "none"
         raise FormatError(header.path, "header", "an element named vertex", f"elements: {names}")
+    _refuse_other_kinds(header, vertex)
     header.rows_of(vertex)
     higher = _higher_columns(header.path, vertex)
     n = vertex.count
@@ -81,6 +82,19 @@ def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     return gaussians_from(header.path, means, quats, scales, opacities[:, 0], sh0[:, None, :], shN)
 
 
+def _refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
+    """Raise if the file is a PLY as all the world writes them, with nothing of Gaussians in it."""
+    have = set(vertex.properties)
+    if have & set(_REQUIRED) - set(_MEANS):
+        return
+    mesh = any(element.name in ("face", "tristrips") for element in header.elements)
+    if mesh or set(_MEANS) <= have:
+        kind = "a mesh" if mesh else "a point cloud"
+        expected = f"Gaussians ({', '.join(_REQUIRED)})"
+        remedy = f"this PLY is {kind}, not a trained scene"
+        raise FormatError(header.path, "element vertex", expected, f"{kind} ({', '.join(sorted(have))[:200]})", remedy)
+
+
 def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
     """The f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
 
@@ -90,11 +104,7 @@ def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
     have = set(vertex.properties)
     missing = [name for name in _REQUIRED if name not in have]
     if missing:
-        colored = {"red", "green", "blue"} <= have and "opacity" in missing
-        remedy = "this is a point cloud or a mesh, not a trained scene" if colored or "x" in missing else ""
-        raise FormatError(
-            path, "element vertex", f"properties {', '.join(_REQUIRED)}", f"no {', '.join(missing)}", remedy
-        )
+        raise FormatError(path, "element vertex", f"properties {', '.join(_REQUIRED)}", f"no {', '.join(missing)}")
     rest = sum(name.startswith("f_rest_") and name[7:].isdecimal() for name in have)
     if rest not in (0, 9, 24, 45) or any(f"f_rest_{i}" not in have for i in range(rest)):
         raise FormatError(

@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._limits import inside, open_regular, safe_name
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
 from gsvis.io._ply_rows import row_chunks
 from gsvis.io.colmap import find_colmap, find_colmap_points, read_colmap_points
+from gsvis.io.folders import cameras_remedy
 from gsvis.io.views import read_json
 from gsvis.scene.points import PointCloud
 
@@ -51,12 +53,12 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
         >>> load_points("../shared/data/photos/bonsai")  # doctest: +SKIP
         PointCloud(51,939)
     """
-    given = Path(path)
+    given = _check.path("path", path)
     if not given.exists():
         raise FileNotFoundError(errno.ENOENT, "no file or folder of points here", str(path))
     found = find_points(given)
     if found is None:
-        raise FormatError(path, "", _KNOWN, "none")
+        raise FormatError(path, "", _KNOWN, "none", cameras_remedy(given) if given.is_dir() else "")
     if found.suffix.lower() == ".ply":
         with open_regular(found) as stream:
             return _read_ply(parse_header(found, stream, os.fstat(stream.fileno()).st_size), stream)

@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._table import Table, read_table
+from gsvis.io._table import Table, listed, read_table
 from gsvis.io.atomic import atomic_path
+from gsvis.io.eyenav import COLUMNS as EYENAV_COLUMNS
 from gsvis.io.eyenav import is_eyenav, path_of_recording
 from gsvis.scene.paths import HeadPath
 
@@ -44,8 +46,8 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
     if is_eyenav(table):
         return path_of_recording(table)
     if not set(COLUMNS) & set(table.header):
-        known = f"{','.join(COLUMNS)} or the columns of EyeNavGS"
-        raise FormatError(path, f"line {table.lines[0]}", known, ",".join(table.header)[:120])
+        known = f"columns {','.join(COLUMNS)} or those of EyeNavGS ({', '.join(EYENAV_COLUMNS)}, Timestamp or timestep)"
+        raise FormatError(path, f"line {table.lines[0]}", known, listed(table.header))
     return _path_of(table)
 
 
@@ -77,9 +79,10 @@ def write_poses(poses: HeadPath, path: str | os.PathLike[str]) -> None:
 
 
 def _open(path: str | os.PathLike[str]) -> Table:
-    if Path(path).is_dir():
+    path = _check.path("path", path)
+    if path.is_dir():
         raise FormatError(path, "", "a file of poses", "a folder", "name one of the files in it")
-    if not Path(path).exists():
+    if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no pose file here", str(path))
     return read_table(path)
 

@@ -11,9 +11,13 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import parse_object
 from gsvis.io._limits import open_regular, read_whole
+from gsvis.io._table import listed
+from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
+from gsvis.io.folders import scene_remedy
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
@@ -25,8 +29,8 @@ from gsvis.scene.gaussians import Gaussians
 __all__ = ["load_scene", "save_scene"]
 
 _KNOWN = (
-    "a scene: PLY (.ply, .compressed.ply), .splat, SPZ (.spz), SOG (.sog or a folder with meta.json) "
-    "or streamed SOG (lod-meta.json or its folder)"
+    "a scene: PLY (.ply, .compressed.ply), .splat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
+    "streamed SOG (lod-meta.json or its folder) or a checkpoint of gsplat or nerfstudio (.pt, .ckpt)"
 )
 _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".ply": load_ply,
@@ -46,8 +50,9 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
     """Read a scene of 3D Gaussians in any of the formats that gsvis knows.
 
     Args:
-        path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its folder)
-            or a streamed SOG (`lod-meta.json` or its folder).
+        path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its
+            folder), a streamed SOG (`lod-meta.json` or its folder), or a checkpoint of gsplat or of nerfstudio's
+            splatfacto (`.pt`, `.ckpt`).
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest that is present. Other formats
             have one level and want None.
 
@@ -59,7 +64,7 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
         FormatError: If the format is unknown, or the file is damaged, truncated, empty or made to exhaust memory.
         ValueError: If `lod` is negative or no integer, or given for a format with one level.
     """
-    where = Path(path)
+    where = _check.path("path", path)
     if not where.exists():
         raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(where))
     if _is_streamed(where):
@@ -83,12 +88,13 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         ValueError: If the suffix is another one, the scene is empty, or the format cannot hold it.
         OSError: If the file cannot be written.
     """
-    where = Path(path)
+    where = _check.path("path", path)
     writer = _WRITERS.get(where.suffix.lower())
     if writer is None or where.name.lower().endswith(".compressed.ply"):
+        near = _check.suggestion(where.suffix, _WRITERS) if writer is None else ""
         raise ValueError(
             f"path: expected a name that ends in {', '.join(_WRITERS)}, got {where.name!r}; "
-            "other formats, compressed PLY among them, are only read"
+            + (near or "other formats, compressed PLY among them, are only read")
         )
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got an empty scene; there is nothing to write")
@@ -102,6 +108,11 @@ def _is_streamed(path: Path) -> bool:
     if path.suffix.lower() != ".json":
         return False
     fields = parse_object(path, read_whole(path))
+    if not any(key in fields for key in ("tree", "filenames", "means")) and path.name not in (
+        "meta.json",
+        "lod-meta.json",
+    ):
+        raise FormatError(path, "", _KNOWN, f"JSON with keys {listed(list(fields.value))}", scene_remedy(path.parent))
     return "tree" in fields or "filenames" in fields or path.name == "lod-meta.json"
 
 
@@ -109,17 +120,23 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
     """The reader for a file or folder that is no streamed SOG."""
     if path.is_dir():
         if not (path / "meta.json").is_file():
-            raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json")
+            raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json", scene_remedy(path))
         return load_sog
     if path.suffix.lower() == ".json":
         return load_sog
     with open_regular(path) as stream:
         head = stream.read(8)
+    if not head:
+        raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export cut short?")
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):
-            return _READERS[suffix]
+            return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]
     reader = _READERS.get(path.suffix.lower())
+    if reader is None and head.startswith(b"\x80"):
+        expected, remedy = "a zip, as torch writes checkpoints since 1.6", "load it with torch and torch.save it again"
+        raise FormatError(path, "", expected, "a bare pickle, perhaps of torch before 1.6", remedy)
     if reader is None:
-        found = "an empty file" if not head else f"a file beginning {head!r} named {path.name!r}"
-        raise FormatError(path, "", _KNOWN, found)
+        # nerfstudio and gsplat write a config.yml or cfg.yml beside what they train
+        remedy = scene_remedy(path.parent) if path.suffix.lower() in (".yml", ".yaml") else ""
+        raise FormatError(path, "", _KNOWN, f"a file beginning {head!r} named {path.name!r}", remedy)
     return reader

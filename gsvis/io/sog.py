@@ -7,11 +7,11 @@ components, the rest bytes into ranges (version 1) or codebooks (version 2); hig
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three, sigmoid
 from gsvis.io._json import Fields, parse_object
@@ -41,7 +41,7 @@ def load_sog(path: str | os.PathLike[str]) -> Gaussians:
         FormatError: If meta data or planes are missing, damaged or contradict each other.
         OSError: If the file cannot be opened.
     """
-    where = Path(path)
+    where = _check.path("path", path)
     if where.is_dir():
         where = where / "meta.json"
     if where.suffix.lower() != ".json":

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -96,7 +95,7 @@ class _Tree:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        file = Path(path)
+        file = _check.path("path", path)
         self.path = file / "lod-meta.json" if file.is_dir() else file
         self.folder = self.path.parent
         if file.is_dir():

@@ -44,3 +44,7 @@ __all__ = [
     "unpack_package",
     "write_package",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError, SceneError
 from gsvis.io._limits import Budget
 from gsvis.package.codec import ChunkTable
@@ -78,7 +79,7 @@ class Package:
 
     def __init__(self, path: str | PathLike[str]) -> None:
         """Read the manifest; see `open`."""
-        self.path = Path(path)
+        self.path = _check.path("path", path)
         if self.path.is_dir() and not (self.path / MANIFEST).is_file():
             raise FormatError(self.path, "", f"a package with a {MANIFEST}", "a folder without", _REMEDY)
         self.manifest = Manifest.read(self.path / MANIFEST)

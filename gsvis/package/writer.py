@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.color.records import QuantisedColors
 from gsvis.errors import FormatError
 from gsvis.io._limits import open_regular
@@ -62,7 +63,7 @@ def write_package(
         FormatError: If a store was built for another scene, or the folder holds something else.
         OSError: If the folder cannot be written.
     """
-    target = Path(folder)
+    target = _check.path("folder", folder)
     check_target(target)
     contents = Contents.of(levels, colors)
     scene = scene_hash(levels.union)
@@ -74,7 +75,7 @@ def write_package(
         rows = slice(start, min(start + _ROWS, len(contents.table)))
         table, first_last = contents.table[rows], contents.chunk_levels[rows]
         tables.append((parts.write_columns("chunks", columns_of(table, first_last)), len(table)))
-    blobs = [None if path is None else _blob(parts, Path(path)) for path in (visibility, active_terms)]
+    blobs = [None if path is None else _blob(parts, _check.path("path", path)) for path in (visibility, active_terms)]
     manifest = Manifest(
         info or PackageInfo(), scene, levels.names, levels.counts, colors.grids, tuple(tables), blocks, *blobs
     )

@@ -17,3 +17,7 @@ __all__ = [
     "estimate_preparation",
     "prepare_package",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

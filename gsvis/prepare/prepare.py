@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gsvis import _check
 from gsvis.color import quantise
 from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package, PackageInfo, write_package
@@ -100,7 +101,7 @@ def prepare_package(
         OSError: If nothing can be written; what was finished is kept.
     """
     stages = stages_of(scene, out, space, config, photos=photos, progress=progress)
-    work, config, target = stages.work, stages.config, Path(out)
+    work, config, target = stages.work, stages.config, _check.path("out", out)
     with work.opened():
         before = _parts_of(target)
         levels, quality = stages.levels()
@@ -154,8 +155,8 @@ def stages_of(
     """
     config = config or PrepareConfig()
     check_scene(scene, config)
-    check_target(Path(out))
-    if photos is not None and not Path(photos).exists():
+    check_target(_check.path("out", out))
+    if photos is not None and not _check.path("photos", photos).exists():
         raise FileNotFoundError(2, "no such file or folder", os.fspath(photos))
     work = WorkFolder(out)
     work.check()

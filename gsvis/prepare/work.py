@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._limits import digest_of, read_whole
 from gsvis.io.atomic import atomic_path
@@ -37,7 +38,7 @@ class WorkFolder:
     """
 
     def __init__(self, package: str | os.PathLike[str]) -> None:
-        target = Path(os.path.abspath(package))
+        target = Path(os.path.abspath(_check.path("package", package)))
         self.path = target.with_name(f"{target.name}.work")
         self._used: set[str] = set()
 

@@ -19,3 +19,7 @@ __all__ = [
     "visible_from",
     "visible_in",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -21,3 +21,7 @@ __all__ = [
     "ssim",
     "view_weights",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

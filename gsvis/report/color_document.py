@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.io.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
@@ -80,6 +80,7 @@ def write_color_report(
     """
     document = color_document(fitted, subject)
     figures = _figures(fitted, progress)
+    folder = _check.path("folder", folder)
     with atomic_folder(folder) as partial_folder:
         for figure in figures.values():
             (partial_folder / figure.file).write_bytes(figure.light)
@@ -87,7 +88,7 @@ def write_color_report(
         (partial_folder / "report.json").write_text(text, encoding="utf-8")
         (partial_folder / "report.html").write_text(color_page(fitted, document, figures), encoding="utf-8")
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (Path(folder) / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+        (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
     return document
 
 

@@ -6,11 +6,11 @@ import json
 import os
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.io.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.report.html import Figure
@@ -102,6 +102,7 @@ def write_report(
     """
     figures = _figures(analysis, subject, pictures, progress)
     document = report_document(analysis, subject)
+    folder = _check.path("folder", folder)
     with atomic_folder(folder) as partial_folder:
         for figure in figures.values():
             (partial_folder / figure.file).write_bytes(figure.light)
@@ -110,7 +111,7 @@ def write_report(
         html = page(analysis, document, figures)
         (partial_folder / "report.html").write_text(html, encoding="utf-8")
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (Path(folder) / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+        (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
     return document
 
 

@@ -6,12 +6,12 @@ import json
 import os
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.io.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.report.html import Figure
@@ -136,6 +136,7 @@ def write_session_report(
         raise ValueError("simulation: expected at least one visit, got none")
     document = session_document(simulation)
     figures = _figures(simulation, progress)
+    folder = _check.path("folder", folder)
     with atomic_folder(folder) as partial_folder:
         for figure in figures.values():
             (partial_folder / figure.file).write_bytes(figure.light)
@@ -143,7 +144,10 @@ def write_session_report(
         (partial_folder / "report.json").write_text(text, encoding="utf-8")
         (partial_folder / "report.html").write_text(session_page(simulation, document, figures), encoding="utf-8")
     kept = {figure.file for figure in figures.values()}
-    for stale in [*(Path(folder) / f"{name}.png" for name in _PLOTS), *Path(folder).glob("shown_*_*_*.png")]:
+    for stale in [
+        *(folder / f"{name}.png" for name in _PLOTS),
+        *folder.glob("shown_*_*_*.png"),
+    ]:
         if stale.name not in kept:
             stale.unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
     return document

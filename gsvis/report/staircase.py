@@ -172,6 +172,7 @@ def _document(path: str | os.PathLike[str]) -> dict[str, Any]:
     def constant(name: str) -> NoReturn:
         raise ValueError(f"the constant {name}")
 
+    path = _check.path("path", path)
     document = parse_json(path, read_whole(path), parse_constant=constant)
     if not isinstance(document, dict):
         raise FormatError(path, "", "a JSON object", type(document).__name__, "save the result of the test again")

@@ -20,12 +20,18 @@ __all__ = ["Gaussians", "quats_from_rotations", "rotations_from_quats"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+_LOG_SCALES = "did you pass log scales? pass np.exp(log_scales), or use gsvis.from_gsplat"
+_LOGITS = "did you pass logits? pass 1 / (1 + np.exp(-logit_opacities)), or use gsvis.from_gsplat"
+_FLAT = "give a flat Gaussian a small positive scale"
+_TURN = "pass (1, 0, 0, 0) for no rotation"
+
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Gaussians:
     """N 3D Gaussians, validated, read-only, activated.
 
-    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterwards.
+    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterwards. Torch tensors are
+    taken from any device; those that require a gradient are copied.
 
     Args:
         means: (N, 3) centres, scene units.
@@ -73,8 +79,11 @@ class Gaussians:
         arrays["shN"] = np.zeros((n, 0, 3), np.float32) if shN is None else _check.floats("shN", shN, ("N", "K-1", 3))
         _check.same_length(**arrays)
         sh_degree_of(1 + arrays["shN"].shape[1])
-        _check.in_range("scales", arrays["scales"], 0.0, np.inf, open_low=True)
-        _check.in_range("opacities", arrays["opacities"], 0.0, 1.0)
+        negative = arrays["scales"].size and arrays["scales"].min() < 0.0
+        _check.in_range(
+            "scales", arrays["scales"], 0.0, np.inf, open_low=True, remedy=_LOG_SCALES if negative else _FLAT
+        )
+        _check.in_range("opacities", arrays["opacities"], 0.0, 1.0, remedy=_LOGITS)
         arrays["quats"] = _normalised(arrays["quats"])
         for name, array in arrays.items():
             view = array.view()
@@ -196,7 +205,8 @@ _NAMES = tuple(f.name for f in fields(Gaussians))
 def _normalised(quats: F32) -> F32:
     squared = np.einsum("ij,ij->i", quats, quats, dtype=np.float64)
     if len(squared) and squared.min() < 1e-24:
-        raise ValueError(f"quats: expected non-zero quaternions, got a zero one at index {int(squared.argmin())}")
+        zero = int(squared.argmin())
+        raise ValueError(f"quats: expected non-zero quaternions, got a zero one at index {zero}; {_TURN}")
     if np.all(np.abs(squared - 1.0) < 2e-7):
         return quats
     scaled: F32 = (quats / np.sqrt(squared)[:, None]).astype(np.float32)

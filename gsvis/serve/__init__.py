@@ -44,3 +44,7 @@ __all__ = [
     "fetch",
     "open_scenes",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -13,6 +13,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis import _check
 from gsvis.abr.classes import FieldOfView
 from gsvis.errors import GsvisError
 from gsvis.package import Package
@@ -155,7 +156,7 @@ def open_scenes(
     found: dict[str, ServedScene] = {}
     first: Exception | None = None
     for package in packages:
-        path = Path(package)
+        path = _check.path("package", package)
         name = path.resolve().name.partition(".")[0] or "scene"
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from os import PathLike, fspath
+from os import PathLike
 from typing import Any
 
 import uvicorn
@@ -232,8 +232,8 @@ def _settings(app: Any, address: Address, message_bytes: int) -> uvicorn.Config:
         proxy_headers=False,
         h11_max_incomplete_event_size=2 * MOST_BYTES,
         timeout_keep_alive=_NEVER,
-        ssl_certfile=None if address.ssl_certfile is None else fspath(address.ssl_certfile),
-        ssl_keyfile=None if address.ssl_keyfile is None else fspath(address.ssl_keyfile),
+        ssl_certfile=None if address.ssl_certfile is None else str(_check.path("ssl_certfile", address.ssl_certfile)),
+        ssl_keyfile=None if address.ssl_keyfile is None else str(_check.path("ssl_keyfile", address.ssl_keyfile)),
         ssl_keyfile_password=address.ssl_keyfile_password,
     )
     settings.load()  # a wrong certificate shows here

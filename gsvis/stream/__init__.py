@@ -31,3 +31,7 @@ __all__ = [
     "StreamedScene",
     "parse_client",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

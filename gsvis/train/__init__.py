@@ -39,3 +39,7 @@ __all__ = [
     "train",
     "train_levels",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -17,6 +17,7 @@ from PIL import Image
 from gsvis.errors import FormatError
 from gsvis.io._limits import Budget, open_regular, safe_name
 from gsvis.io.colmap import find_colmap, read_colmap
+from gsvis.io.folders import cameras_remedy
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 
@@ -60,7 +61,8 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
     file = path / "transforms.json" if path.is_dir() else path
     if not file.is_file() or file.suffix.lower() != ".json":
         told = "a folder without either" if path.is_dir() else "another file"
-        raise FormatError(path, "", _KNOWN, told, "make one with COLMAP, and give its folder")
+        remedy = cameras_remedy(path) if path.is_dir() else ""
+        raise FormatError(path, "", _KNOWN, told, remedy or "make one with COLMAP, and give its folder")
     content = read_json(file)
     if not isinstance(content, dict):
         raise FormatError(file, "", "a transforms.json", f"JSON of {type(content).__name__}")

@@ -196,7 +196,8 @@ def train_levels(
         raise ValueError("views: expected at least one image to train on, got none")
     sizes = config.sizes(len(scene))
     if work is not None:
-        Path(work).mkdir(parents=True, exist_ok=True)
+        work = _check.path("work", work)
+        work.mkdir(parents=True, exist_ok=True)
     masks = _subsets(scene, views, choose_by, sizes, config, work, progress)
     top = len(sizes)
     first = np.full(len(scene), top, np.uint8)

@@ -99,8 +99,8 @@ def load_photos(
         Photos(PosedImages(292 of 400 x 266), 51,939 points)
     """
     _check_target(downscale, size)
-    path = Path(folder)
-    views, folders = find_views(path, None if images is None else Path(images))
+    path = _check.path("folder", folder)
+    views, folders = find_views(path, None if images is None else _check.path("images", images))
     if len(views.names) < FEWEST_VIEWS:
         raise SceneError(
             f"{views.path}: expected at least {FEWEST_VIEWS} posed images, got {len(views.names)};"

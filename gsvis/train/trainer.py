@@ -217,7 +217,8 @@ class Trainer:
         What `progress` is told between two steps may look at the trainer: its loss, its history, how many Gaussians.
         """
         last = self.config.iterations
-        if checkpoint is not None and os.path.exists(checkpoint):
+        checkpoint = None if checkpoint is None else _check.path("checkpoint", checkpoint)
+        if checkpoint is not None and checkpoint.exists():
             load_checkpoint(checkpoint, self)
         progress("train", self.step, last)
         saved, whole = time.monotonic(), True  # whole: not in the middle of a step, where nothing fits together

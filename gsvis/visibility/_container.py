@@ -13,9 +13,9 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, BinaryIO
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._json import Fields, parse_object
 from gsvis.io._limits import open_regular
@@ -85,7 +85,7 @@ class Container:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = _check.path("path", path)
         with open_regular(self.path) as file:
             size = os.fstat(file.fileno()).st_size
             place, length, crc = self._read_head(file.read(HEAD_BYTES), size)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io.archive import load_arrays, save_arrays
 
@@ -36,7 +37,7 @@ class Kept:
     def __init__(self, beside: str | os.PathLike[str] | None, plan: Mapping[str, Any]) -> None:
         self.path: Path | None = None
         if beside is not None:
-            target = Path(beside)
+            target = _check.path("keep", beside)
             digest = hashlib.sha256(json.dumps(dict(plan), sort_keys=True).encode()).hexdigest()
             self.path = target.with_name(f"{target.name}.partial-{digest[:12]}.npz")
 

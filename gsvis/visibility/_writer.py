@@ -117,7 +117,7 @@ class StoreWriter:
     """
 
     def __init__(self, path: str | PathLike[str], grid: CellGrid, info: StoreInfo) -> None:
-        self.path, self.grid, self.info = Path(path), grid, info
+        self.path, self.grid, self.info = _check.path("path", path), grid, info
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._rows = np.zeros(len(grid), CELL_ROW)
         self._spill = tempfile.TemporaryFile(dir=self.path.parent)  # noqa: SIM115  closed in __exit__

@@ -16,7 +16,6 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from os import PathLike
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -25,6 +24,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyroaring import BitMap
 
+from gsvis import _check
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import VARIANTS
@@ -112,7 +112,7 @@ class ActiveTerms:
 
     def __init__(self, path: str | PathLike[str]) -> None:
         """Open a file without a look at what it belongs to; see `open`."""
-        self.path = Path(path)
+        self.path = _check.path("path", path)
         self._lock = threading.Lock()
         self._held: tuple[int, Any] | None = None  # the group read last
         self._stream: Any = None

@@ -148,7 +148,7 @@ def build_pvs(
     levels = _checked(g)
     count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
-    target, plan = Path(path), _plan(levels, grid, space, config)
+    target, plan = _check.path("path", path), _plan(levels, grid, space, config)
     journal = Journal(_folder_of(target, plan), plan)
     try:
         with journal.opened():
@@ -168,7 +168,7 @@ def build_pvs(
         raise
     except OSError as error:
         raise _explained(error, journal, len(grid), target) from error
-    return VisibilityStore.open(path)
+    return VisibilityStore.open(target)
 
 
 def estimate_pvs(
@@ -204,7 +204,7 @@ def estimate_pvs(
     viewpoints = CellViewpoints(grid, space)
     _check.positive_int("sample", sample)
     plan = _plan(levels, grid, space, config)
-    finished = len(Journal(_folder_of(Path(path), plan), plan).finished(len(grid)))
+    finished = len(Journal(_folder_of(_check.path("path", path), plan), plan).finished(len(grid)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
     scene = SceneArrays.of(_key(plan), levels, config)
     scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
@@ -233,7 +233,7 @@ def journal_of(
     g: Gaussians | Levels, grid: CellGrid, space: NavigableSpace, path: str | os.PathLike[str], config: PvsConfig
 ) -> Path:
     """The folder in which a build of this plan keeps finished cells."""
-    return _folder_of(Path(path), _plan(as_levels(g), grid, space, config))
+    return _folder_of(_check.path("path", path), _plan(as_levels(g), grid, space, config))
 
 
 def _folder_of(target: Path, plan: dict[str, Any]) -> Path:

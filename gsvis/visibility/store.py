@@ -11,7 +11,6 @@ import weakref
 from collections.abc import Iterable
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -56,7 +55,7 @@ class VisibilityStore:
 
     def __init__(self, path: str | PathLike[str], *, max_cache: int = 256 << 20) -> None:
         """Open a file without a look at its scene; see `open`."""
-        self.path = Path(path)
+        self.path = _check.path("path", path)
         self._cache = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
         self._container = Container(path)

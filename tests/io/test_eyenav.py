@@ -22,6 +22,8 @@ HEADER = (
     "ViewIndex,FOV1,FOV2,FOV3,FOV4,PositionX,PositionY,PositionZ,QuaternionX,QuaternionY,QuaternionZ,QuaternionW,"
     "GazePosX,GazePosY,GazePosZ,GazeQX,GazeQY,GazeQZ,GazeQW,Timestamp"
 )
+GAZE_POS, GAZE_TURN = "GazePosX,GazePosY,GazePosZ", "GazeQX,GazeQY,GazeQZ,GazeQW"
+OTHER_HEADER = HEADER.replace(f"{GAZE_POS},{GAZE_TURN},Timestamp", f"{GAZE_TURN},{GAZE_POS},timestep")
 SETTING = SceneSetting((-0.2334, 0.0, 0.0, 0.9724), 2.0)
 SETTINGS = '\ufeffScene_Name,Quaternion,Scale,Initial_Position\nroom,"-0.2334, 0.0000, 0.0000, 0.9724",2,"0,1.15,0"\n'
 IPD = 0.064
@@ -51,11 +53,11 @@ def rows_of(heads: F64, degrees: F64, period: int = 14, digits: int = 3) -> list
     return rows
 
 
-def written(folder: Path, rows: list[str], name: str = "user1_room.csv.gz") -> Path:
+def written(folder: Path, rows: list[str], name: str = "user1_room.csv.gz", header: str = HEADER) -> Path:
     (folder / "scene_setting.csv").write_text(SETTINGS, encoding="utf-8")
     file = folder / name
     file.parent.mkdir(exist_ok=True)
-    text = "\n".join([HEADER, *rows, ""])
+    text = "\n".join([header, *rows, ""])
     file.write_bytes(gzip.compress(text.encode()) if name.endswith(".gz") else text.encode())
     return file
 
@@ -79,6 +81,39 @@ def test_a_known_walk_comes_out_in_metres_level_and_in_opencv_axes(tmp_path: Pat
         assert np.all(np.sum(path.quats[1:] * path.quats[:-1], axis=1) > 0)
         assert path.metres_per_unit == 1.0
         assert np.allclose(path.upright, [0, 1, 0])
+
+
+def test_the_other_group_names_its_time_otherwise_and_has_gaze_in_another_order(tmp_path: Path) -> None:
+    heads, degrees = walk()
+    rows = rows_of(heads, degrees, digits=9)
+    first = load_path(written(tmp_path, rows))
+    other = load_path(written(tmp_path, rows, header=OTHER_HEADER))
+    for field in ("times", "positions", "quats"):
+        assert np.array_equal(getattr(other, field), getattr(first, field))
+    with pytest.raises(FormatError, match="column timestep: expected times that rise"):
+        load_path(written(tmp_path, [*rows, *rows], header=OTHER_HEADER))
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        (HEADER.replace("Timestamp", "ClockTime"), "no Timestamp or timestep; unexpected: ClockTime"),
+        (HEADER.replace("PositionY", "PosY"), "got no PositionY; unexpected: PosY"),
+        (
+            HEADER.replace("QuaternionW", "QW").replace("ViewIndex", "Eye"),
+            "no ViewIndex, QuaternionW; unexpected: Eye, QW",
+        ),
+        (OTHER_HEADER.replace("timestep", "x" * 400), "no Timestamp or timestep; unexpected: 'xxx"),
+        (HEADER.replace("GazeQX", "QuaternionW"), "expected one column QuaternionW, got 2 of that name"),
+    ],
+)
+def test_columns_that_differ_are_named(tmp_path: Path, header: str, told: str) -> None:
+    heads, degrees = walk(4)
+    with pytest.raises(FormatError) as caught:
+        load_path(written(tmp_path, rows_of(heads, degrees), header=header))
+    assert told in str(caught.value)
+    assert "Gaze" not in caught.value.got
+    assert len(str(caught.value)) < 600
 
 
 def test_an_eye_without_its_partner_still_gives_the_head(tmp_path: Path) -> None:
@@ -187,6 +222,38 @@ def test_all_recordings_read_and_agree_on_the_axes(realdata: Path) -> None:
     assert np.median(bobbing) < 0.12  # the head keeps its height: +y is up
     assert np.mean(ahead) > 0.3  # people walk the way they look, and to no side
     assert abs(np.mean(beside)) < 0.1
+
+
+@pytest.mark.realdata
+def test_the_other_group_agrees_on_the_axes_and_on_milliseconds(realdata: Path) -> None:
+    folder = realdata / "traces" / "eyenav_nthu"
+    settings = read_scene_settings(folder / "scene_setting.csv")
+    files = sorted(folder.glob("user*.csv.gz"))
+    assert files
+    ahead: list[float] = []
+    for file in files:
+        path = load_path(file)
+        assert 59.5 < path.duration < 60.5  # one minute, if they are milliseconds
+        assert 30.0 < len(path) / path.duration < 80.0  # 36 or 72 Hz
+        assert 0.05 < np.quantile(path.speed(), 0.5) < 0.5
+        assert np.quantile(path.speed(), 0.99) < 1.5  # nobody runs
+        assert np.ptp(path.positions[:, [0, 2]], axis=0).max() < 3.5
+        mean = path.head_ups.mean(axis=0)
+        assert mean[1] / np.linalg.norm(mean) > np.cos(np.radians(20.0))
+        strides = path.resampled(2.0)
+        velocity, facing = np.diff(strides.positions, axis=0)[:, [0, 2]], strides.forwards[:-1, [0, 2]]
+        fast = np.linalg.norm(velocity, axis=1) > 0.15
+        velocity, facing = (v[fast] / np.linalg.norm(v[fast], axis=1, keepdims=True) for v in (velocity, facing))
+        ahead += np.sum(velocity * facing, axis=1).tolist()
+        names = ("ViewIndex", *(f"Position{a}" for a in "XYZ"), *(f"Quaternion{a}" for a in "WXYZ"))
+        values = read_table(file).numbers(names)
+        pairs = np.flatnonzero((values[:-1, 0] == 0) & np.all(values[:-1, 4:] == values[1:, 4:], axis=1))
+        left, right = values[pairs], values[pairs + 1]
+        rotations = rotations_from_quats(left[:, 4:] / np.linalg.norm(left[:, 4:], axis=1, keepdims=True))
+        apart = np.einsum("nji,nj->ni", rotations, right[:, 1:4] - left[:, 1:4])
+        apart /= settings[file.name.split("_")[1].split(".")[0]].scale
+        assert np.allclose(apart, [0.070, 0.0, 0.0], atol=0.0005)
+    assert np.mean(ahead) > 0.3
 
 
 @pytest.mark.realdata

@@ -92,9 +92,9 @@ def test_headers_that_are_no_poses(tmp_path: Path) -> None:
     for text, told in (
         ("", "empty"),
         ("\n\n", "empty"),
-        ("a,b\n1,2\n", "a,b"),
-        (HEADER.replace("qz", "w") + "\n0,0,0,0,1,0,0,0\n", "column qz"),
-        (HEADER + ",t\n0,0,0,0,1,0,0,0,0\n", "two or more"),
+        ("a,b\n1,2\n", "got a, b$"),
+        (HEADER.replace("qz", "w") + "\n0,0,0,0,1,0,0,0\n", "got no qz; unexpected: w$"),
+        (HEADER + ",t\n0,0,0,0,1,0,0,0,0\n", "one column t, got 2 of that name"),
     ):
         file.write_text(text, encoding="utf-8")
         with pytest.raises(FormatError, match=told):

@@ -223,3 +223,31 @@ def test_moving_commutes_with_selecting() -> None:
 def test_a_bad_motion_names_itself(change: dict[str, Any], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         Gaussians(**arrays()).transformed(**{"rotation": np.eye(3), **change})
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "told"),
+    [
+        ("scales", np.log, "did you pass log scales? pass np.exp(log_scales), or use gsvis.from_gsplat"),
+        ("opacities", lambda p: np.log(p / (1 - p)), "did you pass logits? pass 1 / (1 + np.exp(-logit_opacities))"),
+        ("scales", np.zeros_like, "give a flat Gaussian a small positive scale"),
+        ("quats", np.zeros_like, "got a zero one at index 0; pass (1, 0, 0, 0) for no rotation"),
+    ],
+)
+def test_raw_values_get_the_remedy(name: str, change: Any, told: str) -> None:
+    given_ = arrays()
+    given_["opacities"] = np.linspace(0.2, 0.9, len(given_["means"]), dtype=np.float32)
+    with pytest.raises(ValueError, match=f"^{name}: expected") as caught:
+        Gaussians(**{**given_, name: change(given_[name])})
+    assert told in str(caught.value)
+
+
+def test_tensors_that_train_make_a_scene_that_stays_as_it_is() -> None:
+    torch = pytest.importorskip("torch")
+    expected = Gaussians(**arrays())
+    tensors = {name: torch.tensor(array, requires_grad=True) for name, array in arrays().items()}
+    scene = Gaussians(**tensors)
+    with torch.no_grad():
+        for tensor in tensors.values():
+            tensor.add_(1.0)
+    assert_same(scene, expected, atol=0.0)

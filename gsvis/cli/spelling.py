@@ -1,0 +1,116 @@
+"""What a command line calls things: its commands, their options and which of them are paths.
+
+Read from the dataclasses of `gsvis.cli.arguments`. A mistyped name is refused here in one line with a suggestion,
+before `tyro` reads the arguments; `~` in a path becomes the home folder here, for shells that leave it (`--out=~/x`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+if TYPE_CHECKING:
+    from gsvis.cli.arguments import Command
+
+__all__ = ["expand_home", "misspelling"]
+
+_PATHS = frozenset(
+    {"DIR", "FILE", "IMAGES", "IN", "OUT", "PACKAGE", "SCENE", "STORE"}
+)  # metavars of paths, by their first word
+
+
+@dataclass(frozen=True)
+class _Option:
+    """One argument of a command: its names, its choices where there are only a few, and whether it is a path."""
+
+    field: str
+    names: tuple[str, ...]
+    choices: tuple[str, ...]
+    path: bool
+
+
+def misspelling(arguments: Sequence[str]) -> str | None:
+    """Return what is wrong with the first name that no command or option has; None where all are known.
+
+    Args:
+        arguments: As they came, without the program's name.
+    """
+    commands = {_kebab(kind.__name__): kind for kind in _kinds()}
+    if not arguments or arguments[0] in ("-h", "--help"):
+        return None
+    name = arguments[0]
+    if name not in commands:
+        if name.startswith("-"):
+            return f"expected a command before {name!r}, such as gsvis inspect; gsvis --help lists them"
+        near = _suggestion(name, commands)
+        return f"no command {name[:80]!r}; {near or 'gsvis --help lists the commands'}"
+    options = {each: option for option in _options(commands[name]) for each in option.names}
+    for place, word in enumerate(arguments[1:], 1):
+        if not re.match(r"--?[A-Za-z]", word):
+            continue  # a value; negative numbers begin with a minus, too
+        given, equals, value = word.partition("=")
+        option = options.get(_hyphens(given))
+        if option is None and given.startswith("--") and given not in ("--help", "--debug"):
+            near = _suggestion(_hyphens(given), [each for each in options if each.startswith("--")])
+            return f"gsvis {name} has no option {given[:80]}; {near or f'gsvis {name} --help lists its options'}"
+        if option is not None and option.choices:
+            value = value if equals else arguments[place + 1] if place + 1 < len(arguments) else ""
+            if value and value not in option.choices:
+                near = _suggestion(value, option.choices)
+                known = f"{given}: expected one of {', '.join(option.choices)}, got {value[:80]!r}"
+                return known + (f"; {near}" if near else "")
+    return None
+
+
+def expand_home(command: Command) -> Command:
+    """The command with `~` in its paths replaced by the home folder."""
+    changed: dict[str, Any] = {}
+    for option in _options(type(command)):
+        value = getattr(command, option.field)
+        if not option.path or value is None:
+            continue
+        if isinstance(value, str):
+            changed[option.field] = os.path.expanduser(value)
+        else:
+            changed[option.field] = tuple(map(os.path.expanduser, value))
+    return replace(command, **changed)
+
+
+def _suggestion(word: str, choices: Iterable[str]) -> str:
+    from gsvis._check import suggestion  # brings numpy with it, which help does not need
+
+    return suggestion(word, choices)
+
+
+def _kinds() -> tuple[type, ...]:
+    from gsvis.cli import arguments
+
+    return get_args(arguments.Command)
+
+
+def _options(kind: type) -> Iterator[_Option]:
+    """The arguments of a command; those that are given by their place have no names."""
+    hints = get_type_hints(kind, include_extras=True)
+    for each in fields(kind):
+        hint = hints[each.name]
+        extras: tuple[Any, ...] = hint.__metadata__ if get_origin(hint) is Annotated else ()
+        metavars = [str(extra.metavar) for extra in extras if getattr(extra, "metavar", None)]
+        aliases = [alias for extra in extras for alias in getattr(extra, "aliases", None) or ()]
+        placed = any("POSITIONAL" in str(extra).upper() for extra in extras)
+        plain = get_args(hint)[0] if extras else hint
+        choices = tuple(map(str, get_args(plain))) if get_origin(plain) is Literal else ()
+        names = () if placed else (f"--{_hyphens(each.name)}", *aliases)
+        yield _Option(each.name, names, choices, any(word.split()[0] in _PATHS for word in metavars))
+
+
+def _kebab(name: str) -> str:
+    """PvsReport -> pvs-report."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+
+
+def _hyphens(name: str) -> str:
+    """--max_terms -> --max-terms; both are understood."""
+    return name.replace("_", "-")

@@ -1,0 +1,338 @@
+"""Checkpoints of gsplat and nerfstudio (`.pt`, `.ckpt`), and the raw values that these trainers hold in memory.
+
+Raw values are means, log scales, quaternions wxyz of any length, logit opacities and SH coefficients. Two layouts:
+
+- gsplat's `simple_trainer`: {"step", "splats": {means, scales, quats, opacities, sh0, shN}}, one file for each rank.
+- nerfstudio's `splatfacto`: {"step", "pipeline": {"_model.gauss_params.means", ... scales, quats, opacities,
+  features_dc, features_rest}, "optimizers", ...}; older files lack "gauss_params.". Without features_rest the colors
+  are sigmoid(features_dc), otherwise SH.
+
+Everything else in a file (optimizers, camera poses, appearance, metrics) is passed over and never read.
+
+The frame is the trainer's, not that of the photographs: gsplat normalizes the world by default, and nerfstudio turns,
+centers and scales it by the `dataparser_transforms.json` beside its `nerfstudio_models`. Cameras of the same run agree;
+a COLMAP model or `transforms.json` of the input does not.
+
+A checkpoint is a zip with a pickle of the structure and raw bytes of each tensor. The pickle is read with weights only,
+more strictly than `torch.load(weights_only=True)` does: it can make dicts, lists, numbers, texts and descriptions of
+tensors; any class or function that it names becomes an inert placeholder and is neither imported nor called. So numpy
+scalars, for which torch 2.6 refuses nerfstudio's files, do no harm, and memory is bounded by the size of the file.
+
+References:
+    gsplat, `examples/simple_trainer.py`; nerfstudio, `nerfstudio/engine/trainer.py` and `models/splatfacto.py`.
+    Layout of the zip: `torch/serialization.py`, since torch 1.6.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import pickletools
+import struct
+import zipfile
+from collections.abc import Mapping
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.io._build import exp_scales, format_error, sh0_from_rgb, sigmoid
+from gsvis.io._table import listed
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["from_gsplat", "is_checkpoint", "load_checkpoint"]
+
+SUFFIXES = (".pt", ".pth", ".ckpt")
+
+_GEOMETRY = ("means", "scales", "quats", "opacities")
+_PREFIXES = ("module.", "_model.", "gauss_params.")
+_MOST_STRUCTURE = 512 << 10  # bytes of the pickle; checkpoints of both trainers have about 20 kB
+_KNOWN = "a checkpoint of gsplat ('splats') or of nerfstudio's splatfacto ('pipeline')"
+_DAMAGED = "is the file damaged, or still being written?"
+_STORAGES = {"FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "u2"}
+
+_BAD_ZIP = (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, ValueError, struct.error)
+
+F32 = NDArray[np.float32]
+
+
+def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
+    """Return the scene of raw values as gsplat's trainers hold them; log scales and logits are activated.
+
+    Args:
+        splats: A dict or `torch.nn.ParameterDict` with means (N, 3), scales (N, 3) log, quats (N, 4) wxyz, opacities
+            (N,) or (N, 1) logit, sh0 (N, 1, 3), and shN (N, K-1, 3), which may be missing. Or splatfacto's
+            `gauss_params`, with features_dc (N, 3) and features_rest (N, K-1, 3). On any device; other keys are
+            passed over.
+
+    Returns:
+        The scene, in the order and the frame of the values, which are copied.
+
+    Raises:
+        ValueError: If a key is missing, or a shape or a value is wrong.
+
+    Examples:
+        >>> from_gsplat({"means": [[0, 0, 0]], "scales": [[0, 0, 0]], "quats": [[1, 0, 0, 0]], "opacities": [0.0],
+        ...              "sh0": [[[0, 0, 0]]]}).opacities
+        array([0.5], dtype=float32)
+    """
+    names = list(splats.keys())
+    colors = ("features_dc", "features_rest") if "features_dc" in names else ("sh0", "shN")
+    missing = [name for name in (*_GEOMETRY, colors[0]) if name not in names]
+    if missing:
+        remedy = "; colors of an appearance module cannot be read" if {"features", "colors"} <= {*names} else ""
+        wanted = ", ".join((*_GEOMETRY, *colors))
+        raise ValueError(f"splats: expected {wanted}, got no {', '.join(missing)} but {listed(names)}{remedy}")
+    raw = {name: _check.plain(splats[name]) for name in (*_GEOMETRY, *colors) if name in names}
+    if np.ndim(raw["opacities"]) == 2 and np.shape(raw["opacities"])[1] == 1:
+        raw["opacities"] = np.reshape(raw["opacities"], -1)
+    log_scales = _check.floats("scales", raw["scales"], ("N", 3), finite=False)
+    logit_opacities = _check.floats("opacities", raw["opacities"], ("N",), finite=False)
+    higher = _check.floats(colors[1], raw[colors[1]], ("N", "K-1", 3)).copy() if colors[1] in raw else None
+    if colors[0] == "sh0":
+        sh0 = _check.floats("sh0", raw["sh0"], ("N", 1, 3)).copy()
+    else:
+        base = _check.floats("features_dc", raw["features_dc"], ("N", 3))
+        sh0 = base[:, None, :].copy() if higher is not None and higher.shape[1] else sh0_from_rgb(sigmoid(base))
+    return Gaussians(
+        _check.floats("means", raw["means"], ("N", 3)).copy(),
+        _check.floats("quats", raw["quats"], ("N", 4)).copy(),
+        exp_scales(log_scales),
+        sigmoid(logit_opacities),
+        sh0,
+        higher,
+    )
+
+
+def is_checkpoint(path: str | os.PathLike[str]) -> bool:
+    """Whether a zip file is a checkpoint of torch; one that cannot be opened is judged by its suffix."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _structure_name(archive) is not None
+    except _BAD_ZIP:
+        return os.fspath(path).lower().endswith(SUFFIXES)
+
+
+def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
+    """Read the Gaussians of a checkpoint.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The scene, in the order and the frame of the trainer.
+
+    Raises:
+        FormatError: If the file is no checkpoint with Gaussians, is damaged, or holds invalid values.
+        OSError: If it cannot be opened.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            raw = _tensors(path, archive)
+            if "means" in raw and np.shape(raw["means"])[:1] == (0,):
+                raise FormatError(path, "means", "at least one Gaussian", "none", "the file holds an empty scene")
+            return from_gsplat(raw)
+    except ValueError as error:
+        raise format_error(path, error) from error
+    except _BAD_ZIP as error:
+        if isinstance(error, OSError) and error.filename is not None:  # it could not be opened
+            raise
+        raise FormatError(path, "zip", "a whole checkpoint", str(error) or "the end of the file", _DAMAGED) from error
+
+
+def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str, F32]:
+    """The values of the Gaussians by their names, in either layout."""
+    name = _structure_name(archive)
+    if name is None:
+        raise FormatError(path, "zip", "data.pkl", listed(archive.namelist()), "is this a checkpoint of torch?")
+    found = _gaussians_of(path, _unpickled(path, archive, name))
+    records = _Records(path, archive, name.removesuffix("data.pkl"))
+    return {key: records.array(key, tensor) for key, tensor in found.items()}
+
+
+def _structure_name(archive: zipfile.ZipFile) -> str | None:
+    """The entry with the pickle: data.pkl in the one folder of the archive."""
+    return next((name for name in archive.namelist() if name.count("/") <= 1 and name.endswith("data.pkl")), None)
+
+
+def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tensor]:
+    """Descriptions of the tensors of the Gaussians by the names of `from_gsplat`."""
+    if not isinstance(content, dict):
+        remedy = "for INRIA's checkpoints read point_cloud.ply" if isinstance(content, tuple) else ""
+        raise FormatError(path, "data.pkl", _KNOWN, f"no dict but {type(content).__name__.lstrip('_')}", remedy)
+    for key in ("splats", "pipeline"):
+        if isinstance(content.get(key), dict):
+            content = content[key]
+            break
+    wanted = {*_GEOMETRY, "sh0", "shN", "features_dc", "features_rest"}
+    found = {}
+    for key, value in content.items():
+        name = str(key)
+        for prefix in _PREFIXES:
+            name = name.removeprefix(prefix)
+        if name in wanted and isinstance(value, _Tensor):
+            found[name] = value
+    if "means" not in found:
+        raise FormatError(path, "data.pkl", _KNOWN, f"keys {listed([str(key) for key in content])}")
+    return found
+
+
+class _Storage(NamedTuple):
+    """The bytes of a tensor, not yet read: numpy type, name of the record, number of values."""
+
+    kind: str
+    key: str
+    values: int
+
+
+class _Tensor(NamedTuple):
+    """Where the values of a tensor lie in its storage; counts of values."""
+
+    storage: _Storage
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+
+
+class _Ignored:
+    """Stands for every class and function that is not needed; does nothing, whatever is done to it."""
+
+    def __init__(self, *_: object, **__: object) -> None: ...
+
+    def __call__(self, *_: object, **__: object) -> _Ignored:
+        return self
+
+    def __setstate__(self, _: object) -> None: ...
+
+    def __setitem__(self, _: object, __: object) -> None: ...
+
+    def append(self, _: object) -> None: ...
+
+    def extend(self, _: object) -> None: ...
+
+
+class _Dict(dict):  # type: ignore[type-arg]
+    """An OrderedDict as state dicts are; made empty, and without the attributes that a file may give it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def __setstate__(self, _: object) -> None: ...
+
+
+class _StorageKind(str):
+    """The type of a storage, by numpy's code; empty where it cannot be read."""
+
+
+def _tensor(storage: Any = None, offset: Any = 0, shape: Any = (), strides: Any = (), *_: object) -> Any:
+    numbers = (offset, *shape, *strides) if isinstance(shape, tuple) and isinstance(strides, tuple) else (-1,)
+    good = isinstance(storage, _Storage) and all(type(n) is int and 0 <= n < 1 << 48 for n in numbers)
+    return _Tensor(storage, offset, shape, strides) if good and len(shape) == len(strides) <= 8 else _Ignored()
+
+
+def _parameter(data: Any = None, *_: object) -> Any:
+    return data if isinstance(data, _Tensor) else _Ignored()
+
+
+_MAKERS = {
+    ("collections", "OrderedDict"): _Dict,
+    ("torch._utils", "_rebuild_tensor_v2"): _tensor,
+    ("torch._utils", "_rebuild_parameter"): _parameter,
+    ("torch._utils", "_rebuild_parameter_with_state"): _parameter,
+}
+
+
+class _Unpickler(pickle.Unpickler):
+    """Makes plain values and descriptions of tensors; imports nothing."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module in ("torch", "torch.storage") and name.endswith("Storage"):
+            return _StorageKind(_STORAGES.get(name, ""))
+        return _MAKERS.get((module, name), _Ignored)
+
+    def persistent_load(self, pid: Any) -> Any:
+        good = isinstance(pid, tuple) and len(pid) == 5 and pid[0] == "storage" and isinstance(pid[1], _StorageKind)
+        if not (good and isinstance(pid[2], str) and type(pid[4]) is int):
+            raise pickle.UnpicklingError("a reference that is no storage of a tensor")
+        return _Storage(str(pid[1]), pid[2], pid[4])
+
+
+def _unpickled(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str) -> Any:
+    """What the pickle of a checkpoint describes."""
+    size = archive.getinfo(name).file_size
+    if size > _MOST_STRUCTURE:
+        raise FormatError(path, name, f"at most {_MOST_STRUCTURE:,} bytes", f"{size:,}", "was more than tensors saved?")
+    data = _record(path, archive, name)
+    try:
+        for opcode, argument, at in pickletools.genops(data):
+            # A memo index is a promise of memory to the unpickler; every other length has been checked here.
+            if opcode.name.endswith("PUT") and not (type(argument) is int and 0 <= argument < len(data)):
+                raise FormatError(path, f"{name}, byte {at:,}", f"a memo index below {len(data):,}", str(argument)[:40])
+        return _Unpickler(io.BytesIO(data)).load()
+    except FormatError:
+        raise
+    except Exception as error:  # a damaged pickle raises whatever its operations meet
+        what = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+        raise FormatError(path, name, "the structure of a checkpoint", what, _DAMAGED) from error
+
+
+class _Records:
+    """The raw tensors of a checkpoint.
+
+    Args:
+        path: The file, for messages.
+        archive: The open zip.
+        folder: What names of its records begin with.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], archive: zipfile.ZipFile, folder: str) -> None:
+        self.path, self.archive, self.folder = path, archive, folder
+        self.names = frozenset(archive.namelist())
+        order = f"{folder}byteorder"
+        big = order in self.names and _record(path, archive, order)[:16] == b"big"
+        self.order = ">" if big else "<"
+
+    def array(self, name: str, tensor: _Tensor) -> F32:
+        """(shape) float32 values of a tensor.
+
+        Raises:
+            FormatError: If they are no floating-point numbers, or do not lie in their record.
+        """
+        storage, shape, stored = tensor.storage, tensor.shape, tensor.storage.values
+        if not storage.kind:
+            raise FormatError(self.path, name, "float16, bfloat16, float32 or float64", "another type")
+        dtype = np.dtype(self.order + storage.kind)
+        record = f"{self.folder}data/{storage.key}"
+        if record not in self.names:
+            raise FormatError(self.path, name, f"its values in {record}", "no such record", _DAMAGED)
+        size, count = self.archive.getinfo(record).file_size, prod(shape)
+        last = tensor.offset + sum((n - 1) * step for n, step in zip(shape, tensor.strides, strict=True))
+        if count and not (
+            last < storage.values and count <= storage.values and storage.values * dtype.itemsize <= size
+        ):
+            promised = f"{count:,} values up to number {last:,} of {stored:,}"
+            raise FormatError(self.path, name, f"values inside the {size:,} bytes of {record}", promised, _DAMAGED)
+        if not count:
+            return np.zeros(shape, np.float32)
+        flat = np.frombuffer(_record(self.path, self.archive, record), dtype, storage.values)
+        steps = tuple(step * dtype.itemsize for step in tensor.strides)
+        values = np.lib.stride_tricks.as_strided(flat[tensor.offset :], shape, steps, writeable=False)
+        if storage.kind == "u2":  # bfloat16 is the upper half of float32
+            return (values.astype(np.uint32) << 16).view(np.float32)
+        with np.errstate(over="ignore"):  # what overflows is refused as not finite
+            return np.ascontiguousarray(values, np.float32)
+
+
+def _record(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str) -> bytes:
+    """All bytes of a record, which torch never compresses."""
+    info = archive.getinfo(name)
+    if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
+        raise FormatError(path, name, "a record that is not compressed", "a compressed one")
+    data = archive.read(name)
+    if len(data) != info.file_size:
+        raise FormatError(path, name, f"{info.file_size:,} bytes", f"{len(data):,}", _DAMAGED)
+    return data

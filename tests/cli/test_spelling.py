@@ -1,0 +1,103 @@
+"""Mistyped names get one line with a suggestion; `~` in a path is the home folder."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main, parse
+from gsvis.cli.spelling import _kebab, _kinds, _options, expand_home, misspelling
+from gsvis.io import load_scene, save_scene
+from gsvis.io.poses import load_path, write_poses
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.procedural import two_rooms
+
+Capture = pytest.CaptureFixture[str]
+
+NOT_PATHS = {"up", "scheduler", "host", "token", "names", "origins"}
+
+
+def commands() -> list[tuple[str, type]]:
+    return [(_kebab(kind.__name__), kind) for kind in _kinds()]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["anlyze", "x", "-o", "y"], "no command 'anlyze'; did you mean analyze?"),
+        (["pvsreport", "x"], "no command 'pvsreport'; did you mean pvs-report?"),
+        (["scene.ply"], "no command 'scene.ply'; gsvis --help lists the commands"),
+        (["--json", "inspect", "x"], "expected a command before '--json'"),
+        (["convert", "a.ply", "b.ply", "--min-opacty", "1"], "no option --min-opacty; did you mean --min-opacity?"),
+        (["convert", "a.ply", "b.ply", "--min_opacty=1"], "no option --min_opacty; did you mean --min-opacity?"),
+        (["render", "x", "--zzzz"], "gsvis render has no option --zzzz; gsvis render --help lists its options"),
+        (["pvs", "x", "-o", "y", "--method", "hybrd"], "--method: expected one of hybrid, .* did you mean hybrid?"),
+        (["pvs", "x", "-o", "y", "--method=rast"], "--method: expected one of .* did you mean raster?"),
+        (["inspect", "builtin:two_room"], "builtin:nested_shells, or a path, .* did you mean builtin:two_rooms?"),
+        (["inspect", "builtin:attic"], "expected one of builtin:.* got 'builtin:attic'"),
+    ],
+)
+def test_what_is_mistyped_is_told_in_one_line(words: list[str], told: str, capsys: Capture) -> None:
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("gsvis: error: ")
+    assert re.search(told.replace("?", r"\?"), err), err
+
+
+def test_every_name_is_known_and_a_lost_letter_is_found_again() -> None:
+    for command, kind in commands():
+        assert misspelling([command, "x", "--help"]) is None
+        lost = f"{command[:2]}{command[3:]}"
+        assert f"did you mean {command}?" in (misspelling([lost]) or "")
+        names = [name for option in _options(kind) for name in option.names if name.startswith("--")]
+        for name in names:
+            assert misspelling([command, name.replace("-", "_").replace("__", "--")]) is None
+            if len(name) > 7:
+                told = misspelling([command, f"{name[:4]}{name[5:]}"]) or ""
+                assert "did you mean --" in told
+
+
+def test_names_are_those_of_the_documentation() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"^ *│? *(?:-\w [A-Z]+, )?(--[a-z][a-z-]+)", text, re.M))
+    known = {name for _, kind in commands() for option in _options(kind) for name in option.names}
+    assert len(documented) > 50
+    assert documented - {"--help", "--version"} <= known
+
+
+def test_values_that_look_like_options_are_left_alone() -> None:
+    crop = ["--crop", "-1", "-2", "-3.5", "1e3", "2", "3"]
+    assert misspelling(["convert", "a.ply", "b.ply", *crop, "--up", "-y:+z"]) is None
+    assert misspelling(["render", "a.ply", "--up", "-y", "--target", "-.5", "0", "0"]) is None
+
+
+def test_home_is_expanded_in_paths_and_in_nothing_else(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for _, kind in commands():
+        texts = {field for field, hint in kind.__annotations__.items() if "str" in hint and "Literal" not in hint}
+        paths = {option.field for option in _options(kind) if option.path}
+        assert texts - paths <= NOT_PATHS
+    command = parse(["simulate", "~/a.gsvis", "--path", "~/walk.csv", "--trace=~/link.csv", "-o", "~"])
+    assert (command.package, command.path) == ((f"{tmp_path}/a.gsvis",), f"{tmp_path}/walk.csv")  # type: ignore[union-attr]
+    assert expand_home(command) == command
+    served = parse(["serve", "~/a", "b", "--token", "~/secret", "--ssl-certfile", "~/c.pem"])
+    assert served.package == (f"{tmp_path}/a", "b")  # type: ignore[union-attr]
+    assert (served.token, served.ssl_certfile) == ("~/secret", f"{tmp_path}/c.pem")  # type: ignore[union-attr]
+
+
+def test_home_is_expanded_by_the_library(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Capture) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    scene = two_rooms().gaussians[:20]
+    save_scene(scene, "~/scenes/a.ply")
+    assert (tmp_path / "scenes" / "a.ply").is_file()
+    assert len(load_scene("~/scenes/a.ply")) == 20
+    assert main(["convert", "~/scenes/a.ply", "~/b.spz"]) == 0
+    assert (tmp_path / "b.spz").is_file()
+    write_poses(HeadPath([0, 1], [[0, 0, 0], [1, 0, 0]], [[1, 0, 0, 0]] * 2), "~/walk.csv")
+    assert len(load_path("~/walk.csv")) == 2
+    assert not (tmp_path / "~").exists()
