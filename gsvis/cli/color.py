@@ -29,7 +29,7 @@ from gsvis.cli.source import (
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.color.epsilon import DEFAULT_EPSILON
-from gsvis.errors import SceneError
+from gsvis.errors import OutputError, SceneError
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility.store import VisibilityStore
@@ -219,6 +219,10 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         if kept is None or not kept.exists():
             raise
         raise KeyboardInterrupt(f"what was found is kept in {kept.name}; the same command goes on from there") from None
+    except OutputError as error:
+        if kept is None or not kept.exists():
+            raise
+        raise error.keeping(f"what was found is kept in {kept.name}") from error
     if kept is not None:
         kept.unlink(missing_ok=True)
     levels = plan.source.levels
@@ -229,6 +233,8 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         return _looked_at(command, plan, fitted, status)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{command.out} is written, what else was asked for may not be") from None
+    except OutputError as error:
+        raise error.keeping(f"{command.out} is written") from error
 
 
 def _epsilon(

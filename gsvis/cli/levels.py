@@ -18,7 +18,7 @@ from gsvis.cli.levels_result import record_of, tell_result
 from gsvis.cli.source import Source, check_folder, check_source, given_up, load_source, navigable_space
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
-from gsvis.errors import FormatError, SceneError
+from gsvis.errors import FormatError, OutputError, SceneError
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -284,5 +284,10 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
         raise KeyboardInterrupt(
             f"what was chosen and trained is kept in {work.name}; the same command goes on from there"
         ) from None
+    except OutputError as error:
+        if not _begun(work):
+            shutil.rmtree(work, ignore_errors=True)
+            raise
+        raise error.keeping(f"what was chosen and trained is kept in {work.name}") from error
     shutil.rmtree(work, ignore_errors=True)
     return trained, record

@@ -63,7 +63,7 @@ def run_unpack(command: Unpack) -> None:
     target = Path(command.out)
     if target.exists() and not target.is_dir():
         raise ValueError(f"--out: expected a folder, got the file {command.out!r}")
-    check_folder(target.parent)
+    check_folder(target)
     with Status() as status, Package.open(command.package) as package:
         levels = unpack_package(package, target, sh_degree=command.sh_degree, progress=status)
     files = {name: target / f"{name}.ply" for name in levels.names}

@@ -141,6 +141,11 @@ def _target(command: Render, count: int) -> Target | None:
             raise ValueError("-o: expected where to write, such as image.png, orbit.gif or frames/, got nothing")
         return None
     target = target_of(command.out, count)
+    if not command.overwrite and (others := target.foreign(command.depth)):
+        raise ValueError(
+            f"-o: expected a new file, or a picture of gsvis to replace, got {others[0]}, which something else wrote;"
+            " name another, or say --overwrite"
+        )
     if command.fps is not None and target.kind != "gif":
         raise ValueError(f"--fps: expected OUT to be a .gif with it, got {command.out!r}; leave it out")
     return target

@@ -15,6 +15,7 @@ from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.source import check_folder, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import SceneError
+from gsvis.io.output import TEMPORARY, output_errors
 from gsvis.io.poses import load_path
 from gsvis.package.package import Package
 from gsvis.scene.gaussians import Gaussians
@@ -155,7 +156,8 @@ def _file_size(command: Simulate, which: int, g: Gaussians) -> tuple[int, str]:
     from gsvis.simulate import morton_order
 
     with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
-        save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
+        with output_errors(folder, remedy=TEMPORARY):
+            save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
         told = "before it was packaged" if command.scene else "the package's highest level, base colours alone"
         return (Path(folder) / "scene.sog").stat().st_size, f"SOG as gsvis writes it, of the scene: {told}"
 

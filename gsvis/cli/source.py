@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.errors import SceneError
+from gsvis.io.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, inspect_scene
@@ -26,6 +26,7 @@ __all__ = [
     "Source",
     "check_file",
     "check_folder",
+    "check_new",
     "check_source",
     "evenly",
     "file_cameras",
@@ -280,11 +281,21 @@ def check_file(path: str | os.PathLike[str]) -> None:
 
     Raises:
         ValueError: If the path is a folder, or a folder above it is a file.
-        OSError: If nothing may be written there.
+        OutputError: If nothing can be written there.
     """
     if Path(path).is_dir():
         raise ValueError(f"{path}: expected the name of a file, got a folder; name a file in it")
     check_folder(Path(path).absolute().parent)
+
+
+def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
+    """Refuse to replace a file unless that was asked for: a slip of the keyboard must not cost a scene.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    if not overwrite and os.path.lexists(path):
+        raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
@@ -292,15 +303,12 @@ def check_folder(path: str | os.PathLike[str]) -> None:
 
     Raises:
         ValueError: If the path, or a folder above it, is a file.
-        OSError: If nothing may be written there.
+        OutputError: If nothing can be written there.
     """
     folder = Path(path).absolute()
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():
         raise ValueError(f"{path}: expected a folder to write to, got the file {folder}; name another")
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OSError(error.errno, f"cannot write there ({os.strerror(error.errno or 0).lower()})", str(path)) from None
+    with output_errors(path, folder):
+        check_writable(folder)
