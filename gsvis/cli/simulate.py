@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,10 +60,18 @@ def run_simulate(command: Simulate) -> None:
     walk = load_path(command.path)
     with Status() as status:
         document = _reported(command, walk, status)
+    from gsvis.report.session_page import content_remarks
+
     if command.json:
+        for told in content_remarks(document):
+            sys.stderr.write(f"gsvis: {told}\n")
         print_json(document)
     else:
-        show(*_tables(document), f" Report: {Path(command.out) / 'report.html'}")
+        show(
+            *_tables(document),
+            *(f" {told}" for told in content_remarks(document)),
+            f" Report: {Path(command.out) / 'report.html'}",
+        )
 
 
 def _check(command: Simulate) -> None:
