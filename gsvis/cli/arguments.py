@@ -94,7 +94,8 @@ class Analyze:
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: sampled)")] = None
-    """COLMAP model, transforms.json or cameras.json. Without it cameras are sampled in navigable space."""
+    """COLMAP model, transforms.json, cameras.json, or report.json of an earlier run, whose views are repeated exactly.
+    Without it cameras are sampled in navigable space."""
     views: Annotated[int | None, COUNTED, hint("16; with --cameras all")] = None
     """Number of cameras to sample, or to take from FILE at even steps."""
     width: Annotated[int | None, PIXELS, hint("256")] = None
@@ -137,7 +138,8 @@ class Render:
             help_behavior_hint="(default: one camera, sampled in navigable space)",
         ),
     ] = None
-    """COLMAP model, transforms.json or cameras.json; all its cameras, or those of --index."""
+    """COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze; all its cameras, or those of
+    --index."""
     index: Annotated[tuple[int, ...] | None, INDICES, hint("all")] = None
     """Which cameras of FILE, counted from 0."""
     orbit: Annotated[int | None, COUNTED, hint("no orbit")] = None

@@ -15,6 +15,7 @@ from gsvis.cli.source import Source, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_views, given_cameras, placed_cameras
 from gsvis.errors import BackendError, SceneError
+from gsvis.io.report_cameras import describe_cameras
 from gsvis.render import GaussianTensors, PixelContributors, contributors, rasterize
 from gsvis.render.cuda import is_available
 from gsvis.scene.cameras import Cameras
@@ -220,15 +221,7 @@ def _document(command: Render, target: Target | None, done: _Done) -> dict[str, 
         "seconds": round(done.seconds, 3),
         "files": [str(path) for path in files],
         "depth": None,
-        "cameras": [
-            {
-                "name": cameras.names[i],
-                "eye": cameras.viewpoints[i].tolist(),
-                "viewmat": cameras.viewmats[i].tolist(),
-                "K": cameras.Ks[i].tolist(),
-            }
-            for i in range(len(cameras))
-        ],
+        "cameras": describe_cameras(cameras),
         "contributors": None,
     }
     if target and command.depth:

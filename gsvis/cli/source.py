@@ -34,7 +34,9 @@ __all__ = [
     "given_up",
     "inputs_of",
     "inspected",
+    "is_builtin",
     "is_levels",
+    "is_report",
     "levels_spelled",
     "levels_told",
     "load_source",
@@ -254,6 +256,19 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
         if across != cameras.width or height:
             cameras = cameras.resized(max(1, across), max(1, height or round(across / aspect)))
     return cameras
+
+
+def is_builtin(scene: str) -> bool:
+    """Whether a scene is named that gsvis makes itself."""
+    return scene.startswith(BUILTIN)
+
+
+def is_report(path: str) -> bool:
+    """Whether a file holds cameras as gsvis writes them."""
+    from gsvis.io.report_cameras import holds_own_cameras
+    from gsvis.io.views import read_json
+
+    return Path(path).suffix == ".json" and Path(path).is_file() and holds_own_cameras(read_json(path))
 
 
 def evenly(cameras: Cameras, count: int) -> Cameras:
