@@ -12,7 +12,7 @@ import numpy as np
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
 from gsvis.cli.source import (
-    check_folder,
+    check_report,
     check_source,
     evenly,
     file_cameras,
@@ -48,7 +48,7 @@ def run_analyze(command: Analyze) -> None:
         OSError: If the report cannot be written.
     """
     check_source(command.scene, command.lod)
-    check_folder(command.out)
+    check_report(command.out)
     given = _given_cameras(command)
     with Status() as status:
         document = _reported(command, given, status)

@@ -27,6 +27,7 @@ __all__ = [
     "check_file",
     "check_folder",
     "check_new",
+    "check_report",
     "check_source",
     "evenly",
     "file_cameras",
@@ -311,6 +312,37 @@ def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
     """
     if not overwrite and os.path.lexists(path):
         raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
+
+
+def check_report(path: str | os.PathLike[str]) -> None:
+    """Say at once if a report cannot be written into a folder, or would mix with files of something else.
+
+    An earlier report of gsvis is replaced; pictures and pages that it did not write are not.
+
+    Raises:
+        ValueError: If the folder holds pictures or pages of something else.
+        OutputError: If nothing can be written there.
+    """
+    check_folder(path)
+    folder = Path(path)
+    if not folder.is_dir() or _holds_report(folder / "report.json"):
+        return
+    others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
+    others += sorted(file.name for file in folder.glob("*.png"))
+    if others:
+        raise ValueError(
+            f"{path}: expected a new folder, or one of an earlier report, got one with {others[0]} of something else;"
+            " name another"
+        )
+
+
+def _holds_report(path: Path) -> bool:
+    """Whether a file begins as a `report.json` of gsvis does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(64).lstrip(b"{ \r\n").startswith(b'"format": "gsvis-')
+    except OSError:
+        return False
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
