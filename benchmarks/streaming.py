@@ -110,9 +110,14 @@ def main() -> None:
             name, w = jobs[job]
             print(f"{name}, {WALKS[w]}: {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
     rows.sort(key=lambda row: (row["scene"], row["walk"], row["link"], row["system"]))
+    blind = sorted({f"{row['scene']}, {row['walk']}" for row in rows if not any(row["curves"]["content"])})
+    rows = [row for row in rows if any(row["curves"]["content"])]  # nothing to see, nothing to compare
+    unseen = {f"{row['scene']}, {row['walk']}": row["curves"]["content"].count(0) for row in rows}
     details = {
         "config": asdict(config), "scheduler": asdict(scheduling), "round_trip": ROUND_TRIP,
         "walks": WALKS[: options.walks],
+        "walks_that_see_nothing": blind,
+        "views_without_content": {name: count for name, count in unseen.items() if count},
         "links": [{"name": link.trace.name, "mean_mbit_per_s": link.trace.bytes_between(0, 60) / 60 / 125e3}
                   for link in links],
         "scenes": {name: about(package) for name, package in named},
@@ -189,6 +194,7 @@ def walked(
         asdict(config),
         asdict(scheduling),
         SEED,
+        "figures of views with content",
     ]
     key = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
     kept = None if cache is None else cache / f"{name}-{walk}-{key}.json"

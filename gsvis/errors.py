@@ -4,16 +4,19 @@
     ├── FormatError       a file does not hold what its format promises
     ├── SceneError        a scene is well formed but cannot serve the request (no free space, no Gaussian left)
     ├── ProtocolError     a message does not hold what the wire promises
-    └── BackendError      an engine or a library is missing or cannot do this; says what to install
+    ├── BackendError      an engine or a library is missing or cannot do this; says what to install
+    └── OutputError       a file cannot be written: the disk is full, or the place is not ours (also an `OSError`)
 
 A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*.
 """
 
 from __future__ import annotations
 
+import errno
+import os
 from os import PathLike, fspath
 
-__all__ = ["BackendError", "FormatError", "GsvisError", "ProtocolError", "SceneError"]
+__all__ = ["BackendError", "FormatError", "GsvisError", "OutputError", "ProtocolError", "SceneError"]
 
 _MOST_TEXT = 400
 """Characters of each part of a message."""
@@ -79,3 +82,47 @@ class ProtocolError(GsvisError):
 
 class BackendError(GsvisError):
     """An engine or a library is missing, or cannot do what was asked; the message says what to install."""
+
+
+_ELSEWHERE = "or write to another place"
+_REMEDIES = {
+    errno.ENOSPC: f"make room and run the same again, {_ELSEWHERE}",
+    errno.EDQUOT: f"make room and run the same again, {_ELSEWHERE}",
+    errno.EFBIG: f"raise the limit on the size of files (ulimit -f), {_ELSEWHERE}",
+    errno.EROFS: "write to another place",
+    errno.EACCES: f"change its rights, {_ELSEWHERE}",
+    errno.EPERM: f"change its rights, {_ELSEWHERE}",
+}
+
+
+class OutputError(GsvisError, OSError):
+    """A file cannot be written: the disk is full, the quota is used up, or nothing may be written there.
+
+    Args:
+        path: The file or folder that was to be written.
+        code: Number of the fault, as in `errno`.
+        kept: What is kept of the work, and how to go on from it. May be empty.
+        remedy: What the user can do about it; empty takes the usual one of the fault.
+
+    Examples:
+        >>> print(OutputError("scene.ply", errno.EROFS))
+        scene.ply: cannot be written: read-only file system; write to another place
+    """
+
+    def __init__(self, path: str | PathLike[str], code: int, kept: str = "", remedy: str = "") -> None:
+        super().__init__(code, os.strerror(code), fspath(path))
+        self.path, self.kept = fspath(path), kept
+        self.remedy = remedy or _REMEDIES.get(code, f"check the disk, {_ELSEWHERE}")
+
+    def keeping(self, kept: str) -> OutputError:
+        """The same error with a word on what is kept, where it says nothing of it yet."""
+        return OutputError(self.path, self.errno or errno.EIO, self.kept or kept, self.remedy)
+
+    def __str__(self) -> str:
+        reason = os.strerror(self.errno or errno.EIO)
+        parts = (f"cannot be written: {reason[:1].lower()}{reason[1:]}", self.kept, self.remedy)
+        return f"{self.path}: {'; '.join(part for part in parts if part)}"
+
+    def __reduce__(self) -> tuple[type[OutputError], tuple[str, int, str, str]]:
+        """Pickled by its parts."""
+        return type(self), (self.path, self.errno or errno.EIO, self.kept, self.remedy)

@@ -1,6 +1,7 @@
 """The command line: arguments to library calls, status to stderr, results to stdout.
 
-Exit codes: 0 done, 2 the input or the arguments are wrong, 1 anything else, 130 interrupted, 141 nobody reads stdout.
+Exit codes: 0 done, 2 the input or the arguments are wrong, 1 anything else, a full disk among them, 130 interrupted,
+141 nobody reads stdout.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -52,10 +54,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     before = _stop_politely()
     try:
         if arguments[:1] == ["--version"]:
-            sys.stdout.write(f"gsvis {version()}\n")
+            with _stdout():
+                sys.stdout.write(f"gsvis {version()}\n")
         else:
-            _run(parse(arguments or ["--help"]))
-        sys.stdout.flush()
+            with _stdout():
+                command = parse(arguments or ["--help"])
+            _run(command)
+        with _stdout():
+            sys.stdout.flush()
     except SystemExit as done:  # from tyro, which has said what it had to say
         return done.code if isinstance(done.code, int) else 2
     except KeyboardInterrupt as stopped:
@@ -65,6 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except Exception as error:
+        _drop_stdout_if_full(error)
         if debug:
             raise
         return _told(*_explained(error))
@@ -180,9 +187,11 @@ def _run(command: Command) -> None:
 
 def _explained(error: Exception) -> tuple[str, int]:
     """One line for the user, and the exit code."""
-    from gsvis.errors import GsvisError
+    from gsvis.errors import GsvisError, OutputError
 
     text = " ".join(str(error).split())
+    if isinstance(error, OutputError):
+        return f"error: {text}", 1
     if isinstance(error, FileNotFoundError) and error.filename is not None:
         return f"error: {os.fsdecode(error.filename)}: no such file or folder", 2
     if isinstance(error, OSError) and error.filename is not None:
@@ -193,6 +202,22 @@ def _explained(error: Exception) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return "error: out of memory; try a coarser --lod, a --crop with gsvis convert, or fewer pixels", 1
     return f"internal error: {type(error).__name__}: {text}; please report it with what --debug shows", 1
+
+
+def _stdout() -> AbstractContextManager[None]:
+    """What raises OutputError where standard output goes to a file and the disk is full."""
+    from gsvis.cli.terminal import written_out
+
+    return written_out()
+
+
+def _drop_stdout_if_full(error: Exception) -> None:
+    """Send the rest of standard output nowhere after it failed: Python would fail once more when it flushes at exit."""
+    from gsvis.cli.terminal import STDOUT
+    from gsvis.errors import OutputError
+
+    if isinstance(error, OutputError) and error.path == STDOUT:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _told(line: str, code: int) -> int:

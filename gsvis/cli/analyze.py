@@ -12,11 +12,13 @@ import numpy as np
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
 from gsvis.cli.source import (
-    check_folder,
+    check_report,
     check_source,
     evenly,
     file_cameras,
     inspected,
+    is_builtin,
+    is_report,
     load_source,
     navigable_space,
 )
@@ -32,6 +34,7 @@ __all__ = ["PICTURE", "run_analyze"]
 PICTURE = 400
 """Pixels of the longer side of the pictures."""
 
+_COMPARABLE = 50  # views of a capture, from which their mean stands beside the paper's
 _VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
 
 
@@ -45,7 +48,7 @@ def run_analyze(command: Analyze) -> None:
         OSError: If the report cannot be written.
     """
     check_source(command.scene, command.lod)
-    check_folder(command.out)
+    check_report(command.out)
     given = _given_cameras(command)
     with Status() as status:
         document = _reported(command, given, status)
@@ -91,8 +94,20 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
         facts={"path": command.scene, "lod": source.lod, **facts_found},
         parameters=_parameters(command, cameras),
         seconds=dict(status.seconds),
+        differs=_differs(command, len(cameras)),
     )
     return write_report(command.out, analysis, subject, pictures, progress=status)
+
+
+def _differs(command: Analyze, cameras: int) -> str:
+    """What keeps the paper's figures from being compared with these; empty where they can be."""
+    if is_builtin(command.scene):
+        return "this scene was made, not captured"
+    if command.cameras is None:
+        return "the cameras here are drawn at random where a visitor may stand, not the views of a capture"
+    if cameras < _COMPARABLE:
+        return f"{cameras:,} views are few; the paper's are all those of a capture"
+    return ""
 
 
 def _warm_up() -> None:
@@ -112,7 +127,8 @@ def _given_cameras(command: Analyze) -> Cameras | None:
         raise ValueError(
             f"--fov: expected none with --cameras, whose file states it, got {command.fov:g}; leave it out"
         )
-    cameras = file_cameras(command.cameras, command.width, command.height, at_most=_WIDTH)
+    at_most = None if is_report(command.cameras) else _WIDTH  # a report's views are repeated as they were
+    cameras = file_cameras(command.cameras, command.width, command.height, at_most=at_most)
     return cameras if command.views is None else evenly(cameras, command.views)
 
 
@@ -169,26 +185,33 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         rays_each = document["config"]["rays_per_face"]
         about.append(("traced outward", f"{found['traced']['gaussians']:,} Gaussians, {rays_each} rays a direction"))
     shares = [
-        ("visible in a view: mean of the cameras", f"{visible['mean']:.2%}", "20.21%"),
+        ("visible in a view: mean of the views", f"{visible['mean']:.2%}", "20.21%"),
         ("                   smallest", f"{visible['min']:.2%}", ""),
         ("                   largest", f"{visible['max']:.2%}", "33.58%*"),
         ("seen by at least one camera", f"{found['gathered']['seen_at_least_once'] / document['gaussians']:.2%}", ""),
     ]
-    for way, named in (("gathered", f"seen by {len(visible['cameras']):,} cameras"), ("traced", "traced outward")):
+    ways = {"gathered": f"{len(visible['cameras']):,} views", "traced": "traced", "solid_angle": "by solid angle"}
+    for way, named in ways.items():
         if found[way]:
             for each, limit, paper in zip(
                 found[way]["share_below"], ("41.25%", "60%"), ("39.4%", "80.4%"), strict=True
             ):
-                told = f"{named} from < {limit} of directions"
-                shares.append((told, f"{each['of_all']:.2%}", paper))
+                told = f"seen from < {limit} of directions, {named}"
+                shares.append((told, f"{each['of_all']:.2%}", paper if way == "gathered" else ""))
     if found["agreement"]:
         shares.append(("agreement of the two: mean Jaccard index", f"{found['agreement']['mean_jaccard']:.3f}", ""))
-    return [facts(document["scene"]["name"], about), facts("", shares, ("share of all Gaussians", "here", "paper"))]
+    header = ("share of all Gaussians", "here", "paper")
+    if not document["paper"]["comparable"]:
+        shares, header = [row[:2] for row in shares], header[:2]
+    return [facts(document["scene"]["name"], about), facts("", shares, header)]
 
 
 def _remarks(document: dict[str, Any]) -> list[str]:
     found = document["directions"]
+    differs = document["paper"]["differs"]
     remarks = [" * in the one view of the paper's figure 1"]
+    if differs:
+        remarks = [f" The paper's 20.21% visible in a view does not compare with these: {differs}."]
     if not found["has_settled"]:
         count = len(document["visible_fraction"]["cameras"])
         remarks.append(

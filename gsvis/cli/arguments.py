@@ -94,7 +94,8 @@ class Analyze:
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: sampled)")] = None
-    """COLMAP model, transforms.json or cameras.json. Without it cameras are sampled in navigable space."""
+    """COLMAP model, transforms.json, cameras.json, or report.json of an earlier run, whose views are repeated exactly.
+    Without it cameras are sampled in navigable space."""
     views: Annotated[int | None, COUNTED, hint("16; with --cameras all")] = None
     """Number of cameras to sample, or to take from FILE at even steps."""
     width: Annotated[int | None, PIXELS, hint("256")] = None
@@ -137,7 +138,8 @@ class Render:
             help_behavior_hint="(default: one camera, sampled in navigable space)",
         ),
     ] = None
-    """COLMAP model, transforms.json or cameras.json; all its cameras, or those of --index."""
+    """COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze; all its cameras, or those of
+    --index."""
     index: Annotated[tuple[int, ...] | None, INDICES, hint("all")] = None
     """Which cameras of FILE, counted from 0."""
     orbit: Annotated[int | None, COUNTED, hint("no orbit")] = None
@@ -174,6 +176,8 @@ class Render:
     """List the Gaussians blended into the pixel in column X and row Y, front to back; for one camera."""
     backend: Annotated[Literal["auto", "cpu", "cuda", "reference"], PLAIN] = "auto"
     """What draws; auto takes a GPU where there is one that can. (default: auto)"""
+    overwrite: Flag = False
+    """Replace pictures that something else wrote; those of gsvis render are replaced without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     debug: Flag = False
@@ -187,7 +191,7 @@ class Convert:
     scene: Annotated[Positional[str], arg(metavar="IN", help_behavior_hint="")]
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
     output: Annotated[Positional[str], arg(metavar="OUT", help_behavior_hint="")]
-    """File to write; replaced if it exists."""
+    """File to write; one that exists is replaced with --overwrite alone."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     crop: Annotated[tuple[float, ...] | None, BOX, hint("no crop")] = None
@@ -198,6 +202,8 @@ class Convert:
     """Drop spherical harmonics above this degree."""
     up: Annotated[str | None, arg(metavar="FROM:TO", help_behavior_hint="(default: left as it is)")] = None
     """Turn the scene so that axis FROM becomes TO, as in -y:+z."""
+    overwrite: Flag = False
+    """Replace OUT if it exists."""
     json: Flag = False
     """Print one JSON document instead of a line."""
     debug: Flag = False
@@ -343,7 +349,7 @@ class Train:
     source: Annotated[Positional[str], arg(metavar="IMAGES", help_behavior_hint="")]
     """Folder with a COLMAP model (undistorted) and its images, or with a transforms.json."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
-    """The scene to write, .ply, .spz or .sog; replaced if it exists. Its record goes beside it: scene.train.json."""
+    """The scene to write, .ply, .spz or .sog. Its record goes beside it: scene.train.json."""
     images: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: images, beside the model)")] = None
     """Folder of the photographs."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("that of the images")] = None
@@ -372,6 +378,8 @@ class Train:
     """Seconds from one write of it to the next: what a kill may cost."""
     restart: Flag = False
     """Begin anew where there is a checkpoint."""
+    overwrite: Flag = False
+    """Replace a scene that exists. To go on from a checkpoint needs no --overwrite."""
     json: Flag = False
     """Print the record on standard output instead of a table."""
     debug: Flag = False

@@ -18,7 +18,7 @@ from gsvis.cli.kernels import warm_colors
 from gsvis.cli.source import (
     Source,
     check_file,
-    check_folder,
+    check_report,
     check_source,
     given_up,
     inputs_of,
@@ -29,7 +29,7 @@ from gsvis.cli.source import (
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.color.epsilon import DEFAULT_EPSILON
-from gsvis.errors import SceneError
+from gsvis.errors import OutputError, SceneError
 from gsvis.io._limits import open_regular
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
@@ -48,6 +48,7 @@ __all__ = ["fit_config", "run_color"]
 
 _HELD_OUT, _OBSERVED = 1, 2  # streams of random numbers of views; those of the fit are 0
 _OBSERVED_VIEWS = 4
+_HEAD, _PAGE = 4096, b"<title>Can you see it?"
 _FOV = 60.0
 _PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
 _SPELLED = {("epsilon", 0.0): "auto", ("mean_terms", math.inf): "all"}
@@ -106,7 +107,7 @@ def _checked(command: Color) -> ColorConfig:
             check_file(path)
             _check_no_input(name, path, command)
     if command.report is not None:
-        check_folder(command.report)
+        check_report(command.report)
     written = [Path(path).absolute() for path in targets.values() if path is not None]
     if len(set(written)) < len(written):
         raise ValueError("--out, --active, --staircase: expected files of their own, got one twice; name another")
@@ -144,13 +145,14 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
     for given in (*inputs_of(command.scene), *([] if command.pvs is None else [Path(command.pvs)])):
         if target.exists() and given.exists() and target.samefile(given):
             raise ValueError(f"--{name}: expected a file of its own, got {path}, which is read; name another")
-    if name == "out" and target.is_file() and target.stat().st_size > 0:
+    if target.is_file() and target.stat().st_size > 0:
         with open_regular(target) as file:
-            if file.read(6) != b"ARROW1":
-                raise ValueError(
-                    f"--out: expected a new file or an Arrow file to replace, got {path}, which is something else;"
-                    " name another"
-                )
+            head = file.read(_HEAD)
+        if not (_PAGE in head if name == "staircase" else head.startswith(b"ARROW1")):
+            kind = "a page of an earlier run" if name == "staircase" else "an Arrow file"
+            raise ValueError(
+                f"--{name}: expected a new file or {kind} to replace, got {path}, which is something else; name another"
+            )
 
 
 def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None, status: Status) -> _Plan:
@@ -220,6 +222,10 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         if kept is None or not kept.exists():
             raise
         raise KeyboardInterrupt(f"what was found is kept in {kept.name}; the same command goes on from there") from None
+    except OutputError as error:
+        if kept is None or not kept.exists():
+            raise
+        raise error.keeping(f"what was found is kept in {kept.name}") from error
     if kept is not None:
         kept.unlink(missing_ok=True)
     levels = plan.source.levels
@@ -230,6 +236,8 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         return _looked_at(command, plan, fitted, status)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{command.out} is written, what else was asked for may not be") from None
+    except OutputError as error:
+        raise error.keeping(f"{command.out} is written") from error
 
 
 def _epsilon(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gsvis.cli.arguments import Convert
-from gsvis.cli.source import check_folder, check_source, load_source
+from gsvis.cli.source import check_folder, check_new, check_source, inputs_of, load_source
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.io.convert import AXES, convert_scene
 from gsvis.io.scenes import save_scene
@@ -34,6 +34,9 @@ def run_convert(command: Convert) -> None:
     if target.is_dir():
         raise ValueError(f"OUT: expected the name of a file, got the folder {command.output!r}")
     check_folder(target.parent)
+    check_new(target, command.overwrite)
+    if target.exists() and any(path.exists() and target.samefile(path) for path in inputs_of(command.scene)):
+        raise ValueError(f"OUT: expected another file than IN, got {command.output}; name another")
     crop = None if command.crop is None else (command.crop[:3], command.crop[3:])
     with Status() as status:
         status("reading", 0, 1)

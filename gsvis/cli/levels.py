@@ -19,7 +19,7 @@ from gsvis.cli.levels_result import record_of, tell_result
 from gsvis.cli.source import Source, check_folder, check_source, given_up, load_source, navigable_space
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
-from gsvis.errors import FormatError, SceneError
+from gsvis.errors import FormatError, OutputError, SceneError
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -112,6 +112,7 @@ def _checked(command: Levels) -> LevelsConfig:
         raise ValueError(f"--{error}") from None
     check_folder(command.out)
     check_folder(_target(command.out).parent)  # where unfinished work is kept
+    _check_target(command, config.names)
     if command.photos is None:  # photographs check themselves
         held_out = _HELD_OUT if command.held_out is None else command.held_out
         check_views(view_sampling(command.views, command.size, command.seed), held_out)
@@ -170,7 +171,7 @@ def _planned(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
         config.sizes(len(g))
     except ValueError as error:
         raise ValueError(f"--{error}; larger --shares, or a finer --lod") from None
-    _check_replaced(command, config.names, g)
+    _check_replaced(command, g)
     status("reading", 1, 1)
     if command.photos is not None:
         from gsvis.train.level_views import photograph_views
@@ -199,8 +200,8 @@ def _work(command: Levels, config: LevelsConfig, g: Gaussians, views: PosedImage
     return work_of(command.out, json.dumps([scene_hash(g), asdict(config), digest.hexdigest()]))
 
 
-def _check_replaced(command: Levels, names: tuple[str, ...], g: Gaussians) -> None:
-    """Refuse to replace what is not levels of this scene: a slip of the keyboard must not cost hours of training."""
+def _check_target(command: Levels, names: tuple[str, ...]) -> None:
+    """Refuse to replace what is no level, before work begins: a slip of the keyboard must not cost a scene."""
     folder = _target(command.out)
     files = {name: folder / f"{name}.ply" for name in names}
     for file in files.values():
@@ -211,17 +212,28 @@ def _check_replaced(command: Levels, names: tuple[str, ...], g: Gaussians) -> No
         wanted = f"--out: expected a new folder, or levels of this scene to replace, got {command.out}"
         try:
             known = levels_info(folder).files
-            held = load_levels(folder)
         except FormatError as error:
             raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
-        if scene_hash(held.level(len(held) - 1)) != scene_hash(g):
-            raise ValueError(f"{wanted}, which holds those of another; name another")
     for file in files.values():
         if file.exists() and file.name not in known:
             raise ValueError(
                 f"--out: expected a folder without {file.name}, got {command.out}, which has one that no {MAP} knows;"
                 " name another, or move it away"
             )
+
+
+def _check_replaced(command: Levels, g: Gaussians) -> None:
+    """Refuse to replace levels of another scene: they took hours of training."""
+    folder = _target(command.out)
+    if not (folder / MAP).exists():
+        return
+    wanted = f"--out: expected a new folder, or levels of this scene to replace, got {command.out}"
+    try:
+        held = load_levels(folder)
+    except FormatError as error:
+        raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
+    if scene_hash(held.level(len(held) - 1)) != scene_hash(g):
+        raise ValueError(f"{wanted}, which holds those of another; name another")
 
 
 def _drawn(command: Levels, source: Source, status: Status) -> LevelViews:
@@ -285,5 +297,10 @@ def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, 
         raise KeyboardInterrupt(
             f"what was chosen and trained is kept in {work.name}; the same command goes on from there"
         ) from None
+    except OutputError as error:
+        if not _begun(work):
+            shutil.rmtree(work, ignore_errors=True)
+            raise
+        raise error.keeping(f"what was chosen and trained is kept in {work.name}") from error
     shutil.rmtree(work, ignore_errors=True)
     return trained, record

@@ -9,6 +9,8 @@ from typing import Any
 from gsvis.cli.arguments import Unpack, Verify
 from gsvis.cli.source import check_folder
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.errors import FormatError
+from gsvis.io.levels import MAP, levels_info
 from gsvis.package import Manifest, Package, unpack_package
 
 __all__ = ["run_unpack", "run_verify", "sizes_told"]
@@ -63,8 +65,9 @@ def run_unpack(command: Unpack) -> None:
     target = Path(command.out)
     if target.exists() and not target.is_dir():
         raise ValueError(f"--out: expected a folder, got the file {command.out!r}")
-    check_folder(target.parent)
+    check_folder(target)
     with Status() as status, Package.open(command.package) as package:
+        _check_replaced(target, package.manifest)
         levels = unpack_package(package, target, sh_degree=command.sh_degree, progress=status)
     files = {name: target / f"{name}.ply" for name in levels.names}
     if command.json:
@@ -82,6 +85,27 @@ def run_unpack(command: Unpack) -> None:
             for name, count in zip(levels.names, levels.counts, strict=True)
         )
     )
+
+
+def _check_replaced(folder: Path, manifest: Manifest) -> None:
+    """Refuse to replace what is not an earlier unpacking of this scene.
+
+    Raises:
+        ValueError: If a file of that name is something else.
+    """
+    known: tuple[str, ...] = ()
+    wanted = f"--out: expected a new folder, or what was unpacked from this scene, got {folder}"
+    if (folder / MAP).exists():
+        try:
+            info = levels_info(folder)
+        except FormatError as error:
+            raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
+        if info.extra.get("scene") != manifest.scene:
+            raise ValueError(f"{wanted}, which holds levels of something else; name another")
+        known = info.files
+    for name in manifest.names:
+        if f"{name}.ply" not in known and (folder / f"{name}.ply").exists():
+            raise ValueError(f"{wanted}, which has a {name}.ply that no {MAP} knows; name another, or move it away")
 
 
 def sizes_told(manifest: Manifest) -> list[tuple[str, str]]:

@@ -5,6 +5,7 @@ Colours of trained scenes are display-referred already: clipped to [0, 1] and wr
 
 from __future__ import annotations
 
+import io
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -19,9 +20,11 @@ from PIL.PngImagePlugin import PngInfo
 
 from gsvis.cli.source import check_folder
 from gsvis.io.atomic import atomic_folder, atomic_path
+from gsvis.io.output import TEMPORARY, output_errors
 
 __all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
 
+_MARK = "gsvis"  # in the pictures that are ours, and so may be replaced
 _SEEN = 1.0 / 255.0  # alpha from which a pixel has a depth
 _RANGE = (0.01, 0.99)  # quantiles of the depths of a frame that the colours span
 
@@ -74,6 +77,11 @@ class Target:
         numbers = (path.stem for path in self.path.glob("*.png") if len(path.stem) >= self._digits)
         return sum(stem.isdecimal() and int(stem) >= self.count for stem in numbers)
 
+    def foreign(self, depth: bool) -> list[Path]:
+        """Files that would be replaced and that `gsvis render` did not write."""
+        paths = [*self.files, *(self.depth_files if depth else [])]
+        return [path for path in paths if path.exists() and not _is_own(path)]
+
     @property
     def _digits(self) -> int:
         return max(4, len(str(self.count - 1)))
@@ -125,10 +133,11 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
             if target.kind == "gif":
                 animation.append(picture.quantize(256))
             else:
-                picture.save(place(target.files[i]))
+                place(target.files[i]).write_bytes(_png(picture))
             if depth:
                 z = np.where(frame.alpha >= _SEEN, frame.depth, 0.0).astype(np.float32)
-                np.save(kept / f"{i}.npy", z)  # colours span all frames: they are known after the last
+                with output_errors(kept, remedy=TEMPORARY):  # colours span all frames: they are known after the last
+                    (kept / f"{i}.npy").write_bytes(_npy(z))
                 if z.any():
                     low, high = np.quantile(z[z > 0.0], _RANGE).tolist()
                     near, far = min(near, low), max(far, high)
@@ -161,23 +170,50 @@ def _write_depths(
     said = (
         f"expected depth (camera z, scene units) in viridis, linear from near={near:.9g} to far={far:.9g}; black: none"
     )
-    info = PngInfo()
-    info.add_text("gsvis:near", f"{near:.9g}")
-    info.add_text("gsvis:far", f"{far:.9g}")
-    info.add_text("Description", said)
+    texts = {"gsvis:near": f"{near:.9g}", "gsvis:far": f"{far:.9g}", "Description": said}
     pictures = (Image.fromarray(_coloured(np.load(path), near, far)) for path in kept)
     if target.kind == "gif":
         _save_animation(place(target.depth_files[0]), [each.quantize(256) for each in pictures], fps, said)
         return
     for path, picture in zip(target.depth_files, pictures, strict=True):
-        picture.save(place(path), pnginfo=info)
+        place(path).write_bytes(_png(picture, **texts))
 
 
 def _save_animation(path: Path, frames: list[Image.Image], fps: float, comment: str) -> None:
     hundredths = max(2, round(100.0 / fps))  # the format counts in these, and browsers slow down what is shorter than 2
+    out = io.BytesIO()  # to a file Pillow writes by itself, and loses the reason where it cannot
     frames[0].save(
-        path, save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0, comment=comment.encode()
-    )
+        out, "gif", save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0,
+        comment=f"{_MARK} {comment}".strip().encode(),
+    )  # fmt: skip
+    path.write_bytes(out.getbuffer())
+
+
+def _png(picture: Image.Image, **texts: str) -> bytes:
+    """A PNG that says what made it."""
+    info, out = PngInfo(), io.BytesIO()
+    for name, text in {"Software": _MARK, **texts}.items():
+        info.add_text(name, text)
+    picture.save(out, "png", pnginfo=info)
+    return out.getvalue()
+
+
+def _npy(array: NDArray[np.float32]) -> bytes:
+    """An array as a .npy file; `np.save` loses the reason where it cannot write."""
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file is a picture that `gsvis render` wrote."""
+    try:
+        with Image.open(path) as picture:
+            comment = picture.info.get("comment", b"")
+            told = comment.decode("utf-8", "replace") if isinstance(comment, bytes) else str(comment)
+            return picture.info.get("Software") == _MARK or told.split(" ")[0] == _MARK
+    except (OSError, ValueError, SyntaxError):
+        return False
 
 
 def eight_bit(image: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -28,6 +28,7 @@ from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
 from gsvis.io._limits import open_regular
 from gsvis.io.poses import load_path
+from gsvis.scene.content import scene_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.visibility._corridor import corridor
@@ -128,6 +129,22 @@ def _check_target(command: Pvs) -> None:
                 ) from None
 
 
+def _check_replaced(command: Pvs, source: Source) -> None:
+    """Refuse to replace a whole store of another scene: it took hours."""
+    if not Path(command.out).is_file():
+        return
+    try:
+        with VisibilityStore.open(command.out) as store:
+            whole = store.info.scene
+    except FormatError:  # damaged
+        return
+    if whole != scene_hash(source.union):
+        raise ValueError(
+            f"--out: expected a new file, or a store of this scene to replace, got {command.out}, which is of another"
+            " scene; name another"
+        )
+
+
 @contextmanager
 def _workers(command: Pvs) -> Iterator[Workers]:
     if command.scheduler is not None:
@@ -151,6 +168,7 @@ def _planned(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Sta
     source = load_source(command.scene, command.lod)
     if len(source.gaussians) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+    _check_replaced(command, source)
     status("reading", 1, 1)
     status("space", 0, 1)
     space, remarks = _space(command, source, walk)

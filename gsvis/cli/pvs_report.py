@@ -10,7 +10,7 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
-from gsvis.cli.source import Source, check_folder, check_source, inspected, load_source, navigable_space
+from gsvis.cli.source import Source, check_report, check_source, inspected, load_source, navigable_space
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.scene.content import space_hash
 from gsvis.visibility.store import VisibilityStore
@@ -33,7 +33,7 @@ def run_pvs_report(command: PvsReport) -> None:
     if not Path(command.store).exists():
         raise FileNotFoundError(2, "no such file or folder", command.store)
     check_source(command.scene, command.lod)
-    check_folder(command.out)
+    check_report(command.out)
     with VisibilityStore.open(command.store) as store, Status() as status:
         document = _reported(command, store, status)
     if command.json:

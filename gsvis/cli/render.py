@@ -15,6 +15,7 @@ from gsvis.cli.source import Source, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_views, given_cameras, placed_cameras
 from gsvis.errors import BackendError, SceneError
+from gsvis.io.report_cameras import describe_cameras
 from gsvis.render import GaussianTensors, PixelContributors, contributors, rasterize
 from gsvis.render.cuda import is_available
 from gsvis.scene.cameras import Cameras
@@ -141,6 +142,11 @@ def _target(command: Render, count: int) -> Target | None:
             raise ValueError("-o: expected where to write, such as image.png, orbit.gif or frames/, got nothing")
         return None
     target = target_of(command.out, count)
+    if not command.overwrite and (others := target.foreign(command.depth)):
+        raise ValueError(
+            f"-o: expected a new file, or a picture of gsvis to replace, got {others[0]}, which something else wrote;"
+            " name another, or say --overwrite"
+        )
     if command.fps is not None and target.kind != "gif":
         raise ValueError(f"--fps: expected OUT to be a .gif with it, got {command.out!r}; leave it out")
     return target
@@ -215,15 +221,7 @@ def _document(command: Render, target: Target | None, done: _Done) -> dict[str, 
         "seconds": round(done.seconds, 3),
         "files": [str(path) for path in files],
         "depth": None,
-        "cameras": [
-            {
-                "name": cameras.names[i],
-                "eye": cameras.viewpoints[i].tolist(),
-                "viewmat": cameras.viewmats[i].tolist(),
-                "K": cameras.Ks[i].tolist(),
-            }
-            for i in range(len(cameras))
-        ],
+        "cameras": describe_cameras(cameras),
         "contributors": None,
     }
     if target and command.depth:

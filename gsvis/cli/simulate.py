@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,10 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments_simulate import Simulate
-from gsvis.cli.source import check_folder, check_source, load_source
+from gsvis.cli.source import check_report, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import SceneError
+from gsvis.io.output import TEMPORARY, output_errors
 from gsvis.io.poses import load_path
 from gsvis.package.package import Package
 from gsvis.scene.gaussians import Gaussians
@@ -22,6 +24,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
+    from gsvis.abr import BandwidthTrace
     from gsvis.report.session_document import Visit
     from gsvis.simulate import Delivery, Link, SessionConfig
     from gsvis.stream import StreamedScene
@@ -54,14 +57,22 @@ def run_simulate(command: Simulate) -> None:
         OSError: If the report cannot be written.
     """
     _check(command)
-    check_folder(command.out)
-    walk = load_path(command.path)
+    check_report(command.out)
+    walk, trace = load_path(command.path), _trace(command)
     with Status() as status:
-        document = _reported(command, walk, status)
+        document = _reported(command, walk, trace, status)
+    from gsvis.report.session_page import content_remarks
+
     if command.json:
+        for told in content_remarks(document):
+            sys.stderr.write(f"gsvis: {told}\n")
         print_json(document)
     else:
-        show(*_tables(document), f" Report: {Path(command.out) / 'report.html'}")
+        show(
+            *_tables(document),
+            *(f" {told}" for told in content_remarks(document)),
+            f" Report: {Path(command.out) / 'report.html'}",
+        )
 
 
 def _check(command: Simulate) -> None:
@@ -80,17 +91,24 @@ def _check(command: Simulate) -> None:
             raise FileNotFoundError(2, "no such file or folder", file)
     for scene in command.scene:
         check_source(scene, command.lod)
+    for package in command.package:
+        Package.open(package).close()
 
 
-def _reported(command: Simulate, walk: HeadPath, status: Status) -> dict[str, Any]:
+def _trace(command: Simulate) -> BandwidthTrace:
+    """The rate of the link."""
+    from gsvis.abr import BandwidthTrace, load_trace
+
+    return load_trace(command.trace) if command.trace else BandwidthTrace.constant(command.mbit or _MBIT)
+
+
+def _reported(command: Simulate, walk: HeadPath, trace: BandwidthTrace, status: Status) -> dict[str, Any]:
     """Everything between the read arguments and a written report."""
     from contextlib import ExitStack
 
-    from gsvis.abr import BandwidthTrace, load_trace
     from gsvis.report.session_document import Simulation, write_session_report
     from gsvis.simulate import Link, SessionConfig
 
-    trace = load_trace(command.trace) if command.trace else BandwidthTrace.constant(command.mbit or _MBIT)
     link = Link(trace, command.round_trip / 1000.0)
     config = SessionConfig(
         seconds=command.seconds, fine=min(3.0, command.seconds), every=min(command.every, command.seconds),
@@ -155,7 +173,8 @@ def _file_size(command: Simulate, which: int, g: Gaussians) -> tuple[int, str]:
     from gsvis.simulate import morton_order
 
     with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
-        save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
+        with output_errors(folder, remedy=TEMPORARY):
+            save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
         told = "before it was packaged" if command.scene else "the package's highest level, base colours alone"
         return (Path(folder) / "scene.sog").stat().st_size, f"SOG as gsvis writes it, of the scene: {told}"
 

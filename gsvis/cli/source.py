@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
+from gsvis.io.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, inspect_scene
@@ -27,6 +27,8 @@ __all__ = [
     "Source",
     "check_file",
     "check_folder",
+    "check_new",
+    "check_report",
     "check_source",
     "evenly",
     "file_cameras",
@@ -34,7 +36,9 @@ __all__ = [
     "given_up",
     "inputs_of",
     "inspected",
+    "is_builtin",
     "is_levels",
+    "is_report",
     "levels_spelled",
     "levels_told",
     "load_source",
@@ -257,6 +261,19 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
     return cameras
 
 
+def is_builtin(scene: str) -> bool:
+    """Whether a scene is named that gsvis makes itself."""
+    return scene.startswith(BUILTIN)
+
+
+def is_report(path: str) -> bool:
+    """Whether a file holds cameras as gsvis writes them."""
+    from gsvis.io.report_cameras import holds_own_cameras
+    from gsvis.io.views import read_json
+
+    return Path(path).suffix == ".json" and Path(path).is_file() and holds_own_cameras(read_json(path))
+
+
 def evenly(cameras: Cameras, count: int) -> Cameras:
     """`count` of the cameras at even steps, in their order; all of them if there are not more."""
     if count >= len(cameras):
@@ -282,11 +299,52 @@ def check_file(path: str | os.PathLike[str]) -> None:
 
     Raises:
         ValueError: If the path is a folder, or a folder above it is a file.
-        OSError: If nothing may be written there.
+        OutputError: If nothing can be written there.
     """
     if Path(path).is_dir():
         raise ValueError(f"{path}: expected the name of a file, got a folder; name a file in it")
     check_folder(Path(path).absolute().parent)
+
+
+def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
+    """Refuse to replace a file unless that was asked for: a slip of the keyboard must not cost a scene.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    if not overwrite and os.path.lexists(path):
+        raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
+
+
+def check_report(path: str | os.PathLike[str]) -> None:
+    """Say at once if a report cannot be written into a folder, or would mix with files of something else.
+
+    An earlier report of gsvis is replaced; pictures and pages that it did not write are not.
+
+    Raises:
+        ValueError: If the folder holds pictures or pages of something else.
+        OutputError: If nothing can be written there.
+    """
+    check_folder(path)
+    folder = Path(path)
+    if not folder.is_dir() or _holds_report(folder / "report.json"):
+        return
+    others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
+    others += sorted(file.name for file in folder.glob("*.png"))
+    if others:
+        raise ValueError(
+            f"{path}: expected a new folder, or one of an earlier report, got one with {others[0]} of something else;"
+            " name another"
+        )
+
+
+def _holds_report(path: Path) -> bool:
+    """Whether a file begins as a `report.json` of gsvis does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(64).lstrip(b"{ \r\n").startswith(b'"format": "gsvis-')
+    except OSError:
+        return False
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
@@ -294,15 +352,12 @@ def check_folder(path: str | os.PathLike[str]) -> None:
 
     Raises:
         ValueError: If the path, or a folder above it, is a file.
-        OSError: If nothing may be written there.
+        OutputError: If nothing can be written there.
     """
     folder = Path(path).absolute()
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():
         raise ValueError(f"{path}: expected a folder to write to, got the file {folder}; name another")
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OSError(error.errno, f"cannot write there ({os.strerror(error.errno or 0).lower()})", str(path)) from None
+    with output_errors(path, folder):
+        check_writable(folder)

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Any
+
+from gsvis.errors import OutputError
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
-__all__ = ["Status", "clock", "facts", "print_json", "show", "size_of"]
+__all__ = ["STDOUT", "Status", "clock", "facts", "print_json", "show", "size_of", "written_out"]
+
+STDOUT = "standard output"
+"""What an OutputError calls it."""
 
 _SAID = {
     "reading": "reading the scene",
@@ -170,9 +176,22 @@ def size_of(count: int) -> str:
     return f"{count} bytes"
 
 
+@contextmanager
+def written_out() -> Iterator[None]:
+    """Raise OutputError where standard output goes to a file that cannot be written."""
+    try:
+        yield
+    except BrokenPipeError:  # nobody reads it
+        raise
+    except OSError as error:
+        raise OutputError(STDOUT, error.errno or errno.EIO) from error
+
+
 def print_json(document: dict[str, Any]) -> None:
     """One JSON document on stdout; NaN and infinity, which JSON does not know, are an error."""
-    sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    with written_out():
+        sys.stdout.write(f"{text}\n")
 
 
 def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ("", "")) -> Table:
@@ -196,7 +215,7 @@ def show(*parts: Table | str) -> None:
     from rich.console import Console
 
     console = Console(width=min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80, highlight=False)
-    with console.capture() as held:
+    with written_out(), console.capture() as held:  # it flushes the file even then
         for part in parts:
             if isinstance(part, str):
                 indent = " " * (3 if part.startswith(" - ") else 1)
@@ -208,4 +227,5 @@ def show(*parts: Table | str) -> None:
                     break_on_hyphens=False,
                 )
             console.print(part, markup=False, soft_wrap=isinstance(part, str))
-    sys.stdout.write("\n".join(line.rstrip() for line in held.get().splitlines()) + "\n")
+    with written_out():
+        sys.stdout.write("\n".join(line.rstrip() for line in held.get().splitlines()) + "\n")

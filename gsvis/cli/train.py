@@ -13,9 +13,10 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
-from gsvis.cli.source import check_file
+from gsvis.cli.source import check_file, check_new
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.errors import OutputError
 from gsvis.io._limits import open_regular
 
 if TYPE_CHECKING:
@@ -96,6 +97,9 @@ def _checked(command: Train) -> TrainConfig:
     if out.suffix.lower() == ".ply" and out.is_file() and out.stat().st_size > 0 and not _holds_gaussians(out):
         told = f"got {command.out}, which is something else; name another"
         raise ValueError(f"--out: expected a new file or a scene to replace, {told}")
+    if command.restart or not checkpoint_of(command).exists():  # with one, an earlier run was let through
+        check_new(out, command.overwrite)
+        check_new(record_of(command), command.overwrite)
     if command.size is not None and command.downscale is not None:
         raise ValueError("--downscale: expected none with --size, got both; leave one out")
     if command.hold_out == 1:
@@ -215,6 +219,10 @@ def _trained(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         raise KeyboardInterrupt(
             f"what was trained is kept in {plan.checkpoint.name}; the same command goes on from there"
         ) from None
+    except OutputError as error:
+        if not plan.checkpoint.exists():
+            raise
+        raise error.keeping(f"what was trained is kept in {plan.checkpoint.name}") from error
     measured = plan.train[::_SEEN_EVERY] if plan.held_out is None else plan.held_out
     try:
         quality = measure_views(result.gaussians, measured, device=plan.device, progress=status)
@@ -225,6 +233,8 @@ def _trained(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         raise KeyboardInterrupt(
             f"training is done and kept in {plan.checkpoint.name}; the same command writes the scene"
         ) from None
+    except OutputError as error:
+        raise error.keeping(f"training is done and kept in {plan.checkpoint.name}") from error
     cameras = plan.photos.views.cameras
     return {
         "format": "gsvis-training-record",

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gsvis import _check
+from gsvis.io.output import output_errors
 
 __all__ = ["atomic_folder", "atomic_path"]
 
@@ -28,16 +29,20 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Yields:
         The path to write to, with the same suffix.
+
+    Raises:
+        OutputError: If the file cannot be written.
     """
     target = _check.path("path", path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
-    os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # the usual rights, unlike mkstemp's
-    try:
-        yield partial
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
+    _make(target.parent, path)
+    with output_errors(path, partial):
+        os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # the usual rights, unlike mkstemp's
+        try:
+            yield partial
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -51,18 +56,29 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Yields:
         The folder to write to.
+
+    Raises:
+        OutputError: If the folder cannot be written.
     """
     target = _check.path("path", path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    try:
-        yield partial
-        target.mkdir(exist_ok=True)
-        for source in sorted(partial.rglob("*")):
-            destination = target / source.relative_to(partial)
-            if source.is_dir():
-                destination.mkdir(exist_ok=True)
-            else:
-                os.replace(source, destination)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    _make(target.parent, path)
+    with output_errors(path, target.parent):
+        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    with output_errors(path, partial):
+        try:
+            yield partial
+            target.mkdir(exist_ok=True)
+            for source in sorted(partial.rglob("*")):
+                destination = target / source.relative_to(partial)
+                if source.is_dir():
+                    destination.mkdir(exist_ok=True)
+                else:
+                    os.replace(source, destination)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _make(folder: Path, path: str | os.PathLike[str]) -> None:
+    """Make a folder and those above it; `path` is what the user asked for."""
+    with output_errors(path, folder.absolute().anchor):
+        folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Cameras from the files people have: COLMAP models, `transforms.json`, INRIA's `cameras.json`.
+"""Cameras from the files people have: COLMAP models, `transforms.json`, INRIA's `cameras.json`, a report of gsvis.
 
 The format is told from the content; each lives in a file of its own. What comes out is in the frame of the file,
 OpenCV axes, camera from world.
@@ -15,13 +15,14 @@ from gsvis.errors import FormatError
 from gsvis.io.colmap import find_colmap, read_colmap
 from gsvis.io.folders import cameras_remedy
 from gsvis.io.inria_cameras import read_inria_cameras
+from gsvis.io.report_cameras import holds_own_cameras, read_own_cameras
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 from gsvis.scene.cameras import Cameras
 
 __all__ = ["load_cameras"]
 
-_KNOWN = "a COLMAP model (cameras and images, .bin or .txt), transforms.json or cameras.json"
+_KNOWN = "a COLMAP model (cameras and images, .bin or .txt), transforms.json, cameras.json or report.json"
 
 
 def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = None) -> Cameras:
@@ -30,6 +31,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
     Args:
         path: A COLMAP model: its folder, one above it (`sparse/0`, `sparse` and `0` are tried), or one of its files.
             Or a `transforms.json` of nerfstudio or instant-ngp, an INRIA `cameras.json`, or a folder with one of them.
+            Or the `report.json` of `gsvis analyze`, or what `gsvis render --json` printed: the same views again.
         size: (width, height) in pixels to rescale all cameras to; needed when a file mixes sizes or states none.
 
     Returns:
@@ -65,6 +67,8 @@ def _views(path: Path, size: tuple[int, int] | None) -> Views:
     if path.suffix.lower() != ".json" and start[:1] not in (b"{", b"["):
         raise FormatError(path, "", _KNOWN, f"a file beginning {start[:8]!r} named {path.name!r}")
     content = read_json(path)
+    if holds_own_cameras(content):
+        return read_own_cameras(path, content)
     if isinstance(content, dict):
         return read_transforms(path, content, size)
     if isinstance(content, list):

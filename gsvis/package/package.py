@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
 from gsvis.io._limits import Budget
+from gsvis.io.output import TEMPORARY, output_errors
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES, TermLayout
@@ -261,7 +262,7 @@ class Package:
         if blob is None:
             raise SceneError(f"{self.path}: the package has no {name.split('.')[0]}; prepare it with visibility")
         folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
-        with (folder / name).open("wb") as file:
+        with output_errors(folder, remedy=TEMPORARY), (folder / name).open("wb") as file:
             for part in blob.parts:
                 file.write(self._parts.read_bytes(part))
         return folder / name

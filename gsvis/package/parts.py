@@ -21,6 +21,8 @@ from gsvis.errors import FormatError
 from gsvis.io._arrow import ArrowFile, write_arrow
 from gsvis.io._json import Fields
 from gsvis.io._limits import Budget, check_regular, digest_of, read_whole
+from gsvis.io._limits import Budget
+from gsvis.io.output import output_errors
 
 __all__ = ["MOST_BYTES", "Part", "PartFolder"]
 
@@ -182,16 +184,17 @@ class PartFolder:
 
     def _write(self, suffix: str, write: Callable[[Path], None]) -> Part:
         """Write beside, take the hash, move into place unless the same is there already."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         partial = self.folder / f".part-{secrets.token_hex(6)}.{suffix}"
-        try:
-            write(partial)
-            part = Part(digest_of(partial), partial.stat().st_size, suffix)
+        with output_errors(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
             try:
-                self.path_of(part)
-            except FormatError:
-                os.replace(partial, self.folder / part.name)
-                self.written += 1
-        finally:
-            partial.unlink(missing_ok=True)
+                write(partial)
+                part = Part(digest_of(partial), partial.stat().st_size, suffix)
+                try:
+                    self.path_of(part)
+                except FormatError:
+                    os.replace(partial, self.folder / part.name)
+                    self.written += 1
+            finally:
+                partial.unlink(missing_ok=True)
         return part

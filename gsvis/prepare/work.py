@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from gsvis.errors import FormatError
 from gsvis.io._limits import digest_of, read_whole
 from gsvis.io.atomic import atomic_path
 from gsvis.io.locks import locked
+from gsvis.io.output import keeping, output_errors
 
 __all__ = ["WorkFolder", "digest_of_folder"]
 
@@ -63,17 +64,21 @@ class WorkFolder:
             OSError: If it cannot be written.
         """
         self.check()
-        self.path.mkdir(parents=True, exist_ok=True)
-        with (self.path / _MARK).open("a+", encoding="utf-8") as mark:
+        with ExitStack() as opened:
+            with output_errors(self.path):
+                self.path.mkdir(parents=True, exist_ok=True)
+                mark = opened.enter_context((self.path / _MARK).open("a+", encoding="utf-8"))
             if not locked(mark):
                 raise ValueError(
                     f"out: expected a package that no other process prepares, got one that is busy in {self.path.name};"
                     " wait for it or stop it"
                 )
-            if mark.tell() == 0:
-                mark.write(_TOLD)
-                mark.flush()
-            yield
+            with output_errors(self.path):
+                if mark.tell() == 0:
+                    mark.write(_TOLD)
+                    mark.flush()
+            with keeping(f"what was finished is kept in {self.path.name}"):
+                yield
 
     def key(self, stage: str, decides: Mapping[str, Any]) -> str:
         """A short hash of all that decides a piece.

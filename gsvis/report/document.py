@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.io.atomic import atomic_folder
+from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.report.html import Figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
@@ -20,7 +21,7 @@ from gsvis.report.pictures import ViewPicture, png_of
 from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
 from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.scene.gaussians import Gaussians
-from gsvis.visibility import FACE_LIMITS, Analysis
+from gsvis.visibility import FACE_LIMITS, PAPER, Analysis
 
 __all__ = ["Subject", "report_document", "write_report"]
 
@@ -44,6 +45,8 @@ class Subject:
         facts: What inspection found, as `SceneReport.as_dict()` gives it.
         parameters: All parameters by name.
         seconds: How long each stage took, by its name.
+        differs: What keeps the paper's figures, means over the training views of captures of one subject, from being
+            compared with these; empty where they can be.
     """
 
     title: str
@@ -55,6 +58,7 @@ class Subject:
     facts: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    differs: str = "the scene and its cameras may be of another kind"
 
 
 def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
@@ -73,6 +77,8 @@ def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
         "scene": {"name": subject.title, **subject.facts},
         "cameras_from": subject.cameras_from,
         **analysis.as_dict(),
+        "paper": {**PAPER, "comparable": not subject.differs, "differs": subject.differs or None},
+        "cameras": describe_cameras(analysis.cameras),
         "seconds": subject.seconds,
     }
 
@@ -119,11 +125,11 @@ def _figures(
     analysis: Analysis, subject: Subject, pictures: list[ViewPicture], progress: Progress
 ) -> dict[str, Figure]:
     """All plots, maps and pictures by name, each plot drawn for light and for dark pages."""
-    cameras = analysis.cameras
+    cameras, comparable = analysis.cameras, not subject.differs
     ground = Ground.of(subject.gaussians, subject.up, cameras.viewpoints)
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
-        "visible": (partial(draw_visible, analysis=analysis), (5.2, 2.9)),
-        "cdf": (partial(draw_cdf, analysis=analysis), (5.2, 4.0)),
+        "visible": (partial(draw_visible, analysis=analysis, published=comparable), (5.2, 2.9)),
+        "cdf": (partial(draw_cdf, analysis=analysis, published=comparable), (5.2, 4.0)),
     }
     if len(cameras) >= FACE_LIMITS[0]:  # with fewer, no Gaussian can be seen from that many faces: nothing to draw
         plots["settling"] = (partial(draw_settling, analysis=analysis), (5.2, 3.4))

@@ -11,6 +11,11 @@ from gsvis.visibility import PAPER, Analysis, DirectionCdf
 
 __all__ = ["page"]
 
+_AGAIN = (
+    "<p>All cameras are in <code>report.json</code>. The first of them again, every pixel the same:"
+    " <code>gsvis render SCENE --camera report.json --index 0 -o view.png</code>. All figures of all views again:"
+    " <code>gsvis analyze SCENE --cameras report.json -o again</code>.</p>"
+)
 _ROLES = {"most": "most", "median": "the median share", "least": "least"}
 
 
@@ -22,17 +27,18 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         document: The content of `report.json`.
         figures: Plots, maps and pictures by name.
     """
+    differs = document["paper"]["differs"] or ""
     return filled(
         "page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
         lead=_lead(analysis, document),
-        tiles=_tiles(analysis),
-        visible=_visible(analysis, figures),
+        tiles=_tiles(analysis, differs),
+        visible=_visible(analysis, figures, differs),
         views=_views(analysis, figures),
-        directions=_directions(analysis, figures),
+        directions=_directions(analysis, figures, differs),
         scene=_scene(analysis, document["scene"]),
-        how=described(document),
+        how=described(document) + _AGAIN,
     )
 
 
@@ -51,21 +57,33 @@ def _rays(analysis: Analysis) -> str:
     return f"{analysis.cameras.width} x {analysis.cameras.height} pixel rays a view, horizontal field of view {angle}"
 
 
-def _tiles(analysis: Analysis) -> str:
+def _tiles(analysis: Analysis, differs: str) -> str:
     fractions = analysis.visible_fractions
+    beside = "" if differs else f"paper: {PAPER['mean_visible']:.2%}"
     tiles = [
-        (f"{fractions.mean():.1%}", "visible in a view, on average", f"paper: {PAPER['mean_visible']:.2%}"),
+        (f"{fractions.mean():.1%}", "visible in a view, on average", beside),
         (f"{analysis.gathered.seen / analysis.gaussians:.1%}", "seen by at least one of the cameras", ""),
     ]
     way = analysis.traced or analysis.gathered
-    named = "traced outward" if analysis.traced else "gathered from the cameras"
+    named = "traced outward" if analysis.traced else f"gathered from {len(analysis.cameras):,} cameras"
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
-        told = f"seen from less than {limit} of all directions, {named}"
-        tiles.append((f"{way.below(faces):.1%}", told, f"paper: {PAPER[published]:.1%}"))
+        told = f"seen from less than {limit} of the 80 directions, {named}"
+        more = [] if differs else [f"paper: {PAPER[published]:.1%}"]
+        if analysis.solid_angles is not None:
+            more.insert(0, f"by solid angle: {analysis.below_solid_angle(faces / 80.0):.1%}")
+        tiles.append((f"{way.below(faces):.1%}", told, "; ".join(more)))
     return listed(tiles)
 
 
-def _visible(analysis: Analysis, figures: dict[str, Figure]) -> str:
+def _published(differs: str) -> str:
+    """Why the paper's figures do not stand beside these."""
+    return (
+        f"<p>The paper's figures ({PAPER['mean_visible']:.2%} visible in a view on average) are means over the training"
+        f" views of Tanks &amp; Temples. They do not compare with these: {escape(differs)}.</p>"
+    )
+
+
+def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str) -> str:
     fractions = analysis.visible_fractions
     rows = [
         ("mean of the cameras", f"{fractions.mean():.2%}", f"{PAPER['mean_visible']:.2%}"),
@@ -73,16 +91,21 @@ def _visible(analysis: Analysis, figures: dict[str, Figure]) -> str:
         ("largest", f"{fractions.max():.2%}", ""),
         ("one view, the paper's figure 1", "", f"{PAPER['one_view_visible']:.2%}"),
     ]
-    caption = (
-        f"Each camera's share of all {analysis.gaussians:,} Gaussians that is visible in it, highest first."
-        " The dashed lines are the mean here and the paper's mean over the training views of Tanks &amp; Temples."
+    header = ("visible share", "here", "paper")
+    if differs:
+        rows, header = [row[:2] for row in rows[:3]], header[:2]
+    caption = f"Each camera's share of all {analysis.gaussians:,} Gaussians that is visible in it, highest first. " + (
+        "The dashed line is the mean."
+        if differs
+        else "The dashed lines are the mean here and the paper's mean over the training views of Tanks &amp; Temples."
     )
     return (
         figure(figures["visible"], "Visible share of each camera, sorted", caption)
-        + table(("visible share", "here", "paper"), rows)
+        + table(header, rows)
         + f"<p>A Gaussian is visible in a view when its largest weight on a pixel ray (alpha times the light left in"
         f" front of it) is at least {analysis.config.tau:.4g}. Gaussians that fall between the rays do not count, so"
         f" these shares belong to {_rays(analysis)}; more pixels or a wider view find more.</p>"
+        + (_published(differs) if differs else "")
     )
 
 
@@ -111,20 +134,31 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
     return "".join(parts)
 
 
-def _directions(analysis: Analysis, figures: dict[str, Figure]) -> str:
+def _directions(analysis: Analysis, figures: dict[str, Figure], differs: str) -> str:
     gathered, traced = analysis.gathered, analysis.traced
-    header = ["Gaussians seen from less than", "cameras", "cameras, of seen"]
-    header += ["traced", "traced, of seen"] if traced else []
+    count = f"{len(analysis.cameras):,} cameras"
+    header = ["Gaussians seen from less than", count, f"{count}, of seen"]
+    header += ["traced", "traced, of seen", "traced, by solid angle"] if traced else []
+    header += [] if differs else ["paper"]
     rows = []
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
-        row = [f"{limit} of directions (fewer than {faces} faces)", *_both(gathered, faces)]
-        rows.append([*row, *(_both(traced, faces) if traced else []), f"{PAPER[published]:.1%}"])
+        row = [f"{limit} of directions (fewer than {faces} of 80 faces)", *_both(gathered, faces)]
+        if traced:
+            row += [*_both(traced, faces), f"{analysis.below_solid_angle(faces / 80.0):.1%}"]
+        rows.append(row if differs else [*row, f"{PAPER[published]:.1%}"])
     caption = (
         "For every share of the 80 directions, how many Gaussians are seen from less than that. Solid lines count all"
-        " Gaussians, dashed ones those that are seen at all. Diamonds are the two points that the paper states."
+        " Gaussians, dashed ones those that are seen at all."
     )
+    if traced:
+        caption += (
+            " A face counts as soon as anything in it sees the Gaussian, so more cameras or rays only ever add faces."
+            " The dotted line weighs each ray by the solid angle it stands for; that one settles."
+        )
+    if not differs:
+        caption += " Diamonds are the two points that the paper states."
     text = figure(figures["cdf"], "Cumulative distribution of the directions from which Gaussians are seen", caption)
-    text += table((*header, "paper"), rows) + _settled(analysis, figures)
+    text += table(header, rows) + _settled(analysis, figures)
     if traced is None:
         return text + f"<p>Directions were not traced outward: {escape(analysis.untraced_because)}.</p>"
     caption = (

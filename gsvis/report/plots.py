@@ -16,8 +16,8 @@ _BARS = 48  # more cameras are drawn as one sorted curve
 _PAPER_POINTS = ((33, PAPER["below_33_faces"]), (48, PAPER["below_48_faces"]))
 
 
-def draw_visible(axes: Axes, theme: Theme, analysis: Analysis) -> None:
-    """Bars of the visible fraction of each camera, highest first, with this mean and the paper's."""
+def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -> None:
+    """Bars of the visible fraction of each camera, highest first, with this mean and, if `published`, the paper's."""
     fractions = np.sort(analysis.visible_fractions)[::-1]
     count = len(fractions)
     if count <= _BARS:
@@ -27,14 +27,14 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis) -> None:
     else:
         axes.fill_between(np.arange(1, count + 1), fractions, step="mid", color=theme.gathered, linewidth=0)
         axes.set_xlim(1, count)
-    mean, published = float(fractions.mean()), PAPER["mean_visible"]
-    top = max(float(fractions.max()), published, mean)
+    mean, paper = float(fractions.mean()), PAPER["mean_visible"]
+    top = max(float(fractions.max()), paper if published else 0.0, 1e-6)
     axes.set_ylim(0.0, 1.22 * top)
-    apart = abs(mean - published) > 0.08 * top
-    for value, text, colour, above in (
-        (mean, f"mean here {mean:.1%}", theme.traced, mean > published or apart),
-        (published, f"paper's mean {published:.2%}", theme.published, published >= mean or apart),
-    ):
+    apart = abs(mean - paper) > 0.08 * top or not published
+    lines = [(mean, f"mean here {mean:.1%}", theme.traced, mean > paper or apart)]
+    if published:
+        lines.append((paper, f"paper's mean {paper:.2%}", theme.published, paper >= mean or apart))
+    for value, text, colour, above in lines:
         axes.axhline(value, color=colour, linewidth=1.6, dashes=(5, 2))
         axes.annotate(
             text,
@@ -55,13 +55,30 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis) -> None:
     axes.set_ylabel("visible share of all Gaussians")
 
 
-def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis) -> None:
-    """Share of Gaussians seen from less than so many directions, both ways, with the paper's two points."""
+def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -> None:
+    """Share of Gaussians seen from less than so many directions, both ways; if `published`, the paper's two points."""
     gathered, traced = analysis.gathered, analysis.traced
     if traced is not None:
         _curve(axes, traced, theme.traced, "traced outward")
     _curve(axes, gathered, theme.gathered, f"from {len(analysis.cameras):,} cameras")
     axes.plot([], [], color=theme.muted, linestyle=(0, (3, 2)), linewidth=1.4, label="of those seen at all")
+    if analysis.solid_angles is not None:
+        below = np.sort(analysis.solid_angles)
+        shares = np.arange(1, len(below) + 1) / len(below)
+        axes.plot(below, shares, color=theme.ink, linestyle=(0, (1, 1)), linewidth=1.8, label="traced, by solid angle")
+    if published:
+        _paper_points(axes, theme)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.02)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_xlabel("share of the 80 directions")
+    axes.set_ylabel("Gaussians seen from less")
+    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+
+
+def _paper_points(axes: Axes, theme: Theme) -> None:
+    """The two points of the curve that the paper states."""
     axes.plot(
         *np.array([(k / 80.0, share) for k, share in _PAPER_POINTS]).T,
         linestyle="none",
@@ -84,13 +101,6 @@ def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis) -> None:
             fontweight="bold",
             bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 0.5},
         )
-    axes.set_xlim(0.0, 1.0)
-    axes.set_ylim(0.0, 1.02)
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_xlabel("share of the 80 directions")
-    axes.set_ylabel("Gaussians seen from less")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
 
 
 def _curve(axes: Axes, cdf: DirectionCdf, colour: str, label: str) -> None:

@@ -27,6 +27,7 @@ from gsvis.report.session_plots import (
     draw_start,
 )
 from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
 from gsvis.simulate.session import Session
 
@@ -107,6 +108,11 @@ def session_document(simulation: Simulation) -> dict[str, Any]:
                 "scene": {"name": visit.title, **visit.scene},
                 "path": visit.path,
                 "compared_with": visit.compared_with,
+                "views": {
+                    "compared": len(visit.sessions[0].content),
+                    "with_content": int(visit.sessions[0].content.sum()),
+                    "content": f"black is worse than {CONTENT_DB:g} dB against the full scene; figures are of these",
+                },
                 "systems": [session.as_dict() for session in visit.sessions],
             }
             for visit in simulation.visits

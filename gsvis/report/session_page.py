@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
 from gsvis.report.session_plots import PAPER_SENT
+from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.session import GOOD_DB
 
 if TYPE_CHECKING:
     from gsvis.report.session_document import Simulation, Visit
 
-__all__ = ["session_page", "spelled_figures"]
+__all__ = ["content_remarks", "session_page", "spelled_figures"]
 
 Rows = list[tuple[str, ...]]
 
@@ -49,7 +50,8 @@ def spelled_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Row
     """
 
     def cells(key: str, spell: Any) -> list[str]:
-        return [("never" if value is None else spell(value)) for value in (s["figures"][key] for s in systems)]
+        missing = "nothing to see" if systems[0]["figures"]["score"] is None else "never"
+        return [(missing if value is None else spell(value)) for value in (s["figures"][key] for s in systems)]
 
     def seconds(value: float) -> str:
         return f"{value:.1f} s"
@@ -78,7 +80,23 @@ def spelled_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Row
     return ("", *(s["system"] for s in systems)), rows
 
 
+def content_remarks(document: dict[str, Any]) -> list[str]:
+    """A sentence for each visit whose views do not all show something; text."""
+    told = []
+    for visit in document["visits"]:
+        count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
+        if some == 0:
+            told.append(
+                f"The path sees nothing of {name} in any of {count:,} views: there is nothing to compare."
+                " Is the path in the frame of the scene?"
+            )
+        elif some < count:
+            told.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
+    return told
+
+
 def _lead(document: dict[str, Any]) -> str:
+    remarks = "".join(f"<p class='lead'><strong>{escape(told)}</strong></p>" for told in content_remarks(document))
     link, config, visits = document["link"], document["config"], document["visits"]
     first = visits[0]["systems"]
     others = " and ".join(escape(s["system"]) for s in first[1:])
@@ -88,12 +106,14 @@ def _lead(document: dict[str, Any]) -> str:
     return (
         f"<p class='lead'>A viewer walks along a recorded path{many} while {escape(first[0]['system'])} sends the scene"
         f" over a recorded link of {link['mean_mbit_per_s']:.1f} Mbit/s on average{versus}. What each client holds is"
-        " drawn and compared with the full scene.</p>"
+        f" drawn and compared with the full scene.</p>{remarks}"
     )
 
 
 def _tiles(document: dict[str, Any]) -> str:
-    systems = document["visits"][0]["systems"]
+    systems = next((v["systems"] for v in document["visits"] if v["views"]["with_content"]), None)
+    if systems is None:
+        return ""
     ours, rest = systems[0], systems[1:]
 
     def beside(key: str, spell: Any) -> str:
@@ -141,6 +161,8 @@ def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
 def _quality_at(visit: Visit, which: int, t: float) -> str:
     session = visit.sessions[which]
     k = int((session.times <= t + 1e-9).sum()) - 1
+    if not session.content[k]:
+        return "nothing to see here"
     if session.psnr[k] <= 0.0:
         return "no image yet"
     best = session.config.qoe.psnr_scale
@@ -199,6 +221,8 @@ def _assumed(document: dict[str, Any]) -> str:
         f"<li>Images have {config['width']} x {config['height']} pixels and a field of view of {config['fov']:g}°, and"
         f" are compared every {1000 * config['tick']:g} ms for {config['fine']:g} s, then every {config['every']:g} s;"
         " each stands for the time until the next.</li>"
+        f"<li>A view counts where it shows something: where black is worse than {CONTENT_DB:g} dB against the full"
+        " scene. Elsewhere black would pass for an image, and curves have a gap.</li>"
     )
     for visit in document["visits"]:
         name = escape(visit["scene"]["name"])

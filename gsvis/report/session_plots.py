@@ -77,7 +77,8 @@ def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
     """PSNR in the first seconds of the first scene, with the two qualities that are asked for."""
     end = min(max(visits[0][0].config.fine, 1.0), visits[0][0].config.seconds)
     for session, (colour, style) in zip(visits[0], _styles(theme), strict=False):
-        times, values = np.append(session.times, session.config.seconds), np.append(session.psnr, session.psnr[-1])
+        seen = _with_content(session, session.psnr)
+        times, values = np.append(session.times, session.config.seconds), np.append(seen, seen[-1])
         axes.step(
             times, values, where="post", color=colour, linestyle=style, linewidth=2.0, label=session.playback.name
         )
@@ -156,7 +157,7 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Sessio
     for k, sessions in enumerate(visits):
         for session, (colour, style) in zip(sessions, _styles(theme), strict=False):
             times = np.append(session.times, session.config.seconds)
-            values = value(session)
+            values = _with_content(session, value(session))
             axes.step(
                 start + times, np.append(values, values[-1]), where="post", color=colour, linestyle=style,
                 linewidth=2.0, label=session.playback.name if k == 0 else None,
@@ -167,6 +168,11 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Sessio
     axes.xaxis.set_major_locator(MaxNLocator(7))
     axes.set_xlabel("seconds")
     axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+
+
+def _with_content(session: Session, values: F64) -> F64:
+    """(S,) values of the steps, NaN where there was nothing to see: a gap in the curve."""
+    return np.where(session.content, values, np.nan)
 
 
 def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.color.evaluate import Evaluator
 from gsvis.package.contents import Contents
 from gsvis.render import _kernels_tiles as tiles
@@ -23,7 +24,10 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 from gsvis.simulate import _kernels as kernels
 
-__all__ = ["Frame", "Stage", "psnr_of"]
+__all__ = ["CONTENT_DB", "Frame", "Stage", "psnr_of"]
+
+CONTENT_DB = FIRST_FRAME_DB
+"""A view has content where black is worse than this against the full scene: a root mean square of more than 0.1."""
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -122,6 +126,11 @@ class Frame:
         )
         self.drawings += 1
         return np.clip(image, 0.0, 1.0)
+
+    @property
+    def has_content(self) -> bool:
+        """Whether the full scene shows more here than a black picture would pass for (`CONTENT_DB`)."""
+        return psnr_of(np.zeros_like(self.reference), self.reference) < CONTENT_DB
 
     def psnr(self, shown: Mask, terms: Mask) -> float:
         """PSNR against the full scene, dB.

@@ -2,12 +2,13 @@
 
 A step is a tick of the path, 100 ms. PSNR is measured at every tick in the first seconds and now and then later, and
 stands for the ticks until the next measurement. What is drawn is what has arrived, from where the head is then; before
-the first Gaussian there is no image, which counts as 0 dB. Seconds, bytes, dB.
+the first Gaussian there is no image, which counts as 0 dB. A step counts only where the full scene shows something:
+where a black picture would already pass for a first image of it (`CONTENT_DB`), PSNR says nothing. Seconds, bytes, dB.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,16 +20,17 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.qoe import FIRST_FRAME_DB, Qoe, QoeConfig, first_frame, quality_of_experience, stall
 from gsvis.progress import Progress, silent
 from gsvis.scene.paths import HeadPath
-from gsvis.simulate.frames import Frame, Stage
+from gsvis.simulate.frames import CONTENT_DB, Frame, Stage
 from gsvis.simulate.playback import Playback
 
-__all__ = ["GOOD_DB", "Session", "SessionConfig", "show_at", "watch"]
+__all__ = ["CONTENT_DB", "GOOD_DB", "Session", "SessionConfig", "show_at", "watch"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 GOOD_DB = 35.0
 """PSNR of an image that is good."""
+_QOE = ("score", "quality", "delay", "psnr", "latency", "steps")
 _HAIR = 1e-6  # seconds by which float32 may miss a tick
 
 
@@ -103,6 +105,7 @@ class Session:
         psnr: (S,) dB at each, at most `qoe.psnr_scale`: what exceeds it counts no more.
         latency: (S,) seconds from the pose of each until it was shown at `qoe.shown_db`, at most the time-out.
         needed: (N,) Gaussians that reached a pixel of one of the steps.
+        content: (S,) steps at which the full scene shows something; only these count in the figures.
     """
 
     playback: Playback
@@ -111,33 +114,45 @@ class Session:
     psnr: F64
     latency: F64
     needed: NDArray[np.bool_]
+    content: NDArray[np.bool_]
 
     @property
     def weights(self) -> NDArray[np.int64]:
-        """(S,) ticks for which each step stands."""
+        """(S,) ticks for which each step stands; 0 where there is nothing to see."""
         ticks = np.rint(np.append(self.times, self.config.seconds) / self.config.tick).astype(np.int64)
-        return np.diff(ticks)
+        return np.where(self.content, np.diff(ticks), 0)
 
     @property
     def qoe(self) -> Qoe:
-        """Equation 8, mean over all ticks."""
+        """Equation 8, mean over all ticks at which there is something to see.
+
+        Raises:
+            ValueError: If there is none.
+        """
         psnr, latency = (np.repeat(values, self.weights) for values in (self.psnr, self.latency))
         return quality_of_experience(psnr, latency, self.config.qoe)
 
     def seconds_to(self, least: float) -> float:
-        """Seconds until the first step of at least that many dB; inf if there is none."""
-        return first_frame(self.times, self.psnr, least)
+        """Seconds until the first step with content of at least that many dB; inf if there is none."""
+        return first_frame(self.times, self._judged, least)
+
+    @property
+    def _judged(self) -> F64:
+        """(S,) PSNR, 0 where there is nothing to see."""
+        return np.where(self.content, self.psnr, 0.0)
 
     def figures(self) -> dict[str, float | int | None]:
-        """What is said of the session in numbers; None where something never happened."""
-        p, end, qoe = self.playback, self.config.seconds, self.qoe
+        """What is said of the session in numbers; None where something never happened, or no view has content."""
+        p, end = self.playback, self.config.seconds
+        any_content = bool(self.content.any())
+        qoe: Mapping[str, float | None] = self.qoe.as_dict() if any_content else dict.fromkeys(_QOE)
         arrived, gone = p.gaussian_at <= end, p.gone_at <= end
         count = int(np.count_nonzero(arrived))
         return {
-            **qoe.as_dict(),
+            **qoe,
             "seconds_to_first_image": _or_none(self.seconds_to(FIRST_FRAME_DB)),
             "seconds_to_good_image": _or_none(self.seconds_to(GOOD_DB)),
-            "stall": stall(self.times, self.psnr, self.config.qoe.shown_db, end),
+            "stall": self._stall() if any_content else None,
             "bytes": float(p.bytes_at(end)),
             "records_twice": p.twice,
             "gaussians": count,
@@ -147,6 +162,12 @@ class Session:
             "terms": int(p.terms_at(end)),
             "term_share": int(p.terms_at(end)) / max(len(p.term_at), 1),
         }
+
+    def _stall(self) -> float:
+        """Seconds of stall; time without anything to see is none."""
+        seen = np.where(self.content, self.psnr, np.inf)
+        seen[self.times < self.seconds_to(FIRST_FRAME_DB)] = 0.0
+        return stall(self.times, seen, self.config.qoe.shown_db, self.config.seconds)
 
     def as_dict(self) -> dict[str, Any]:
         """Figures and curves, ready for JSON."""
@@ -159,6 +180,7 @@ class Session:
             "bytes": p.bytes_at(self.times),
             "gaussian_share": p.gaussians_at(self.times) / max(n, 1),
             "term_share": p.terms_at(self.times) / max(terms, 1),
+            "content": self.content.astype(np.int64),
         }
         return {
             "system": p.name,
@@ -207,17 +229,18 @@ def watch(
     positions, quats = path.at(times)
     cameras = HeadPath(times, positions, quats).cameras(config.width, config.height, config.fov)
     psnr, latency = np.zeros((2, len(playbacks), len(times)))
-    needed = np.zeros(stage.size[0], bool)
+    needed, content = np.zeros(stage.size[0], bool), np.zeros(len(times), bool)
     progress("watching", 0, len(times))
     for k, t in enumerate(times.tolist()):
         frame = Frame(stage, cameras[k])
         needed[frame.ids] = True
+        content[k] = frame.has_content
         for m, p in enumerate(playbacks):
             seen = _Sight(frame, p)
             psnr[m, k] = min(seen.psnr(t), config.qoe.psnr_scale)
             latency[m, k] = _latency(seen, t, config)
         progress("watching", k + 1, len(times))
-    return [Session(p, config, times, psnr[m], latency[m], needed) for m, p in enumerate(playbacks)]
+    return [Session(p, config, times, psnr[m], latency[m], needed, content) for m, p in enumerate(playbacks)]
 
 
 def show_at(

@@ -32,6 +32,7 @@ from numba import get_num_threads, set_num_threads
 from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
+from gsvis.io.output import output_errors
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.visibility._journal import pack_view
@@ -91,9 +92,10 @@ class SceneArrays:
         """The same with the arrays in files, which all processes of a machine map and share; removed in the end."""
         assert isinstance(self.source, dict)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, array in self.source.items():
-                (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(array).data)
+            with output_errors(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                for name, array in self.source.items():
+                    (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(array).data)
             yield SceneArrays(self.key, folder, self.config)
         finally:
             shutil.rmtree(folder, ignore_errors=True)

@@ -208,6 +208,8 @@ class Analysis:
         traced: Their distribution; None without tracing.
         agreement: Of the two ways over the sample; None without tracing.
         untraced_because: Why nothing was traced outward; empty when it was.
+        solid_angles: (M,) share of the sphere, by solid angle, from which each of the sample is seen; None without
+            tracing. More rays hardly change it, while faces only ever add up.
     """
 
     config: AnalysisConfig
@@ -223,6 +225,17 @@ class Analysis:
     traced: DirectionCdf | None = None
     agreement: Agreement | None = None
     untraced_because: str = ""
+    solid_angles: NDArray[np.float32] | None = None
+
+    def below_solid_angle(self, share: float) -> float:
+        """Share of the traced Gaussians seen from less than this share of the sphere, by solid angle.
+
+        Raises:
+            ValueError: If nothing was traced outward.
+        """
+        if self.solid_angles is None:
+            raise ValueError("solid_angles: expected directions traced outward, got none; give navigable space")
+        return float(np.count_nonzero(self.solid_angles < share) / len(self.solid_angles))
 
     @property
     def visible_fractions(self) -> F64:
@@ -270,11 +283,18 @@ class Analysis:
                 "settling": [asdict(step) for step in self.settling],
                 "has_settled": self.has_settled,
                 "traced": self.traced.as_dict() if self.traced else None,
+                "solid_angle": self._solid_angle(),
                 "untraced_because": self.untraced_because or None,
                 "agreement": asdict(self.agreement) if self.agreement else None,
             },
             "paper": dict(PAPER),
         }
+
+    def _solid_angle(self) -> dict[str, Any] | None:
+        if self.solid_angles is None:
+            return None
+        shares = [{"share": k / 80.0, "of_all": self.below_solid_angle(k / 80.0)} for k in FACE_LIMITS]
+        return {"mean": float(self.solid_angles.mean()), "share_below": shares}
 
 
 def analyze(
@@ -324,7 +344,7 @@ def analyze(
     if len(sample) == 0 or navigable is None:
         why = "no sample was asked for" if navigable is not None else "no navigable space was given"
         return replace(found, untraced_because=why)
-    traced = directions.trace_directions(
+    traced, angles = directions.trace_sphere(
         tracer, navigable, ids=sample, rays_per_face=config.rays_per_face, tau=config.tau, progress=progress
     )
     return replace(
@@ -332,6 +352,7 @@ def analyze(
         sample=sample,
         traced_sets=traced,
         traced=DirectionCdf.of(traced),
+        solid_angles=angles,
         agreement=Agreement.of(sets[sample], traced),
     )
 

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.errors import SceneError
+from gsvis.errors import OutputError, SceneError
+from gsvis.io.output import output_errors
 from gsvis.progress import Progress, silent
 from gsvis.raycast.directions import NUM_FACES
 from gsvis.raycast.proxies import MIN_ALPHA
@@ -258,9 +259,14 @@ def _explained(error: OSError, journal: Journal, cells: int, target: Path) -> OS
     """The error with a word on what is kept and what helps."""
     kept = len(journal.finished(cells))
     held = f"{kept} of {cells} cells are kept in {journal.folder.name}" if kept else "no cell was finished"
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    remedy = "make room and run the same again" if full else "run the same again to go on"
-    return OSError(error.errno or errno.EIO, f"{error.strerror or error}; {held}: {remedy}", str(target))
+    try:
+        with output_errors(target, journal.folder):
+            raise error
+    except OutputError as found:
+        return OutputError(found.path, found.errno or errno.EIO, held, found.remedy)
+    except OSError:
+        again = "run the same again to go on"
+        return OSError(error.errno or errno.EIO, f"{error.strerror or error}; {held}: {again}", str(target))
 
 
 def _plan(levels: Levels, grid: CellGrid, space: NavigableSpace, config: PvsConfig) -> dict[str, Any]:

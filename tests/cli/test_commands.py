@@ -16,6 +16,7 @@ from gsvis.cli import main, parse
 from gsvis.cli.arguments import Analyze, Convert, Inspect
 from gsvis.cli.source import check_folder, evenly
 from gsvis.io import load_scene, save_scene
+from gsvis.io.report_cameras import describe_cameras
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
@@ -111,6 +112,62 @@ def test_analyze_takes_cameras_of_a_file_at_its_aspect(tmp_path: Path, capsys: C
     assert [each["name"] for each in document["visible_fraction"]["cameras"]] == ["0.png", "2.png"]
     assert document["directions"]["traced"] is None
     assert "transforms.json" in document["cameras_from"]
+
+
+def test_a_report_repeats_its_views(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "first"
+    assert main(["analyze", str(ply), "-o", str(out), *QUICK, "--seed", "5", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    again = ["analyze", str(ply), "-o", str(tmp_path / "again"), "--cameras", str(out / "report.json"), "--json"]
+    assert main([*again, "--traced-sample", "0"]) == 0
+    second = json.loads(capsys.readouterr().out)
+    assert second["visible_fraction"] == first["visible_fraction"]
+    assert second["cameras"] == first["cameras"]
+    assert (second["rays"], second["directions"]["gathered"]) == (first["rays"], first["directions"]["gathered"])
+    eye = ["--eye", "1", "1", "1.5", "--target", "3", "2", "1", "--width", "24", "--height", "18"]
+    assert main(["render", str(ply), "-o", str(tmp_path / "a.png"), *eye, "--json"]) == 0
+    (tmp_path / "view.json").write_text(capsys.readouterr().out)
+    assert main(["render", str(ply), "-o", str(tmp_path / "b.png"), "--camera", str(tmp_path / "view.json")]) == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    words = ["render", str(ply), "-o", str(tmp_path / "c.png"), "--camera", str(out / "report.json"), "--index", "1"]
+    assert main([*words, "--json"]) == 0
+    capsys.readouterr()
+
+
+def test_the_paper_stands_beside_what_compares_with_it(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert main(["analyze", str(ply), "-o", str(tmp_path / "a"), *QUICK]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "20.21% visible in a view does not compare with these: the cameras here are drawn at random" in text
+    assert "39.4%" not in text
+    assert "by solid angle" in text
+    assert "of directions, 3 views" in text
+    document = json.loads((tmp_path / "a" / "report.json").read_text())
+    assert document["paper"]["comparable"] is False
+    assert 0.0 <= document["directions"]["solid_angle"]["mean"] <= 1.0
+    html = (tmp_path / "a" / "report.html").read_text(encoding="utf-8")
+    assert "39.4%" not in html
+    rooms = Cameras.look_at(
+        np.linspace([0.6, 0.6, 1.2], [3, 3, 1.6], 50), (4.0, 2.0, 1.0), up=(0, 0, 1), width=8, height=6
+    )
+    views = {"format": "gsvis-report", "cameras": describe_cameras(rooms)}
+    (tmp_path / "views.json").write_text(json.dumps(views))
+    words = ["analyze", str(ply), "-o", str(tmp_path / "b"), "--cameras", str(tmp_path / "views.json")]
+    assert main([*words, "--traced-sample", "50", "--rays-per-face", "1"]) == 0
+    text = capsys.readouterr().out
+    assert "39.4%" in text
+    assert "does not compare" not in text
+    assert json.loads((tmp_path / "b" / "report.json").read_text())["paper"]["comparable"] is True
+    assert "39.4%" in (tmp_path / "b" / "report.html").read_text(encoding="utf-8")
+
+
+def test_convert_asks_before_it_replaces(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "mine.ply"
+    out.write_bytes(b"hours of work")
+    assert "--overwrite" in refused(capsys, "convert", ply, out)
+    assert out.read_bytes() == b"hours of work"
+    assert "another file than IN" in refused(capsys, "convert", ply, ply, "--overwrite")
+    assert main(["convert", str(ply), str(out), "--overwrite"]) == 0
+    assert len(load_scene(out)) == len(load_scene(ply))
 
 
 def test_convert_cuts_thins_turns_and_writes(ply: Path, tmp_path: Path, capsys: Capture) -> None:

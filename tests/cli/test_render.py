@@ -257,7 +257,10 @@ def test_what_a_folder_holds_stays_and_later_frames_are_told(ply: Path, tmp_path
     frames.mkdir()
     for name in ("notes.txt", "cover.png", "0001.png", "0002.png", "0007.png"):
         (frames / name).write_text("old")
-    told = done(capsys, ply, "-o", frames, "--orbit", 2, *TINY)
+    assert "0001.png, which something else wrote" in refused(capsys, ply, "-o", frames, "--orbit", 2, *TINY)
+    assert (frames / "0001.png").read_text() == "old"
+    told = done(capsys, ply, "-o", frames, "--orbit", 2, "--overwrite", *TINY)
+    done(capsys, ply, "-o", frames, "--orbit", 2, *TINY)  # its own pictures are replaced
     assert "also holds 2 later frames" in " ".join(told.split())
     assert pixels(frames / "0001.png").shape == (18, 24, 3)
     for name in ("notes.txt", "cover.png", "0002.png", "0007.png"):

@@ -14,6 +14,7 @@ from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.package import in_package_order, write_package
 from gsvis.scene.levels import Levels
+from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
 from tests.package.worlds import colors_of
 from tests.simulate.streets import package_of, walk
@@ -106,3 +107,24 @@ def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, cap
     (tmp_path / "empty").mkdir()
     assert "which is empty" in refused(capsys, *begin, "--whole-file", tmp_path / "empty", "--as-is")
     assert not (tmp_path / "report").exists()
+
+
+def test_a_path_that_sees_nothing_is_told_and_has_no_headline(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = walk(3.0)
+    far = HeadPath(path.times, path.positions + np.array([0.0, 1e4, 0.0]), path.quats, path.up)
+    write_poses(far, tmp_path / "far.csv")
+    words = ["simulate", street(folder), "--path", str(tmp_path / "far.csv"), "-o", str(tmp_path / "out"), "--as-is"]
+    assert main([*words, *QUICK]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "The path sees nothing of scene in any of" in text
+    assert "nothing to see" in text
+    assert "0.1 s" not in text
+    html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "to an image of 35 dB" not in html
+    assert "The path sees nothing of scene" in html
+    assert main([*words, *QUICK, "--json"]) == 0
+    out, err = capsys.readouterr()
+    visit = json.loads(out)["visits"][0]
+    assert visit["views"]["with_content"] == 0
+    assert visit["systems"][0]["figures"]["score"] is None
+    assert "The path sees nothing of scene" in err

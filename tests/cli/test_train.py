@@ -113,7 +113,10 @@ def test_a_run_that_is_stopped_is_gone_on_with(
     assert not kept.exists()
     assert (tmp_path / "scene.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
     assert [point["loss"] for point in record["curve"]] == [point["loss"] for point in whole["curve"]]
-    again = document(capsys, *words, "--checkpoint", copy, "--restart", "--seed", "1")  # not its run, but not asked for
+    anew = [*words, "--checkpoint", copy, "--restart", "--seed", "1"]  # not its run, but not asked for
+    assert "--overwrite" in refused(capsys, *anew)
+    assert (tmp_path / "scene.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    again = document(capsys, *anew, "--overwrite")
     assert again["went_on_from"] is None
     assert not Path(copy).exists()
 

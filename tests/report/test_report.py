@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -30,7 +31,9 @@ def made() -> tuple[Analysis, Subject, list[ViewPicture]]:
     config = AnalysisConfig(traced_sample=200, rays_per_face=1)
     found = analyze(g, cameras, config, navigable=scene.navigable, tracer=tracer)
     facts = inspect_scene(g).as_dict()
-    subject = Subject(AWKWARD, g, scene.up, "sampled", "gsvis analyze <x> & y", "0", facts, {"a<b": "<c>", "lod": None})
+    subject = Subject(
+        AWKWARD, g, scene.up, "sampled", "gsvis analyze <x> & y", "0", facts, {"a<b": "<c>", "lod": None}, differs=""
+    )
     return found, subject, picture_views(tracer, found, longest_side=32)
 
 
@@ -133,6 +136,16 @@ def test_resolution_and_field_of_view_stand_beside_the_fractions(folder: Path) -
     assert "20.21%" in text
     assert "39.4%" in text
     assert "80.4%" in text
+
+
+def test_the_paper_stands_apart_where_it_does_not_compare(tmp_path: Path) -> None:
+    found, subject, pictures = made()
+    document = write_report(tmp_path, found, replace(subject, differs="made of <air>"), pictures)
+    text = "".join(Outline((tmp_path / "report.html").read_text(encoding="utf-8")).words)
+    assert "do not compare with these: made of <air>" in text
+    assert "39.4%" not in text
+    assert "by solid angle" in text
+    assert (document["paper"]["comparable"], document["paper"]["differs"]) == (False, "made of <air>")
 
 
 def test_pictures_show_the_views_they_name() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from gsvis.abr import BandwidthTrace, SchedulerConfig
 from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.paths import HeadPath
 from gsvis.simulate import (
     Adaptive,
     Frame,
@@ -152,3 +153,41 @@ def test_playbacks_that_do_not_fit_are_refused(made: tuple[StreamedScene, Stage]
 def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="expected"):
         SessionConfig(**wrong)  # type: ignore[arg-type]
+
+
+def away(path: HeadPath) -> HeadPath:
+    """The same walk a long way off, where nothing of the scene is in sight."""
+    return HeadPath(path.times, path.positions + np.array([0.0, 1e4, 0.0]), path.quats, path.up)
+
+
+def test_a_path_that_sees_nothing_has_no_figures(made: tuple[StreamedScene, Stage]) -> None:
+    scene, stage = made
+    path = away(walk())
+    deliveries = (Adaptive(scene, QUICK.view), WholeFile(scene.contents, 10_000))
+    played = [play(d, SLOW, path, stage.size, seconds=QUICK.watched) for d in deliveries]
+    for session in watch(stage, played, path, QUICK):
+        assert not session.content.any()
+        figures = session.figures()
+        for name in ("score", "psnr", "latency", "stall", "seconds_to_first_image", "seconds_to_good_image"):
+            assert figures[name] is None
+        assert figures["bytes"] >= 0.0
+        with pytest.raises(ValueError, match="at least one step"):
+            _ = session.qoe
+
+
+def test_views_without_content_count_in_no_figure(sessions: dict[str, Session]) -> None:
+    session = sessions["gsvis"]
+    assert session.content.all()
+    content = session.times >= 0.5
+    part = replace(session, content=content)
+    spoilt = replace(part, psnr=np.where(content, session.psnr, 50.0), latency=np.where(content, session.latency, 0.0))
+    for key, value in part.figures().items():
+        assert value == spoilt.figures()[key]
+    assert part.qoe.score == pytest.approx(float(np.average(session.score, weights=session.weights * content)))
+
+
+def test_content_is_what_black_would_not_pass_for(made: tuple[StreamedScene, Stage]) -> None:
+    frame = Frame(made[1], camera())
+    for level, seen in ((0.09, False), (0.11, True)):
+        frame.reference = np.full_like(frame.reference, level)
+        assert frame.has_content is seen

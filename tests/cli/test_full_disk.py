@@ -1,0 +1,196 @@
+"""Every command that writes, where it cannot: one line with path and remedy, nothing lost, nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main
+from gsvis.errors import GsvisError, OutputError
+from gsvis.io import save_scene
+from gsvis.io.poses import write_poses
+from gsvis.package import in_package_order, write_package
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import two_rooms
+from tests.package.worlds import colors_of
+from tests.simulate.streets import walk
+from tests.train.photo_files import cloud, write_photos
+
+Capture = pytest.CaptureFixture[str]
+BOX = "--box 0.5 0.5 0.5 3.5 3.5 2.5"
+LOOK = "--views 3 --width 12 --height 9 --traced-sample 20 --rays-per-face 1"
+COMMANDS = {
+    "convert": "convert {ply} {out}/a.sog --overwrite",
+    "convert ply": "convert {ply} {out}/a.ply --overwrite",
+    "convert spz": "convert {ply} {out}/a.spz --overwrite",
+    "render png": "render {ply} -o {out}/a.png --width 64 --height 48 --depth --eye 1 1 1",
+    "render gif": "render {ply} -o {out}/a.gif --width 64 --height 48 --orbit 2",
+    "render folder": "render {ply} -o {out}/ --width 64 --height 48 --orbit 2",
+    "analyze": f"analyze {{ply}} -o {{out}} {LOOK}",
+    "pvs": f"pvs {{ply}} -o {{out}}/a.pvs --cells 4 --size 16 --workers 1 --max-viewpoints 4 {BOX}",
+    "pvs-report": "pvs-report {pvs} {ply} -o {out} --cells 2 --viewpoints 1 --dense 1 --width 24 --height 18",
+    "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1",
+    "train": "train {photos} -o {out}/a.ply --iterations 4 --evaluate-every 4 --sh-degree 0 --overwrite",
+    "levels": "levels {ply} -o {out} --iterations 2 --size 24x20 --views 2 --held-out 1",
+    "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --max-viewpoints 1 --workers 1"
+    " --max-terms 0",
+    "unpack": "unpack {package} -o {out}",
+    "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
+    " --whole-file {ply}",
+}
+RESUMED = (".partial-", ".checkpoint", ".gsvis")  # what is kept of unfinished work, and parts that lie there already
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """What the commands read."""
+    folder = tmp_path_factory.mktemp("world")
+    scene = two_rooms(1000, sh_degree=1).gaussians
+    save_scene(scene, folder / "rooms.ply")
+    words = f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --size 16 --workers 1 --max-viewpoints 4 {BOX}"
+    assert main(words.split()) == 0
+    levels = in_package_order(Levels.single(two_rooms(1000).gaussians))
+    write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()
+    write_poses(walk(3.0), folder / "walk.csv")
+    photos = write_photos(tmp_path_factory.mktemp("photos"), points=cloud())
+    names = {"ply": "rooms.ply", "pvs": "rooms.pvs", "package": "rooms.gsvis", "walk": "walk.csv"}
+    return {name: folder / file for name, file in names.items()} | {"photos": photos}
+
+
+@pytest.fixture(autouse=True)
+def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.cli.analyze.PICTURE", 24)
+
+
+@contextmanager
+def small_files(most: int) -> Iterator[None]:
+    """No file can grow past so many bytes: the system refuses the write itself, whoever makes it."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """What a folder holds, without what is kept of unfinished work."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    names = {path.relative_to(folder).as_posix(): path for path in files}
+    return {name: path.read_bytes() for name, path in names.items() if not any(part in name for part in RESUMED)}
+
+
+def told(capsys: Capture) -> str:
+    """The one line of the error; nothing on stdout."""
+    out, err = capsys.readouterr()
+    lines = [line for line in err.splitlines() if line.startswith("gsvis: error: ")]
+    assert out == ""
+    assert len(lines) == 1, err
+    assert "Traceback" not in err
+    return lines[0]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_disk_that_takes_no_more_costs_nothing(
+    name: str, world: dict[str, Path], tmp_path: Path, capsys: Capture
+) -> None:
+    out = tmp_path / "out"
+    words = [word.format(out=out, **world) for word in COMMANDS[name].split()]
+    out.mkdir()
+    with small_files(0):  # kernels are not compiled yet: nothing long begins where nothing can be written
+        code = main(words)
+    assert code == 1
+    line = told(capsys)
+    assert str(out) in line
+    assert "cannot be written: file too large" in line
+    assert "ulimit -f" in line
+    assert contents(out) == {}
+    assert main(words) == 0
+    before = contents(out)
+    capsys.readouterr()
+    if name == "prepare":
+        (out / "a.gsvis" / "manifest.json").unlink()
+        words += ["--face-size", "18"]
+    if name == "pvs":
+        words += ["--tau", "0.01"]
+    with small_files(300):  # the first bytes go in
+        assert main(words) == 1
+    assert str(tmp_path) in told(capsys)  # it may be the folder beside OUT that keeps unfinished work
+    assert contents(out) == before
+    assert main(words) == 0
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (errno.ENOSPC, "make room"),
+        (errno.EDQUOT, "make room"),
+        (errno.EROFS, "another place"),
+        (errno.EACCES, "rights"),
+        (errno.EIO, "check the disk"),
+    ],
+)
+def test_each_fault_has_its_remedy(
+    code: int, remedy: str, world: dict[str, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a.ply"
+    out.write_bytes(b"mine")
+
+    def full(source: object, target: object) -> None:
+        raise OSError(code, os.strerror(code), str(source))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gsvis.io.atomic.os.replace", full)
+        assert main(["convert", str(world["ply"]), str(out), "--overwrite"]) == 1
+    line = told(capsys)
+    assert line.startswith(f"gsvis: error: {out}: cannot be written: {os.strerror(code).lower()}; ")
+    assert remedy in line
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.ply": b"mine"}
+
+
+def test_temporary_files_that_do_not_fit_are_told_apart(
+    world: dict[str, Path], tmp_path: Path, capsys: Capture
+) -> None:
+    words = f"render {world['ply']} -o {tmp_path}/a.gif --orbit 2 --depth --width 64 --height 48".split()
+    assert main(words) == 0
+    before = contents(tmp_path)
+    capsys.readouterr()
+    with small_files(300):
+        assert main(words) == 1
+    assert "TMPDIR" in told(capsys)
+    assert contents(tmp_path) == before
+
+
+def test_a_full_standard_output_is_told(world: dict[str, Path]) -> None:
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("no /dev/full here")
+    for words in (["inspect", str(world["ply"])], ["inspect", str(world["ply"]), "--json"], ["--help"], ["--version"]):
+        with full.open("w") as stdout:
+            command = [sys.executable, "-m", "gsvis.cli", *words]
+            done = subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+        assert done.returncode == 1
+        assert done.stderr.startswith("gsvis: error: standard output: cannot be written: no space left on device")
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_an_output_error_is_an_oserror_with_its_parts() -> None:
+    error = OutputError("a/b.ply", errno.ENOSPC, "3 of 12 cells are kept")
+    assert isinstance(error, OSError)
+    assert isinstance(error, GsvisError)
+    assert (error.errno, error.filename, error.path, error.kept) == (
+        errno.ENOSPC,
+        "a/b.ply",
+        "a/b.ply",
+        "3 of 12 cells are kept",
+    )
+    assert "; 3 of 12 cells are kept; make room" in str(error)
+    assert error.keeping("other").kept == error.kept
