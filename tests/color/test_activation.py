@@ -233,3 +233,21 @@ def test_a_contribution_is_what_evaluation_loses_without_the_term(name: str) -> 
             np.testing.assert_allclose(changed[free], found[left_out][free], atol=1e-6)
         else:
             np.testing.assert_allclose(changed, found[left_out], atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("variant", "intensity", "change"),
+    [
+        ("yuv", (0.1,), 2.5 * 0.03),  # luma moves all channels alike, scaled
+        ("hsl-l", (0.1,), 2.5 * 0.03 * 1.5),  # the largest channel is L + S min(L, 1 - L): slope 1 + S
+        ("hsv", (0.1,), 2.5 * 0.03),  # the largest channel is V
+    ],
+)
+def test_a_term_in_a_box_is_bounded_by_what_its_space_lets_it_change(
+    variant: str, intensity: tuple[float, ...], change: float
+) -> None:
+    base = [0.3, 0.5, 0.3]  # a term multiplies its component: 0.1 of 0.3
+    lobe = SrbfColors(variant, [base], [2.5], np.zeros((1, 0, 3)), [0, 1], [0], [[0, 0]], [1e3], [intensity])
+    box = [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]  # the eye stands where the lobe is largest
+    assert active_in_box(lobe, [[0, 0, 0]], *box, 0.99 * change).tolist() == [True]
+    assert active_in_box(lobe, [[0, 0, 0]], *box, 1.01 * change).tolist() == [False]

@@ -173,3 +173,17 @@ def test_bad_arguments() -> None:
         maker.along([[0, 0, 0]])
     with pytest.raises(ValueError, match="colors: expected SrbfColors, got ndarray"):
         evaluate(np.zeros((4, 3)), np.zeros((4, 3)), EYE)  # type: ignore[arg-type]
+
+
+def test_colors_without_terms_are_their_base_from_everywhere() -> None:
+    rgb = np.random.default_rng(0).uniform(0, 1, (5, 3)).astype(np.float32)
+    colors = SrbfColors.without_terms(rgb)
+    assert (len(colors), colors.num_terms) == (5, 0)
+    np.testing.assert_array_equal(evaluate(colors, np.zeros((5, 3)), EYE), rgb)
+
+
+@pytest.mark.parametrize("offsets", [[1, 1], [-1, 0], [0, -1]])
+def test_offsets_start_at_zero_and_never_fall(offsets: list[int]) -> None:
+    one = np.zeros((1, 3))
+    with pytest.raises(ValueError, match="offsets: expected to start at 0 and never to fall"):
+        SrbfColors("rgb", one, [1.0], np.zeros((1, 0, 3)), offsets, [0], [[0, 0]], [1.0], one)

@@ -16,7 +16,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
-from gsvis.train.trainer import mean_psnr
+from gsvis.train.trainer import TrainConfig, mean_psnr
 
 COUNT = 300
 CONFIG = LevelsConfig(shares=(0.12, 0.25), iterations=60, threshold=1e-5, most_share=0.02, evaluate_every=20)
@@ -320,3 +320,20 @@ def test_sizes_keep_what_is_asked_whatever_the_count(count: int, reuse: tuple[fl
         assert least * total <= frozen + 1e-6 <= least * total + 1.0 + 1e-6
         assert frozen <= begun <= total
         assert (begun > frozen) == (total > frozen)
+
+
+@pytest.mark.parametrize("iterations", [6, 400, 1000, 4000])
+def test_levels_train_by_the_rules_of_the_paper(iterations: int) -> None:
+    """Section 6.1: a higher threshold than from nothing, clones in place of splits, at most 1% at a time."""
+    given = LevelsConfig(iterations=iterations).training(1000, 3)
+    rules, usual = given.densify, TrainConfig().densify
+    assert rules is not None
+    assert usual is not None
+    assert (rules.split, usual.split) == (False, True)
+    assert rules.threshold > usual.threshold
+    assert (rules.most_share, rules.most_count) == (0.01, 1000)
+    assert rules.reset_every == 0, "a reset would dim what other levels share"
+    assert (rules.start, rules.stop) == (0, 3 * iterations // 4), "the last quarter only settles"
+    assert 1 <= rules.every <= min(100, max(iterations // 15, 1))
+    assert (given.iterations, given.sh_degree, given.sh_every) == (iterations, 3, 0)
+    assert given.means_rate_end < given.means_rate

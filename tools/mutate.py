@@ -1,0 +1,190 @@
+"""Change one operator, comparison or number at a time and see whether the tests notice: `python tools/mutate.py`.
+
+Which modules are changed, and which tests have to notice, stands in `MODULES`: the paper's equations and the store. The
+changes are those of cosmic-ray (`pip install cosmic-ray`); of each module a sample, drawn by seed. Everything runs on a
+copy of the tree. A change that no test notices has *survived*: either a test is missing, or the change means nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import concurrent.futures
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+from _harness import write_result  # noqa: E402
+
+MODULES = {
+    "gsvis/color/srbf.py": ("tests/color/test_evaluate.py", "tests/color/test_to_sh.py", "tests/color/test_fit.py"),
+    "gsvis/color/reference.py": ("tests/color/test_evaluate.py", "tests/color/test_omp.py"),
+    "gsvis/color/spaces.py": ("tests/color/test_spaces.py", "tests/color/test_evaluate.py"),
+    "gsvis/color/activation.py": ("tests/color/test_activation.py",),
+    "gsvis/color/epsilon.py": ("tests/color/test_epsilon.py",),
+    "gsvis/abr/qoe.py": ("tests/abr/test_qoe.py", "tests/simulate"),
+    "gsvis/abr/policies.py": ("tests/abr",),
+    "gsvis/abr/classes.py": ("tests/abr",),
+    "gsvis/train/importance.py": ("tests/train/test_importance.py",),
+    "gsvis/train/levels.py": ("tests/train/test_levels.py",),
+    "gsvis/train/densify.py": ("tests/train/test_densify.py",),
+    "gsvis/train/merge.py": ("tests/train/test_merge.py",),
+    "gsvis/raycast/directions.py": ("tests/raycast/test_directions.py",),
+    "gsvis/raycast/reference.py": ("tests/raycast/test_known_scenes.py", "tests/raycast/test_tracer.py"),
+    "gsvis/visibility/store.py": ("tests/visibility/test_store.py", "tests/visibility/test_cells.py"),
+    "gsvis/visibility/_codec.py": ("tests/visibility/test_codec.py", "tests/visibility/test_store.py"),
+}
+"""A module and the tests that have to notice a change in it."""
+
+GUARD_S = 900.0  # a run of tests that takes longer hangs: the change was noticed
+
+
+def list_mutations(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield operator and occurrence of every change that alters what the module does."""
+    import cosmic_ray.plugins
+    from cosmic_ray.ast import ast_nodes, get_ast_from_path
+
+    tree = get_ast_from_path(path)
+    for name in sorted(cosmic_ray.plugins.operator_names()):
+        kind = cosmic_ray.plugins.get_operator(name)
+        if kind.arguments() or name.startswith("core/ZeroIterationForLoop"):
+            continue
+        places = (place for node in ast_nodes(tree) for place in kind().mutation_positions(node))
+        for occurrence, _ in enumerate(places):
+            yield name, occurrence
+
+
+def apply_mutation(source: str, operator: str, occurrence: int) -> str | None:
+    """Return the changed source, or None if it means the same."""
+    import cosmic_ray.plugins
+    from cosmic_ray.mutating import mutate_code
+
+    changed = mutate_code(source, cosmic_ray.plugins.get_operator(operator)(), occurrence)
+    try:
+        same = changed is None or meaning(changed) == meaning(source)
+    except SyntaxError:  # such as an overload without its decorator
+        return None
+    return None if same else str(changed)
+
+
+def meaning(source: str) -> str:
+    """Return a dump of the source without annotations and docstrings: what a run can notice."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            node.returns = None
+        if isinstance(node, ast.arg):
+            node.annotation = None
+        if isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Name("object", ast.Load())
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [  # type: ignore[attr-defined]
+                one for one in body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+            ] or [ast.Pass()]
+    return ast.dump(tree)
+
+
+def run_tests(tree: Path, tests: tuple[str, ...]) -> bool:
+    """Return whether the tests pass in a copy of the tree."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        command, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    ) as process:
+        try:
+            return process.wait(GUARD_S) == 0
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            return False
+
+
+def try_module(tree: Path, module: str, count: int, seed: int) -> list[dict[str, Any]]:
+    """Return one row for each change that was tried in a module of a copy of the tree."""
+    path, tests = tree / module, MODULES[module]
+    source = path.read_text(encoding="utf-8")
+    if not run_tests(tree, tests):
+        raise SystemExit(f"error: {module}: the tests fail before anything is changed")
+    candidates = list(list_mutations(path))
+    random.Random(f"{seed} {module}").shuffle(candidates)
+    rows: list[dict[str, Any]] = []
+    for operator, occurrence in candidates:
+        if len(rows) == count:
+            break
+        changed = apply_mutation(source, operator, occurrence)
+        if changed is None:
+            continue
+        path.write_text(changed, encoding="utf-8")
+        started = time.monotonic()
+        survived = run_tests(tree, tests)
+        path.write_text(source, encoding="utf-8")
+        line = next(
+            k for k, (a, b) in enumerate(zip(source.splitlines(), changed.splitlines(), strict=False), 1) if a != b
+        )
+        before, after = source.splitlines()[line - 1].strip(), changed.splitlines()[line - 1].strip()
+        row = {
+            "module": module, "line": line, "operator": operator.removeprefix("core/"), "survived": survived,
+            "before": before, "after": after,
+        }  # fmt: skip
+        rows.append(row)
+        if survived:
+            print(f"SURVIVED {module}:{line}: {row['before']}  ->  {row['after']}", flush=True)
+        else:
+            print(f"noticed {module}:{line} after {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
+    return rows
+
+
+def try_in_copy(module: str, count: int, seed: int) -> list[dict[str, Any]]:
+    """Try the changes of one module in a copy of its own."""
+    with tempfile.TemporaryDirectory(prefix="gsvis-mutate-") as folder:
+        tree = Path(folder) / "tree"
+        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".venv", ".git", "docs", "*.gsvis", ".*_cache"))
+        return try_module(tree, module, count, seed)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("modules", nargs="*", help="some of the modules; all by default")
+    parser.add_argument("--mutants", type=int, default=25, help="changes tried in each module")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=2, help="modules at once")
+    parser.add_argument("--out", type=Path, help="write the result there as JSON")
+    options = parser.parse_args()
+    for module in options.modules:
+        if module not in MODULES:
+            raise SystemExit(f"error: expected some of {', '.join(MODULES)}; got {module!r}")
+    chosen = options.modules or list(MODULES)
+    rows: list[dict[str, Any]] = []
+    with concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
+        for found in pool.map(lambda module: try_in_copy(module, options.mutants, options.seed), chosen):
+            rows.extend(found)
+    survivors = [row for row in rows if row["survived"]]
+    write_result(
+        options.out,
+        "Which changes of the paper's equations and of the store does no test notice?",
+        [
+            {"name": "changes tried", "target": None, "reached": len(rows), "unit": "changes", "better": "higher"},
+            {"name": "changes that no test noticed", "target": 0, "reached": len(survivors), "unit": "changes",
+             "better": "lower"},
+        ],
+        {"seed": options.seed, "modules": {m: sum(row["module"] == m for row in rows) for m in chosen},
+         "survivors": survivors},
+    )  # fmt: skip
+    if survivors:
+        raise SystemExit(json.dumps(len(survivors)) + " survived")
+
+
+if __name__ == "__main__":
+    main()
