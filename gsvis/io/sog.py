@@ -42,13 +42,14 @@ def load_sog(path: str | os.PathLike[str]) -> Gaussians:
         OSError: If the file cannot be opened.
     """
     where = _check.path("path", path)
-    if where.is_dir():
+    is_folder = where.is_dir()
+    if is_folder:
         where = where / "meta.json"
     if where.suffix.lower() != ".json":
         with ZipStore(where) as archive:
             budget = Budget(where, archive.size)
             return read_sog(SogMeta(parse_object(where, archive.read("meta.json", budget), budget)), archive, budget)
-    if Path(path).is_dir():
+    if is_folder:
         inside(where, "", where.parent, where.name)
     store, data = FolderStore(where.parent, where), read_whole(where)
     budget = Budget(where, len(data))

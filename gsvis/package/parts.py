@@ -21,7 +21,6 @@ from gsvis.errors import FormatError
 from gsvis.io._arrow import ArrowFile, write_arrow
 from gsvis.io._json import Fields
 from gsvis.io._limits import Budget, check_regular, digest_of, read_whole
-from gsvis.io._limits import Budget
 from gsvis.io.output import output_errors
 
 __all__ = ["MOST_BYTES", "Part", "PartFolder"]
