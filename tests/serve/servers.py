@@ -83,9 +83,9 @@ def heard(ws: ClientConnection) -> bytes:
     return data
 
 
-def until(fact: Callable[[], bool]) -> None:
-    """Wait for a fact."""
-    end = time.monotonic() + PATIENCE
+def until(fact: Callable[[], bool], seconds: float = PATIENCE) -> None:
+    """Wait for a fact; `seconds` end what hangs."""
+    end = time.monotonic() + seconds
     while not fact():
         assert time.monotonic() < end, "it did not come to pass"
         time.sleep(0.005)
@@ -123,7 +123,7 @@ def has_all(receiver: Receiver | None, package: Path) -> bool:
 
 
 def patient(
-    url: str, package: Path, *, config: ClientConfig | None = None,
+    url: str, package: Path, *, seconds: float = PATIENCE, config: ClientConfig | None = None,
     receiver: Receiver | None = None, moved: Callable[[StreamClient], None] | None = None,
 ) -> tuple[StreamClient, list[int]]:  # fmt: skip
     """A client that stays until it has all; also the ids of the Gaussians that came, in their order."""
@@ -142,7 +142,7 @@ def patient(
             if np.array_equal(np.sort(held.shown()), high) and len(held.holdings.received_terms) >= terms:
                 client.stop()
 
-        await asyncio.wait_for(client.run(still, on_batch=look), PATIENCE)
+        await asyncio.wait_for(client.run(still, on_batch=look), seconds)
         return client
 
     return asyncio.run(stream()), came
