@@ -137,7 +137,7 @@ def test_devices_and_folders_are_refused(tmp_path: Path) -> None:
 # Where a file is opened for reading by other means, and why that is no door: file of the package, or call.
 OPENED_OTHERWISE = {
     "io/_arrow.py": "memory_map",  # opened as a regular file before
-    "visibility/active_terms.py": "memory_map",  # so too
+    "visibility/active_terms.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
     "visibility/_work.py": "memmap",  # what this run wrote for its workers
