@@ -288,6 +288,16 @@ def test_formats_of_old_are_named(tmp_path: Path) -> None:
         load_scene(tmp_path / "other.pt")
 
 
+def test_a_rank_of_several_is_read_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    gsplat_file(tmp_path / "ckpt_9_rank0.pt")
+    load_scene(tmp_path / "ckpt_9_rank0.pt")
+    assert not caplog.records
+    gsplat_file(tmp_path / "ckpt_9_rank1.pt")
+    gsplat_file(tmp_path / "ckpt_19_rank1.pt")
+    load_scene(tmp_path / "ckpt_9_rank0.pt")
+    assert "holds what rank 0 trained; 1 other ranks are beside it" in caplog.text
+
+
 def test_an_empty_checkpoint_is_an_empty_scene(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="expected at least one Gaussian"):
         load_scene(gsplat_file(tmp_path / "a.pt", splats(0)))
