@@ -37,11 +37,25 @@ def _spell(shape: Shape) -> str:
 
 
 def _check_shape(name: str, array: NDArray[Any], shape: Shape) -> None:
-    fits = array.ndim == len(shape) and all(
-        isinstance(want, str) or want == have for want, have in zip(shape, array.shape, strict=True)
+    if not _fits(array.shape, shape):
+        remedy = _reshaping(name, array.shape, shape)
+        raise ValueError(f"{name}: expected shape {_spell(shape)}, got {array.shape}" + _and(remedy))
+
+
+def _fits(have: tuple[int, ...], shape: Shape) -> bool:
+    return len(have) == len(shape) and all(
+        isinstance(want, str) or want == side for want, side in zip(shape, have, strict=True)
     )
-    if not fits:
-        raise ValueError(f"{name}: expected shape {_spell(shape)}, got {array.shape}")
+
+
+def _reshaping(name: str, have: tuple[int, ...], shape: Shape) -> str:
+    """What makes the shape fit, where that is an axis of length 1 too many or too few."""
+    if have[-1:] == (1,) and _fits(have[:-1], shape):
+        return f"pass {name}[..., 0]"
+    for axis, want in enumerate(shape):
+        if want == 1 and _fits((*have[:axis], 1, *have[axis:]), shape):
+            return f"pass {name}[{':, ' * axis}None]"
+    return ""
 
 
 def plain(value: Any) -> Any:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -157,6 +159,24 @@ def test_tensors_are_taken_detached_and_those_that_train_are_copied() -> None:
         _check.floats("x", torch.zeros(4, 3).to_sparse(), ("N", 3))
 
 
+@pytest.mark.parametrize(
+    ("value", "shape", "remedy"),
+    [
+        (np.zeros((4, 1)), ("N",), "; pass x[..., 0]"),
+        (np.zeros((4, 3)), ("N", 1, 3), "; pass x[:, None]"),
+        (np.zeros((4, 2)), ("N", 1, 3), ""),
+        (np.zeros((4, 2)), ("N",), ""),
+        (np.zeros(()), ("N", 3), ""),
+    ],
+)
+def test_an_axis_of_length_1_too_many_or_too_few_has_a_remedy(value: Any, shape: Any, remedy: str) -> None:
+    with pytest.raises(ValueError, match="x: expected shape") as caught:
+        _check.floats("x", value, shape)
+    assert str(caught.value).endswith(f"got {value.shape}{remedy}")
+    if remedy:
+        assert _check.floats("x", eval(remedy.removeprefix("; pass "), {"x": value}), shape).size == value.size
+
+
 def test_torch_is_not_imported_to_look_for_tensors() -> None:
     code = (
         "import sys, gsvis; gsvis.Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], [[[0, 0, 0]]]);"
@@ -182,3 +202,14 @@ def test_what_looks_alike_is_suggested(value: Any, told: str) -> None:
     with pytest.raises(ValueError, match=r"mode: expected one of 'analyze', 'convert', got") as caught:
         _check.one_of("mode", value, ("analyze", "convert"))
     assert str(caught.value).endswith(told)
+
+
+def test_paths_are_coerced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert _check.path("file", "~/a.ply") == tmp_path / "a.ply"
+    assert _check.path("file", Path("~") / "a.ply") == tmp_path / "a.ply"
+    assert _check.path("file", "a~b") == Path("a~b")
+    assert _check.path("file", os.fsencode("a.ply")) == Path("a.ply")  # type: ignore[arg-type]
+    for value, told in ((3, "got int"), (None, "got NoneType"), ("", "got an empty text"), ("a\0", "with a NUL in it")):
+        with pytest.raises(ValueError, match=f"file: expected a path, {told}|file: expected a path, got a text {told}"):
+            _check.path("file", value)  # type: ignore[arg-type]

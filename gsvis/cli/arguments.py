@@ -74,7 +74,7 @@ class Inspect:
     """Tell what a scene holds and what looks wrong with it."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     json: Flag = False
@@ -88,7 +88,7 @@ class Analyze:
     """Trace what views need and from where each Gaussian can be seen; write a report."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     lod: Lod = None
@@ -123,7 +123,7 @@ class Render:
     """Draw a scene as cameras see it; list who contributes to a pixel."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[
         str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(required without --contributors)")
     ] = None
@@ -189,7 +189,7 @@ class Convert:
     """Change a scene or its format; the suffix of OUT names the format."""
 
     scene: Annotated[Positional[str], arg(metavar="IN", help_behavior_hint="")]
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     output: Annotated[Positional[str], arg(metavar="OUT", help_behavior_hint="")]
     """File to write; one that exists is replaced with --overwrite alone."""
     lod: Lod = None
@@ -215,7 +215,7 @@ class Pvs:
     """Find what can be seen from each cell of a scene; write it as a store."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The store to write, such as scene.pvs; replaced, when the new one is whole, if it exists."""
     lod: Lod = None
@@ -299,7 +299,7 @@ class Color:
     """Put a base colour and a few terms in place of SH colours, to be sent in pieces."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The Arrow file to write, such as scene.arrow: geometry, base colours and terms; replaced if it exists."""
     lod: Lod = None
@@ -391,7 +391,7 @@ class Levels:
     """Make lower levels of a scene that share most of their Gaussians with it."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for low.ply, medium.ply, high.ply and levels.arrow, which tells what they share; made if missing."""
     lod: Lod = None

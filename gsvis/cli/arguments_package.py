@@ -39,7 +39,7 @@ class Prepare:
     """Make a package of a scene that can be served: levels, visible sets, colours."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, lod-meta.json, levels), or builtin:NAME."""
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json, levels) or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder of the package, such as scene.gsvis; scene.gsvis.work beside it keeps what the next run need not make."""
     lod: Lod = None

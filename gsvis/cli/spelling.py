@@ -53,6 +53,8 @@ def misspelling(arguments: Sequence[str]) -> str | None:
             continue  # a value; negative numbers begin with a minus, too
         given, equals, value = word.partition("=")
         option = options.get(_hyphens(given))
+        if option is None and f"-{_hyphens(given)}" in options:
+            return f"gsvis {name} has no option {given}; did you mean -{_hyphens(given)}?"
         if option is None and given.startswith("--") and given not in ("--help", "--debug"):
             near = _suggestion(_hyphens(given), [each for each in options if each.startswith("--")])
             return f"gsvis {name} has no option {given[:80]}; {near or f'gsvis {name} --help lists its options'}"

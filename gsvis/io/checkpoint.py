@@ -25,7 +25,9 @@ References:
 
 from __future__ import annotations
 
+import glob
 import io
+import logging
 import os
 import pickle
 import pickletools
@@ -33,6 +35,7 @@ import struct
 import zipfile
 from collections.abc import Mapping
 from math import prod
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,6 +61,8 @@ _STORAGES = {"FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "
 _BAD_ZIP = (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, ValueError, struct.error)
 
 F32 = NDArray[np.float32]
+
+_log = logging.getLogger(__name__)
 
 
 def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
@@ -130,6 +135,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
         FormatError: If the file is no checkpoint with Gaussians, is damaged, or holds invalid values.
         OSError: If it cannot be opened.
     """
+    _warn_of_other_ranks(Path(path))
     try:
         with zipfile.ZipFile(path) as archive:
             raw = _tensors(path, archive)
@@ -142,6 +148,14 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
         if isinstance(error, OSError) and error.filename is not None:  # it could not be opened
             raise
         raise FormatError(path, "zip", "a whole checkpoint", str(error) or "the end of the file", _DAMAGED) from error
+
+
+def _warn_of_other_ranks(path: Path) -> None:
+    """Log that a file of several ranks holds a part of the scene only."""
+    stem, rank, number = path.stem.rpartition("_rank")
+    others = [other for other in path.parent.glob(f"{glob.escape(stem)}_rank*{path.suffix}") if other.name != path.name]
+    if rank and number.isdecimal() and others:
+        _log.warning("%s holds what rank %s trained; %d other ranks are beside it", path, number, len(others))
 
 
 def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str, F32]:

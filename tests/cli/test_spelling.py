@@ -32,6 +32,7 @@ def commands() -> list[tuple[str, type]]:
         (["--json", "inspect", "x"], "expected a command before '--json'"),
         (["convert", "a.ply", "b.ply", "--min-opacty", "1"], "no option --min-opacty; did you mean --min-opacity?"),
         (["convert", "a.ply", "b.ply", "--min_opacty=1"], "no option --min_opacty; did you mean --min-opacity?"),
+        (["inspect", "x", "-lod", "1"], "gsvis inspect has no option -lod; did you mean --lod?"),
         (["render", "x", "--zzzz"], "gsvis render has no option --zzzz; gsvis render --help lists its options"),
         (["pvs", "x", "-o", "y", "--method", "hybrd"], "--method: expected one of hybrid, .* did you mean hybrid?"),
         (["pvs", "x", "-o", "y", "--method=rast"], "--method: expected one of .* did you mean raster?"),

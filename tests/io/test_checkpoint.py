@@ -274,6 +274,30 @@ def test_damage_is_a_format_error_or_changes_nothing(tmp_path: Path) -> None:
     assert read < 400
 
 
+OPERATIONS = (b"R", b"b", b"(", b"t", b"u", b"e", b"}", b"]", b")", b"0", b"2", b"h\x01", b"N", b"Q", b"\x85", b"\x81")
+
+
+def test_damage_to_the_structure_is_a_format_error(tmp_path: Path) -> None:
+    raw = splats()
+    file = nerfstudio_file(tmp_path / "a.ckpt", nerfstudio_state(raw))
+    with zipfile.ZipFile(file) as archive:
+        pickled = next(archive.read(name) for name in archive.namelist() if name.endswith("data.pkl"))
+    rng = np.random.default_rng(1)
+    refused = 0
+    for _ in range(150):
+        damaged, at = bytearray(pickled), int(rng.integers(len(pickled)))
+        if rng.random() < 0.5:
+            damaged[at] ^= 1 << int(rng.integers(8))
+        else:
+            damaged[at:at] = OPERATIONS[rng.integers(len(OPERATIONS))]
+        try:
+            load_scene(with_structure(file, bytes(damaged)))
+        except FormatError as error:
+            refused += 1
+            assert len(str(error)) < 1500
+    assert refused > 100
+
+
 def test_formats_of_old_are_named(tmp_path: Path) -> None:
     raw = splats()
     torch.save({"splats": raw.state_dict()}, tmp_path / "old.pt", _use_new_zipfile_serialization=False)
@@ -286,6 +310,16 @@ def test_formats_of_old_are_named(tmp_path: Path) -> None:
         archive.writestr("readme.txt", "hello")
     with pytest.raises(FormatError):
         load_scene(tmp_path / "other.pt")
+
+
+def test_a_rank_of_several_is_read_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    gsplat_file(tmp_path / "ckpt_9_rank0.pt")
+    load_scene(tmp_path / "ckpt_9_rank0.pt")
+    assert not caplog.records
+    gsplat_file(tmp_path / "ckpt_9_rank1.pt")
+    gsplat_file(tmp_path / "ckpt_19_rank1.pt")
+    load_scene(tmp_path / "ckpt_9_rank0.pt")
+    assert "holds what rank 0 trained; 1 other ranks are beside it" in caplog.text
 
 
 def test_an_empty_checkpoint_is_an_empty_scene(tmp_path: Path) -> None:
