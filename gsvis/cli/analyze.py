@@ -200,10 +200,9 @@ def _tables(document: dict[str, Any]) -> list[Any]:
                 shares.append((told, f"{each['of_all']:.2%}", paper if way == "gathered" else ""))
     if found["agreement"]:
         shares.append(("agreement of the two: mean Jaccard index", f"{found['agreement']['mean_jaccard']:.3f}", ""))
-    header = ("share of all Gaussians", "here", "paper")
-    if not document["paper"]["comparable"]:
-        shares, header = [row[:2] for row in shares], header[:2]
-    return [facts(document["scene"]["name"], about), facts("", shares, header)]
+    shown = 3 if document["paper"]["comparable"] else 2  # columns; the paper's is the last
+    header = ("share of all Gaussians", "here", "paper")[:shown]
+    return [facts(document["scene"]["name"], about), facts("", [row[:shown] for row in shares], header)]
 
 
 def _remarks(document: dict[str, Any]) -> list[str]:

@@ -91,9 +91,8 @@ def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str) -> st
         ("largest", f"{fractions.max():.2%}", ""),
         ("one view, the paper's figure 1", "", f"{PAPER['one_view_visible']:.2%}"),
     ]
-    header = ("visible share", "here", "paper")
-    if differs:
-        rows, header = [row[:2] for row in rows[:3]], header[:2]
+    shown = 2 if differs else 3  # columns; the paper's is the last
+    listed_rows = [row[:shown] for row in (rows[:3] if differs else rows)]
     caption = f"Each camera's share of all {analysis.gaussians:,} Gaussians that is visible in it, highest first. " + (
         "The dashed line is the mean."
         if differs
@@ -101,7 +100,7 @@ def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str) -> st
     )
     return (
         figure(figures["visible"], "Visible share of each camera, sorted", caption)
-        + table(header, rows)
+        + table(("visible share", "here", "paper")[:shown], listed_rows)
         + f"<p>A Gaussian is visible in a view when its largest weight on a pixel ray (alpha times the light left in"
         f" front of it) is at least {analysis.config.tau:.4g}. Gaussians that fall between the rays do not count, so"
         f" these shares belong to {_rays(analysis)}; more pixels or a wider view find more.</p>"
