@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +20,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
 from gsvis.train.images import PosedImages
 from gsvis.train.levels import LevelsConfig
+from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]
 BUILTIN = "builtin:wall_with_hole"  # the smallest
@@ -31,7 +28,6 @@ TINY = ["--iterations", "3", "--size", "24x20"]
 QUICK = [*TINY, "--views", "3", "--held-out", "2"]
 PLYS = ["high.ply", "low.ply", "medium.ply"]
 WRITTEN = [*PLYS[:1], "levels.arrow", *PLYS[1:]]
-GSVIS = [sys.executable, "-m", "gsvis.cli"]
 
 
 @pytest.fixture(scope="module")
@@ -265,17 +261,10 @@ def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
 
 def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "80"]
-    stopped = subprocess.Popen(
-        [*GSVIS, "levels", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    deadline = time.monotonic() + 300
-    while not list(tmp_path.glob(".out.partial-*/subsets.npz")):
-        assert stopped.poll() is None, stopped.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does
-    said, told = stopped.communicate()
-    assert (stopped.returncode, said) == (130, ""), told
+    stopped = Halted("train", 1, "levels", *words)
+    stopped.wait()
+    code, said, told = stopped.end(signal.SIGINT)
+    assert (code, said) == (130, ""), told
     (kept,) = tmp_path.glob(".out.partial-*")
     assert f"is kept in {kept.name}; the same command goes on from there" in told.splitlines()[-1]
     assert "Traceback" not in told

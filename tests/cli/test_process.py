@@ -7,8 +7,9 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
+
+from tests.cli.halted import Halted
 
 GSVIS = [sys.executable, "-m", "gsvis.cli"]
 
@@ -56,16 +57,10 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 
 
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
-    words = ["analyze", "builtin:two_rooms", "-o", str(tmp_path / "out"), "--views", "5000"]
-    process = subprocess.Popen([*GSVIS, *words], stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    while "tracing cameras" not in (line := process.stderr.readline()):
-        assert line, "ended before it could be interrupted"
-    time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
-    told = process.stderr.read()
-    process.stderr.close()
-    assert process.wait() == 130
+    stopped = Halted("cameras", 2, "analyze", "builtin:two_rooms", "-o", tmp_path / "out", "--views", "50")
+    stopped.wait()
+    code, _, told = stopped.end(signal.SIGINT)
+    assert code == 130
     assert told.splitlines()[-1] == "gsvis: interrupted; nothing was left half-written"
     assert "Traceback" not in told
     assert list(tmp_path.iterdir()) == []

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +18,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
 from gsvis.visibility import PvsConfig, VisibilityStore
+from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]
 QUICK = ["--cells", "8", "--size", "16", "--workers", "1", "--max-viewpoints", "6"]
@@ -195,68 +194,35 @@ def test_the_time_left_does_not_count_what_was_done_before(monkeypatch: pytest.M
     assert "91 of 100, about 6 min 00 s left" in capsys.readouterr().err
 
 
-def started(*words: object) -> subprocess.Popen[str]:
-    command = [*GSVIS, "pvs", *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
-
-
-def wait_for_cells(process: subprocess.Popen[str], folder: Path, count: int) -> None:
-    deadline = time.monotonic() + 60
-    while len(list(folder.glob("*.partial-*/cell-*.bin"))) < count:
-        assert process.poll() is None, "ended before it could be stopped"
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-
-
-def members(group: int) -> list[str]:
-    """Processes of a process group that are alive."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, leader = stat.read_text().rpartition(")")[2].split()[:3]
-        except OSError:
-            continue
-        if int(leader) == group and state != "Z":
-            found.append(stat.parent.name)
-    return found
-
-
 LONG = ["builtin:two_rooms", "--cells", "16", "--size", "64", "--max-viewpoints", "8"]
-
-
-def all_gone(group: int) -> bool:
-    deadline = time.monotonic() + 20
-    while members(group) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return not members(group)
 
 
 def test_killed_interrupted_and_finished(tmp_path: Path) -> None:
     out = tmp_path / "rooms.pvs"
-    killed = started(*LONG, "-o", out, "--workers", "2")
-    wait_for_cells(killed, tmp_path, 2)
-    killed.kill()
-    assert all_gone(killed.pid)  # its workers have noticed
-    killed.communicate()
+    killed = Halted("cells", 2, "pvs", *LONG, "-o", out, "--workers", "2")
+    killed.wait()
+    assert len(killed.members()) > 1
+    code, *_ = killed.end(signal.SIGKILL, group=False)  # returns once its workers have noticed
+    assert code == -signal.SIGKILL
     earlier = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
+    assert len(earlier) == 2
     assert not out.exists()
-    stopped = started(*LONG, "-o", out, "--workers", "2")
-    wait_for_cells(stopped, tmp_path, len(earlier) + 2)
-    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does
-    said, told = stopped.communicate()
-    assert (stopped.returncode, said) == (130, "")
+    stopped = Halted("cells", 4, "pvs", *LONG, "-o", out, "--workers", "2")
+    stopped.wait()
+    code, said, told = stopped.end(signal.SIGINT)
+    assert (code, said) == (130, "")
     last = told.splitlines()[-1]
     assert "Traceback" not in told
     assert last.startswith("gsvis: interrupted; ")
     assert "the same command goes on from there" in last
-    assert all_gone(stopped.pid)
     now = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
     assert earlier.items() <= now.items()
-    assert f"{len(now)} of" in last
-    finished = started(*LONG, "-o", out, "--workers", "1", "--json")
-    said, told = finished.communicate()
-    assert finished.returncode == 0, told
-    assert json.loads(said)["format"] == "gsvis-pvs"
+    assert len(now) == 4
+    assert "4 of" in last
+    words = [*GSVIS, "pvs", *LONG, "-o", str(out), "--workers", "1", "--json"]
+    finished = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    assert json.loads(finished.stdout)["format"] == "gsvis-pvs"
     assert main(["pvs", *LONG, "-o", str(tmp_path / "at_once.pvs"), "--workers", "1"]) == 0
     assert out.read_bytes() == (tmp_path / "at_once.pvs").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["at_once.pvs", "rooms.pvs"]
