@@ -1,6 +1,8 @@
 # make demo    set up, then analyze a built-in scene (or SCENE=path) into demo-out/
 # make test    set up, then run all tests
 # make check   what CI runs: format, lint, types, doctests, examples, tests
+# make stress  run the rooms with processes and sockets five times beside two busy loops a core; docs/results/stress.json
+# make repeat  run `make check` ten times beside a busy loop a core; docs/results/check_repeated.json
 # make bench   run the benchmarks and write docs/results/<question>.json
 # make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
 
@@ -11,7 +13,7 @@ BIN := .venv/bin
 export PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench pins clean
+.PHONY: help demo test check format lint types doctests examples stress repeat bench pins clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -46,7 +48,7 @@ types: .venv/.gsvis-dev
 	@$(BIN)/mypy
 
 doctests: .venv/.gsvis-dev
-	@$(BIN)/pytest --doctest-modules gsvis --quiet
+	@$(BIN)/pytest --doctest-modules gsvis --quiet --numprocesses auto --dist loadfile
 
 examples: .venv/.gsvis-dev
 	@for example in examples/[0-9]*.py; do \
@@ -54,6 +56,20 @@ examples: .venv/.gsvis-dev
 
 # The tests come last: their closing line is the verdict.
 check: lint types doctests examples test
+
+# Tests that start processes, listen on sockets, lock files or wait for others.
+STRESSED := tests/serve tests/stream tests/tools \
+    $(addprefix tests/cli/test_,serve.py process.py pvs.py color.py levels.py) \
+    $(addprefix tests/visibility/test_,build.py cluster.py journal.py store.py) \
+    tests/simulate/test_link.py tests/io/test_atomic.py
+
+# Kernels are compiled anew in the first run, as for a newcomer. The loops end with the tests, or at the limit.
+stress: .venv/.gsvis-dev
+	@$(BIN)/python tools/repeat.py --runs 5 --loops 2 --cold --out docs/results/stress.json -- \
+	    $(BIN)/pytest --numprocesses auto --dist loadfile $(STRESSED)
+
+repeat: .venv/.gsvis-dev
+	@$(BIN)/python tools/repeat.py --runs 10 --loops 1 --out docs/results/check_repeated.json -- $(MAKE) check
 
 bench: .venv/.gsvis-dev
 	@mkdir -p docs/results
