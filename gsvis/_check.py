@@ -66,6 +66,18 @@ def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[A
     return array
 
 
+def read_only(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return views that cannot be written.
+
+    A kernel is compiled once for arrays that can be written and once for those that cannot. Where a kernel is given
+    either kind, this makes them one.
+    """
+    views = tuple(array.view() for array in arrays)
+    for view in views:
+        view.flags.writeable = False
+    return views
+
+
 def in_range(name: str, array: NDArray[Any], low: float, high: float, *, open_low: bool = False) -> None:
     """Raise unless low <= array <= high everywhere (low < array with `open_low`)."""
     if array.size == 0:

@@ -302,7 +302,7 @@ def take(plan, place, cell, held, scene, links, budget, out):
     candidates, only, offsets, ranks, ending, starts, ids, waits = links
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
     out_gaussians, out_terms, out_dropped, queue = out
-    found, found_terms, dropped, total = 0, 0, 0, 0.0
+    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_let_go` once more
     one, ones = np.uint64(1), ~np.uint64(0)
     while place < len(entries):
         s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0

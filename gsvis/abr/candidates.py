@@ -213,7 +213,8 @@ class CandidateStore:
             ids = index.cells.terms(cell)
             active, terms = np.zeros(word_count(index.num_terms), np.uint64), len(ids)
             kernels.active_words(ids, self._owners, active, owing)
-        places = np.concatenate([self.spheres[words].T, self.spreads[words][None], self.word_bytes[words][None]])
+        rows = self.spheres[words].T, self.spreads[words][None], self.word_bytes[words][None]
+        places = np.ascontiguousarray(np.concatenate(rows))
         return Candidates(
             cell, words, places, own.words[words], owing[words], slots, masks, areas, pixels, codes, starts,
             slots[starts[:-1]], seen, active, terms * self.term_size / max(ones(owing), 1),

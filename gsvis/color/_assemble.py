@@ -60,7 +60,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     n, most = lobes[0].v.shape[:2]
     counts = np.stack([lobe.counts for lobe in lobes])
     v = np.stack([lobe.v for lobe in lobes])
-    order = np.broadcast_to(np.arange(most), (n, most))
+    order = np.tile(np.arange(most), (n, 1))
     kept = counts[0]
     amplitudes = np.stack([_amplitudes(kind, fitted, f, lobe) for f, lobe in enumerate(lobes)])
     linear = kind.space in ("rgb", "yuv") and len(lobes) == 1

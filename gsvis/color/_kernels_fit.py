@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from gsvis.color._kernels_lobes import LANES, dots, gram, lobes
-from gsvis.color._kernels_refine import falls_along, refine, settle, work
+from gsvis.color._kernels_refine import copy, falls_along, refine, settle, work
 
 __all__ = ["fit_lobes", "settle_lobes"]
 
@@ -65,7 +65,8 @@ def _choose(atoms, norms, left, channels, count):
 def _take_away(rows, targets, intensities, terms, channels, count, left):
     for c in range(channels):
         row = left[c]
-        row[:count] = targets[c, :count]
+        for d in range(count):
+            row[d] = targets[c, d]
         for k in range(terms):
             lobe, factor = rows[k], np.float32(intensities[k, c])
             for d in range(count):
@@ -119,10 +120,12 @@ def fit_lobes(directions, dictionary, starts, targets, weights, importance, most
                     atom[d] = dictionary[k, seen[d]] * points[3, d]
                     s += atom[d] * atom[d]
                 norms[k] = s + np.float32(1e-12)
-            left[:, :count] = rows[:channels, :count]
+            copy(rows, channels, count, left)
             emphasis = limits[5]
             for k in range(at_most):
-                lobe[k] = starts[_choose(atoms, norms, left, channels, count)]
+                chosen = _choose(atoms, norms, left, channels, count)
+                for i in range(3):
+                    lobe[k, i] = starts[chosen, i]
                 for _ in range(_PATIENCE):
                     scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], emphasis)
                     refine(w, points, rows, padded, total, k + 1, channels, lobe, intensities, scaled)
@@ -132,7 +135,7 @@ def fit_lobes(directions, dictionary, starts, targets, weights, importance, most
                     if falls_along(w, total, k + 1, channels, intensities):
                         break
                     emphasis = min(4.0 * emphasis, 1.0)
-                mean = settle(w, total, k + 1, channels, scaled, intensities, False) / weight
+                mean = settle(w, total, k + 1, channels, scaled, intensities, np.bool_(False)) / weight
                 _take_away(w.rows, rows, intensities, k + 1, channels, count, left)
                 curves[g, k + 1 :] = mean
                 cost = importance[g] * mean + price * (k + 1)
@@ -178,11 +181,11 @@ def settle_lobes(directions, targets, weights, limits, counts, v, a, errors):
             errors[g] = total / weight if weight > 0.0 else 0.0
             if terms == 0:
                 continue
-            lobe[:terms] = v[g, :terms]
+            copy(v[g], terms, 3, lobe)
             lobes(points, padded, lobe, terms, w.rows)
             gram(w.rows, 4 * terms, padded, w.scratch, w.inner)
             dots(w.rows, 4 * terms, rows, channels, padded, w.scratch, w.outer)
             scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], limits[5])
             intensities[:] = 0.0
-            errors[g] = settle(w, total, terms, channels, scaled, intensities, True) / weight
-            a[g, :terms] = intensities[:terms]
+            errors[g] = settle(w, total, terms, channels, scaled, intensities, np.bool_(True)) / weight
+            copy(intensities, terms, channels, a[g])

@@ -362,7 +362,7 @@ def _pursue_block(chunk, start, count, atoms, codes, work):
     for b in range(count):
         work.active[b] = b
         codes.errors[start + b, 0] = work.energies[b]
-    going = _keep_active(chunk, start, count, 0, codes, work)
+    going = _keep_active(chunk, start, count, np.int64(0), codes, work)
     if going > 0:
         _correlate(atoms, work, count)
         _weigh(atoms, work, count)

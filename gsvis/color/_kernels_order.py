@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis.color._kernels_refine import copy
 from gsvis.color._kernels_rgb import to_rgb
 
 __all__ = ["order_lobes", "shown_errors"]
@@ -17,7 +18,7 @@ __all__ = ["order_lobes", "shown_errors"]
 @njit(cache=True, nogil=True)
 def _shown_error(space, summed, factors, count, colours, weights, shown):
     """Weighted squared RGB error of the first `count` directions."""
-    shown[:, :count] = summed[:, :count]
+    copy(summed, 3, count, shown)
     to_rgb(space, shown[:, :count], factors[:count])
     error = 0.0
     for c in range(3):

@@ -13,7 +13,7 @@ from numba import njit
 
 from gsvis.color._kernels_lobes import dots, gram, lobes
 
-__all__ = ["Work", "best_intensities", "falls_along", "refine", "settle", "work"]
+__all__ = ["Work", "best_intensities", "copy", "falls_along", "refine", "settle", "work"]
 
 _ATTEMPTS = 4
 _ATTEMPTS_TO_SETTLE = 16
@@ -32,6 +32,17 @@ def work(most_terms, directions, channels):
         z((p, directions), np.float32), z((p, p)), z((p, channels)), z((p, p)), z((p, channels)), z((k, k)), z((k, n)),
         z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32), z(p),
     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def copy(source, rows, columns, target):
+    """Copy a corner of a matrix.
+
+    An assignment of slices would compile numba's checks of shapes into every kernel, and those take longer than it.
+    """
+    for i in range(rows):
+        for j in range(columns):
+            target[i, j] = source[i, j]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -156,7 +167,7 @@ def _moved(w, v, terms, damping, largest, least_decay, most_decay):
         for q in range(p + 1):
             w.damped[p, q] = w.normal[p, q]
         w.damped[p, p] += damping * w.normal[p, p] + 1e-7 * largest + 1e-30
-    if not _solve(w.damped, n, w.step, 1):
+    if not _solve(w.damped, n, w.step, np.int64(1)):
         return False
     for k in range(terms):
         squared = 0.0
@@ -219,10 +230,10 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
             break
         explained += gained
         damping = max(0.2 * damping, 1e-6)
-        v[:terms] = w.trial[:terms]
-        intensities[:terms] = w.intensities[:terms]
-        w.inner[:size, :size] = w.inner2[:size, :size]
-        w.outer[:size] = w.outer2[:size]
+        copy(w.trial, terms, 3, v)
+        copy(w.intensities, terms, channels, intensities)
+        copy(w.inner2, size, size, w.inner)
+        copy(w.outer2, size, channels, w.outer)
         if gained < tolerance * error:
             break
 
@@ -242,7 +253,7 @@ def _change(w, k, channels, intensities):
 @njit(cache=True, nogil=True, fastmath=True)
 def falls_along(w, total, terms, channels, intensities):
     """Whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
-    k = 0
+    k = np.int64(0)  # a literal would compile the function once more
     while k < terms and _change(w, k, channels, intensities) <= 1e-7 * total:
         k += 1
     return k == terms
@@ -269,8 +280,8 @@ def settle(w, total, terms, channels, limits, intensities, anew):
         if attempt > 0:
             emphasis = max(3.0 * emphasis, 0.03)
         if attempt > 0 or anew:
-            w.inner2[:terms, :terms] = w.inner[:terms, :terms]
-            w.outer2[:terms] = w.outer[:terms]
+            copy(w.inner, terms, terms, w.inner2)
+            copy(w.outer, terms, channels, w.outer2)
             _count_prefixes(terms, emphasis, w.factors)
             _weigh_prefixes(w.inner2, w.outer2, terms, channels, w.factors)
             best_intensities(w.inner2, w.outer2, terms, channels, limits[0], w.small, intensities)

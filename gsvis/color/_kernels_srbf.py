@@ -257,4 +257,4 @@ def colours_along(x, space, packed, out):
         out: (N, D without padding, 3) float32, written.
     """
     for group in prange(len(packed[2]) - 1):
-        _group_along(group, x, space, packed, out)
+        _group_along(np.int64(group), x, space, packed, out)

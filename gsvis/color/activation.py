@@ -69,7 +69,8 @@ class Activation:
         additive = colors.kind.space == "rgb"
         factors = self._reaches if additive else np.ones(colors.num_terms)
         found = np.zeros(colors.num_terms)
-        kernels.responses(self._means, colors.offsets, self._centers, colors.decays, factors, at, found)
+        (means,) = _check.read_only(self._means)
+        kernels.responses(means, colors.offsets, self._centers, colors.decays, factors, at, found)
         if additive:
             return found.astype(np.float32)
         out = np.zeros(colors.num_terms, np.float32)
@@ -120,7 +121,7 @@ class Activation:
         with np.errstate(divide="ignore"):
             faint = np.zeros(0) if factors is None else -np.log(factors.astype(np.float64))
         out = np.zeros(self.colors.num_terms, np.bool_)
-        terms = self._means, self.colors.offsets, self._centers, self._logs, self._widths
+        terms = *_check.read_only(self._means), self.colors.offsets, self._centers, self._logs, self._widths
         kernels.mark_terms(ids, faint, *terms, first, last, out)
         return out
 

@@ -48,7 +48,7 @@ class Evaluator:
         self._space = _kernels_rgb.SPACES[colors.kind.space]
         order, starts = _layout(colors.counts)
         slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
-        terms = colors.centers, colors.decays, np.ascontiguousarray(colors.amplitudes())
+        terms = _check.read_only(colors.centers, colors.decays, np.ascontiguousarray(colors.amplitudes()))
         _kernels_srbf.pack(order, colors.offsets, starts, terms, slots)
         base, scales = _in_windows(colors.base, order), _in_windows(colors.scales[:, None], order)
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
@@ -76,7 +76,7 @@ class Evaluator:
         Raises:
             ValueError: If a shape does not fit, a value is not finite or an id is none of the N.
         """
-        centres = _check.floats("means", means, (len(self), 3))
+        (centres,) = _check.read_only(_check.floats("means", means, (len(self), 3)))
         viewpoint = _check.floats("eye", eye, (3,), np.float64)
         mask = _mask(active, self.source.num_terms)
         if ids is None:

@@ -102,8 +102,8 @@ def orthogonal_matching_pursuit(
     number, channels = len(values), values.shape[2] if values.ndim == 3 else 1
     own, shared = _weights(weights, number, depth)
     limits = _limits(max_terms, number, number_of_atoms)
-    tolerances = np.broadcast_to(np.asarray(tolerance), (number,)) if np.ndim(tolerance) == 0 else tolerance
-    tolerances = _check.floats("tolerance", tolerances, (number,), np.float64)
+    tolerances = np.full(number, tolerance) if np.ndim(tolerance) == 0 else tolerance
+    (tolerances,) = _check.read_only(_check.floats("tolerance", tolerances, (number,), np.float64))
     _check.in_range("tolerance", tolerances, 0.0, np.inf)
     _check.in_range("least_share", np.asarray(least_share, np.float64), 0.0, 1.0)
     terms = int(max_terms) if isinstance(max_terms, int | np.integer) else int(limits.max(initial=0))

@@ -91,7 +91,7 @@ def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool =
     colours = np.empty((len(g.means), 3), np.float32)
     lowest = np.float32(0.0 if clipped else -np.inf)
     every = np.arange(len(g.means), dtype=np.int32)
-    _kernels_sh.colours_from_sh(every, g.means, g.sh0, g.shN, degree, viewpoint, lowest, colours)
+    _kernels_sh.colours_from_sh(every, *_check.read_only(g.means, g.sh0, g.shN), degree, viewpoint, lowest, colours)
     return colours
 
 

@@ -275,7 +275,8 @@ def _close_up(corners, neighbors, facets, last):
     for f in range(facets):
         place[f] = count
         if corners[f, 0] >= 0:
-            corners[count], neighbors[count] = corners[f], neighbors[f]
+            for k in range(3):
+                corners[count, k], neighbors[count, k] = corners[f, k], neighbors[f, k]
             count += 1
     for f in range(count):
         for k in range(3):
@@ -318,22 +319,24 @@ def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
         for k in range(3):
             v = corners[f, k]
             out[cell_of(points[v, 0], points[v, 1], points[v, 2], size)] = f
-    last = 0
+    last = np.int64(0)
     for cell in range(len(out)):
         if out[cell] < 0:
             x, y, z = direction_of(cell, size)
             f = locate(points, corners, neighbors, last, len(corners), inner, slack, x * reach, y * reach, z * reach)
             out[cell] = f if f >= 0 else last
-        last = out[cell]
+        last = np.int64(out[cell])
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out):
     """Whether each of the first points may lie outside the hull, into out (M,); False is certain by the band."""
+    most = np.int64(_MOST_STEPS)  # a literal would compile `locate` once more
     for block in prange((len(out) + _BLOCK - 1) // _BLOCK):
         for i in range(block * _BLOCK, min(len(out), (block + 1) * _BLOCK)):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            f = locate(points, corners, neighbors, starts[cell_of(x, y, z, size)], _MOST_STEPS, inner, slack, x, y, z)
+            start = np.int64(starts[cell_of(x, y, z, size)])
+            f = locate(points, corners, neighbors, start, most, inner, slack, x, y, z)
             out[i] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0
 
 
@@ -343,7 +346,8 @@ def radial(directions, points, corners, neighbors, starts, size, inner, slack, o
     for i in prange(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         out[i] = 0.0
-        f = locate(points, corners, neighbors, starts[cell_of(x, y, z, size)], len(corners), inner, slack, x, y, z)
+        start = np.int64(starts[cell_of(x, y, z, size)])
+        f = locate(points, corners, neighbors, start, len(corners), inner, slack, x, y, z)
         if f < 0:
             continue
         a, b, c = points[corners[f, 0]], points[corners[f, 1]], points[corners[f, 2]]

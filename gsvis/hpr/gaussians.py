@@ -132,7 +132,8 @@ class OcclusionHull:
             _check.in_range("ids", chosen, 0, len(g) - 1)
             arrays = [np.ascontiguousarray(a[chosen]) for a in arrays]
         out = np.empty(len(arrays[0]), np.float32)
-        _kernels.nearness(*arrays, MIN_ALPHA, self.depths, self.size, out)
+        toward, *content, shapes = arrays
+        _kernels.nearness(toward, *_check.read_only(*content), shapes, MIN_ALPHA, self.depths, self.size, out)
         return out
 
 

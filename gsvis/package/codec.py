@@ -238,7 +238,7 @@ def decode_records(
         np.empty(m, np.float32),
     )  # fmt: skip
     kernels.decode(
-        rows, table.origins, table.steps, table.lows, table.strides, packed, layout.bits,
+        rows, *_check.read_only(table.origins, table.steps, table.lows, table.strides, packed), layout.bits,
         layout.packed_from, _ROOTS, *found,
     )  # fmt: skip
     return found

@@ -125,7 +125,7 @@ def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.
         length = np.linalg.norm(toward, axis=1)
         toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is in the centre: every direction is as good
         toward /= np.where(length == 0.0, 1.0, length)[:, None]
-        rays_o = np.ascontiguousarray(np.broadcast_to(eye, toward.shape))
+        rays_o = np.tile(eye, (len(toward), 1))
         _kernels.weights_of(*hierarchy.arrays, rays_o, toward, targets, tracer.limits, rays.floor, out)
         np.maximum(best, out, out=best)
     everything = np.zeros(len(g), np.float32)

@@ -64,7 +64,8 @@ def order_ties(order, depths, ids, means, scales, quats, opacities, sh0):
                     else:
                         scratch[k] = order[j]
                         j += 1
-                order[left:right] = scratch[left:right]
+                for k in range(left, right):
+                    order[k] = scratch[k]
             width *= 2
         start = stop
 

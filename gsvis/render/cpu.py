@@ -15,6 +15,7 @@ from numba import get_num_threads
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gsvis import _check
 from gsvis.color import _kernels_sh
 from gsvis.render import _kernels_project, _kernels_tiles
 
@@ -111,8 +112,9 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     counts = np.zeros(blocks, np.int64)
     ids, splats, depths = np.empty(n, np.int32), np.empty((n, 8)), np.empty(n, np.float32)
     size = (view.width, view.height)
+    shapes = _check.read_only(scene.means, scene.quats, scene.scales, scene.opacities)
     _kernels_project.project(
-        scene.means, scene.quats, scene.scales, scene.opacities, view.viewmat, view.intrinsics, *size, antialiased,
+        *shapes, view.viewmat, view.intrinsics, *size, antialiased,
         ids, splats, depths, counts,
     )  # fmt: skip
     starts = np.concatenate([[0], np.cumsum(counts)])
@@ -122,7 +124,7 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     ids, splats, depths = packed
     order = np.argsort(depths).astype(np.int32)
     content = scene.means, scene.scales, scene.quats, scene.opacities[:, None], scene.sh0[:, 0]
-    _kernels_tiles.order_ties(order, depths[order], ids, *content)
+    _kernels_tiles.order_ties(order, depths[order], ids, *_check.read_only(*content))
     tiles_x, tiles_y = view.tiles
     room = np.empty(m, np.int64)
     _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room)
@@ -154,7 +156,12 @@ class _Rasterize(torch.autograd.Function):
         features[:, 3] = projected.depths
         if colours is None:
             _kernels_sh.colours_from_sh(
-                projected.ids, scene.means, scene.sh0, scene.shN, degree, view.eye, np.float32(0.0), features
+                projected.ids,
+                *_check.read_only(scene.means, scene.sh0, scene.shN),
+                degree,
+                view.eye,
+                np.float32(0.0),
+                features,
             )
         else:
             features[:, :3] = colours[projected.ids]
@@ -194,7 +201,7 @@ class _Rasterize(torch.autograd.Function):
         ids, moved = projected.ids[stand:], sums[stand:]
         v_means2d[:stand] = _by_centres(projected.splats[:stand], sums[:stand])
         _kernels_project.project_backward(
-            scene.means, scene.quats, scene.scales, scene.opacities, view.viewmat, view.intrinsics,
+            *_check.read_only(scene.means, scene.quats, scene.scales, scene.opacities), view.viewmat, view.intrinsics,
             (view.width, view.height), antialiased, ids, moved, v_means2d[stand:], v_opacities,
             (v_means, v_quats, v_scales),
         )  # fmt: skip

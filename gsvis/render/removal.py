@@ -131,7 +131,7 @@ def _features(g: Gaussians, view: View, projected: Projected, colours: CameraCol
     given = None if colours is None else colours.of(c)
     if given is None:
         _kernels_sh.colours_from_sh(
-            projected.ids, g.means, g.sh0, g.shN, g.sh_degree, view.eye, np.float32(0.0), features
+            projected.ids, *_check.read_only(g.means, g.sh0, g.shN), g.sh_degree, view.eye, np.float32(0.0), features
         )
     else:
         features[:, :3] = given.detach().to(torch.float32).numpy()[projected.ids]

@@ -253,5 +253,5 @@ class Cameras:
         local = np.linalg.solve(self.Ks, np.broadcast_to(pixels, (len(self), *pixels.shape)))
         local /= np.linalg.norm(local, axis=1, keepdims=True)
         rays_d = np.einsum("cji,cjp->cpi", self.viewmats[:, :3, :3], local)
-        rays_o = np.broadcast_to(self.viewpoints[:, None, :], rays_d.shape)
-        return np.ascontiguousarray(rays_o).reshape(-1, 3), np.ascontiguousarray(rays_d).reshape(-1, 3)
+        rays_o = np.repeat(self.viewpoints, x.size, axis=0)
+        return rays_o, np.ascontiguousarray(rays_d).reshape(-1, 3)

@@ -33,6 +33,7 @@ from gsvis.train.parameters import Parameters
 
 __all__ = ["Record", "TrainConfig", "TrainResult", "Trainer", "extent_of", "train"]
 
+_clock = time.monotonic  # tests set another
 _LOG = logging.getLogger(__name__)
 
 
@@ -173,7 +174,7 @@ class Trainer:
 
     def advance(self) -> float:
         """Take one step; its loss."""
-        c, began = self.config, time.perf_counter()
+        c, began = self.config, _clock()
         if self.densifier is not None and self.step:  # not at the end of a step: what was split has to settle first
             self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
         if c.sh_every and self.step % c.sh_every == 0:
@@ -191,7 +192,7 @@ class Trainer:
         value = float(loss.detach())
         share = max(1.0 / self.step, 0.01)
         self.loss = value if math.isnan(self.loss) else (1.0 - share) * self.loss + share * value
-        self.seconds += time.perf_counter() - began
+        self.seconds += _clock() - began
         return value
 
     def record(self) -> Record:
@@ -220,7 +221,7 @@ class Trainer:
         if checkpoint is not None and os.path.exists(checkpoint):
             load_checkpoint(checkpoint, self)
         progress("train", self.step, last)
-        saved, whole = time.monotonic(), True  # whole: not in the middle of a step, where nothing fits together
+        saved, whole = _clock(), True  # whole: not in the middle of a step, where nothing fits together
         try:
             self._record_if_due()
             while self.step < last:
@@ -228,9 +229,9 @@ class Trainer:
                 self.advance()
                 whole = True
                 self._record_if_due()
-                if checkpoint is not None and (self.step == last or time.monotonic() - saved > checkpoint_seconds):
+                if checkpoint is not None and (self.step == last or _clock() - saved >= checkpoint_seconds):
                     save_checkpoint(checkpoint, self)
-                    saved = time.monotonic()
+                    saved = _clock()
                 progress("train", self.step, last)
         except KeyboardInterrupt:
             if checkpoint is not None and whole:

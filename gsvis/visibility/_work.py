@@ -23,7 +23,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -240,7 +240,7 @@ def _is_lost(future: Future[bytes]) -> bool:
 def _local_processes(workers: int) -> Iterator[Executor]:
     """A pool of processes with one thread each, which goes at once when the block is left early."""
     # Started afresh: a forked process would inherit the threads of numba's kernels in an unusable state.
-    pool = _Pool(workers, mp_context=get_context("spawn"), initializer=_begin, initargs=(os.getpid(),))
+    pool = _Pool(workers, mp_context=get_context("spawn"), initializer=_begin)
     done = False
     try:
         yield pool
@@ -265,13 +265,13 @@ class _Pool(ProcessPoolExecutor):
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(parent: int) -> None:
+def _begin() -> None:
     """Begin a worker process: one thread, and gone when the parent is."""
-    import time
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
+        parent = parent_process()
+        assert parent is not None
+        parent.join()  # a pipe that the parent alone holds; no time is waited for
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -48,6 +48,7 @@ from gsvis.visibility.viewpoints import CellViewpoints
 
 __all__ = ["Estimate", "Workers", "build_pvs", "estimate_pvs", "journal_of"]
 
+_clock = time.perf_counter  # tests set another
 _PLAN = 1  # raised whenever the same plan would give other bytes
 
 # Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian.
@@ -208,14 +209,14 @@ def estimate_pvs(
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
     scene = SceneArrays.of(_key(plan), levels, config)
     scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
-    began, taken, bits = time.perf_counter(), 0, 0.0
+    began, taken, bits = _clock(), 0, 0.0
     progress("trying", 0, len(some))
     for done, cell in enumerate(some, 1):
         view = scene.view(viewpoints.spread(cell, config.max_viewpoints))
         taken += len(pack_view(view))
         bits += _BITS * len(view.ids)
         progress("trying", done, len(some))
-    seconds = (time.perf_counter() - began) / len(some) * (len(grid) - finished)
+    seconds = (_clock() - began) / len(some) * (len(grid) - finished)
     forget_scene()
     shared = count > 1 and workers.executor is None
     return Estimate(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsvis.train import trainer as trainers
 from gsvis.train.densify import DensifyConfig
 from gsvis.train.images import PosedImages
 from gsvis.train.initial import gaussians_from_points
@@ -52,6 +53,15 @@ def test_a_run_that_dies_within_a_step_goes_on_from_the_one_before(
     for name in ("means", "scales", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(getattr(again.gaussians, name), getattr(whole.gaussians, name))
     assert [r.psnr for r in again.history] == [r.psnr for r in whole.history]
+
+
+def test_checkpoints_are_written_as_time_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    running = trainer()
+    written: list[int] = []
+    monkeypatch.setattr(trainers, "_clock", lambda: 50.0 * running.step)
+    monkeypatch.setattr(trainers, "save_checkpoint", lambda path, of: written.append(of.step))
+    running.run(checkpoint=tmp_path / "run.checkpoint", checkpoint_seconds=120.0)
+    assert written == [3, 6, 9, 12, 15, 18, 20]
 
 
 def test_a_stop_before_the_last_measurement_does_not_lose_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

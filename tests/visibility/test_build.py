@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import multiprocessing
 import os
 import signal
@@ -293,11 +294,14 @@ def test_sh_is_not_looked_at_and_the_store_knows_its_scene(job: Job, tmp_path: P
             assert wanted.info.config["size"] == CONFIG.size
 
 
-def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path) -> None:
+def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "scene.pvs"
+    clock = itertools.count(100.0, 3.0)  # the cells that are tried take 3 seconds together
+    monkeypatch.setattr(build, "_clock", lambda: next(clock))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
     estimate = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
     assert (estimate.cells, estimate.finished, estimate.workers) == (12, 0, 2)
-    assert 0.0 < estimate.seconds < 60.0
+    assert estimate.seconds == pytest.approx(3.0 / 2 * 12 / 1.3)  # two of twelve were tried, two processes share them
     assert estimate.memory > 1 << 28
     assert 0.3 < estimate.disk / len(job.wanted) < 5.0
     assert list(tmp_path.iterdir()) == []
