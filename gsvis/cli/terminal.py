@@ -48,6 +48,7 @@ _SAID = {
     "cost": "measuring what rounding costs",
     "package": "writing the package",
 }
+_clock = time.perf_counter  # tests set another
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing
 
@@ -62,7 +63,7 @@ class Status(AbstractContextManager["Status"]):
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._starts: dict[str, tuple[float, int]] = {}  # when, and how much had been done before
-        self._began = self._spoke = time.perf_counter()
+        self._began = self._spoke = _clock()
         self._tasks: dict[str, TaskID] = {}
         self._notes: dict[str, tuple[str, str]] = {}
         self._bars: Progress | None = _bars() if sys.stderr.isatty() else None
@@ -78,7 +79,7 @@ class Status(AbstractContextManager["Status"]):
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """The progress callback (gsvis.progress.Progress)."""
-        now = time.perf_counter()
+        now = _clock()
         first = stage not in self._starts or (done == 0 and stage in self.seconds)  # begun, or begun once more
         if first:
             self._starts[stage] = now, done
@@ -117,7 +118,7 @@ class Status(AbstractContextManager["Status"]):
             self._say(text)
 
     def _say(self, line: str) -> None:
-        self._spoke = time.perf_counter()
+        self._spoke = _clock()
         sys.stderr.write(f"gsvis: {line}\n")
         sys.stderr.flush()
 
@@ -134,7 +135,7 @@ def _bars() -> Progress:
             if task.finished or task.total is None:
                 return Text(clock(task.finished_time or task.elapsed or 0.0), style="dim")
             ends = task.fields.get("ends")
-            return Text("" if ends is None else f"{clock(max(0.0, ends - time.perf_counter()))} left", style="cyan")
+            return Text("" if ends is None else f"{clock(max(0.0, ends - _clock()))} left", style="cyan")
 
     class Count(ProgressColumn):
         """How many of how many; nothing for a stage of one step."""

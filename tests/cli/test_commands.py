@@ -261,7 +261,7 @@ def test_plain_progress_speaks_now_and_then(monkeypatch: pytest.MonkeyPatch, cap
     from gsvis.cli import terminal
 
     clock = iter(np.arange(0.0, 1000.0, 6.0))
-    monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(clock)))
+    monkeypatch.setattr(terminal, "_clock", lambda: float(next(clock)))
     with terminal.Status() as status:
         for done in range(5):
             status("cameras", done, 4)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import signal
 import socket
@@ -21,13 +23,8 @@ from gsvis.visibility.cluster import check_address, connect
 from gsvis.visibility.pvs import PvsConfig
 
 CONFIG = PvsConfig(size=24, max_viewpoints=8)
+GUARD = 300.0  # seconds until a hang is a failure
 QUIET = {**os.environ, "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def started(*words: str) -> subprocess.Popen[bytes]:
@@ -35,16 +32,28 @@ def started(*words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, env=QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-@pytest.fixture(scope="module")
-def scheduler() -> Iterator[str]:
-    """A scheduler without workers."""
-    port = free_port()
-    process = started("dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--no-show")
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """A scheduler without workers: one for each test, as it remembers workers for a while after they are gone."""
+    found = tmp_path / "scheduler.json"  # written once it listens
+    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show", "--scheduler-file", str(found)]
+    process = started("dask_scheduler", *options)
     try:
-        yield f"tcp://127.0.0.1:{port}"
+        yield address_in(found, process)
     finally:
         process.kill()
         process.wait()
+
+
+def address_in(file: Path, process: subprocess.Popen[bytes]) -> str:
+    """The address that a scheduler writes into its file."""
+    given_up = time.monotonic() + GUARD
+    while time.monotonic() < given_up:
+        assert process.poll() is None, "the scheduler ended"
+        with contextlib.suppress(FileNotFoundError, ValueError):  # not there yet, or half of it
+            return str(json.loads(file.read_text())["address"])
+        time.sleep(0.05)
+    raise AssertionError("the scheduler hangs")
 
 
 @pytest.fixture
@@ -74,35 +83,40 @@ def test_a_cluster_gives_the_same_bytes_even_if_a_worker_dies(
             two_workers[0].send_signal(signal.SIGKILL)
             killed.append(done)
 
-    with Client(scheduler, set_as_default=False, timeout=20) as client:
-        client.wait_for_workers(2, timeout=30)
-    with connect(scheduler) as workers:
+    with Client(scheduler, set_as_default=False, timeout=GUARD) as client:
+        client.wait_for_workers(2, timeout=GUARD)
+    with connect(scheduler, timeout=GUARD) as workers:
         assert workers.count == 2
         path = tmp_path / "cluster.pvs"
         build_pvs(made.gaussians, grid, made.navigable, path, CONFIG, workers=workers, progress=kill_one).close()
     assert killed
-    assert two_workers[0].wait(timeout=10) == -signal.SIGKILL
+    assert two_workers[0].wait(timeout=GUARD) == -signal.SIGKILL
     build_pvs(made.gaussians, grid, made.navigable, tmp_path / "here.pvs", CONFIG).close()
     assert path.read_bytes() == (tmp_path / "here.pvs").read_bytes()
 
 
 def test_a_scheduler_without_workers_is_told(scheduler: str) -> None:
-    deadline = time.monotonic() + 20
-    while True:
-        with pytest.raises(BackendError) as caught, connect(scheduler, timeout=1.0):
+    for timeout in (1.0, 4.0, 16.0, 64.0):  # a slow scheduler answers late, and then it is asked once more
+        with pytest.raises(BackendError) as caught, connect(scheduler, timeout=timeout):
             raise AssertionError("not reached")
-        if "has no worker" in str(caught.value) or time.monotonic() > deadline:
+        if "has no worker" in str(caught.value):
             break
     assert f"start some with `dask worker {scheduler}`" in str(caught.value)
 
 
 def test_a_scheduler_that_does_not_answer_is_told() -> None:
-    address = f"tcp://127.0.0.1:{free_port()}"
     with (
+        socket.socket() as silent,
         pytest.raises(BackendError, match=r"no Dask scheduler answers at tcp.* within 0.5 s"),
-        connect(address, timeout=0.5),
+        connect(bound_to(silent), timeout=0.5),
     ):
         raise AssertionError("not reached")
+
+
+def bound_to(sock: socket.socket) -> str:
+    """The address of a socket that nobody else can take and nobody listens on."""
+    sock.bind(("127.0.0.1", 0))
+    return f"tcp://127.0.0.1:{sock.getsockname()[1]}"
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
