@@ -35,7 +35,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 CHUNK = 100  # inputs that a process is given at once
 HANG_S = 60.0  # seconds of the clock after which an input is ended
-WARM = 40  # inputs of each target that a process runs before memory is limited: LLVM does not bear a limit
+WARM = 12  # inputs of each target that a process runs before memory is limited: LLVM does not bear a limit
 ROOM = 1 << 30  # bytes of address space beyond what a process has when it is warm
 
 

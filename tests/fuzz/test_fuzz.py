@@ -19,7 +19,7 @@ from tests.fuzz.targets import case_of, unpack_case
 CORPUS = Path(__file__).parents[1] / "corpus"
 ENTRIES = sorted(CORPUS.rglob("*.zip"))
 EFFORT = int(os.environ.get("GSVIS_FUZZ", "1"))
-"""Set GSVIS_FUZZ=20 for a long run."""
+"""Set GSVIS_FUZZ=60 for a long run."""
 
 SEED = 14
 
@@ -28,12 +28,11 @@ SEED = 14
 def test_damaged_input_ends_in_a_result_or_a_known_error(name: str) -> None:
     target = TARGETS[name]
     verdicts = set()
-    for index in range(150 * EFFORT):
+    for index in range(50 * EFFORT):
         outcome = run_input(target, SEED, index)
         assert outcome.finding is None, f"input {index}: {outcome.finding.line}"
         verdicts.add(outcome.verdict)
-    assert "read" in verdicts
-    assert "refused" in verdicts or not target.refuses
+    assert verdicts == ({"read", "refused"} if target.refuses else {"read"})
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: f"{entry.parent.name}/{entry.stem}")
@@ -51,7 +50,7 @@ def test_the_corpus_is_small_and_has_a_target_for_each_folder() -> None:
 @pytest.mark.parametrize("name", TARGETS)
 def test_an_input_follows_from_seed_target_and_number(name: str) -> None:
     target = TARGETS[name]
-    for index in range(len(target.cases), len(target.cases) + 30):
+    for index in range(len(target.cases), len(target.cases) + 10):
         assert case_of(target, 3, index) == case_of(target, 3, index)
 
 
@@ -59,12 +58,12 @@ def test_an_input_follows_from_seed_target_and_number(name: str) -> None:
 def test_mutators_change_and_do_not_fail(name: str) -> None:
     target, failed = TARGETS[name], 0
     changed = 0
-    for index in range(200):
+    for index in range(100):
         rng = Random(index)
         case = rng.choice(target.cases)
         try:
             changed += target.change(rng, case, target) != case
         except Exception:
             failed += 1
-    assert failed <= 4
-    assert changed > 160
+    assert failed <= 2
+    assert changed > 75
