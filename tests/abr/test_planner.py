@@ -266,6 +266,11 @@ def test_candidates_of_cells_are_kept_within_bounds() -> None:
         (lambda i: CandidateStore(i, pixel=np.nan), "pixel"),
         (lambda i: CandidateStore(i).of(10_000), "cell"),
         (lambda i: UtilityConfig(peripheral=0.0), "peripheral"),
+        (lambda i: UtilityConfig(beyond=1.01), "beyond"),
+        (lambda i: UtilityConfig(medium=0.99), "medium"),
+        (lambda i: UtilityConfig(medium=4.01), "medium"),
+        (lambda i: UtilityConfig(low=0.99), "low"),
+        (lambda i: UtilityConfig(low=4.01), "low"),
         (lambda i: FieldOfView.of_degrees(190, 20), "horizontal"),
         (lambda i: FieldOfView(1, 1, 1, 1, margin=np.nan), "margin"),
     ],
@@ -273,3 +278,9 @@ def test_candidates_of_cells_are_kept_within_bounds() -> None:
 def test_wrong_arguments_are_named(make, told) -> None:
     with pytest.raises(ValueError, match=f"^{told}"):
         make(scenes.random_index(0, count=50))
+
+
+@pytest.mark.parametrize("power", [1.0, 4.0])
+def test_powers_may_be_at_the_ends_of_their_range(power: float) -> None:
+    config = UtilityConfig(medium=power, low=power, peripheral=1e-6, adjacent=1.0)
+    assert (config.medium, config.low) == (power, power)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
 from gsvis.render import rasterize
+from gsvis.render.removal import RemovalEffects
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
@@ -116,6 +119,32 @@ def test_pruning_nests_and_takes_one_of_two_twins() -> None:
     assert sorted(calls) == calls
     for mask, again in zip(masks, prune(g, photographs(g, camera), (40, 30, 10), share=0.016), strict=True):
         np.testing.assert_array_equal(mask, again)
+
+
+def test_equals_are_taken_in_the_order_of_their_means() -> None:
+    """Means decide first, x before y: what a content order is must not move between versions."""
+    means = np.array([[1.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 4.0, 9.0], [2.0, -9.0, -9.0]])
+    g = Gaussians(means, [[1, 0, 0, 0]] * 4, [[0.1] * 3] * 4, [0.5] * 4, np.zeros((4, 1, 3)))
+    assert np.flatnonzero(most_important(g, np.ones(4), 1)).tolist() == [2]
+    assert np.flatnonzero(most_important(g, np.ones(4), 3)).tolist() == [0, 1, 2]
+
+
+def test_a_round_of_more_views_weighs_as_much_as_one_of_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first round has three times the views: what it found counts a pixel, and half as much in the next."""
+    effects = iter([(3 * 1200, [1.0, 0.0, 0.9]), (1200, [0.0, 0.6])])
+
+    def removal(left: Gaussians, *_: object, **__: object) -> RemovalEffects:
+        pixels, values = next(effects)
+        squared = pixels * np.array(values)
+        return RemovalEffects(squared, squared, squared, pixels)
+
+    monkeypatch.setattr(sys.modules[prune.__module__], "removal_effects", removal)
+    g = scene("blobs", n=3)
+    kept = prune(g, views(4), (1,), share=0.45, looks=1)[0]
+    # Round one gives 1, 0, 0.9: the second goes. Round two gives 0 + 0.5 and 0.6 + 0.45.
+    assert np.flatnonzero(kept).tolist() == [2]
+    effects = iter([(3 * 1200, [1.0, 0.0, 0.3]), (1200, [0.0, 0.6])])  # 0 + 0.5 against 0.6 + 0.15
+    assert np.flatnonzero(prune(g, views(4), (1,), share=0.45, looks=1)[0]).tolist() == [2]
 
 
 def test_pruning_takes_turns_through_its_views() -> None:
