@@ -43,10 +43,12 @@ HANG = 900.0
 
 VIEWS = ["--views", "4", "--width", "48", "--height", "36"]
 COMMANDS: dict[str, list[str]] = {
-    "pvs": ["pvs", "{scene}", "-o", "out.pvs", "--cells", "8", "--size", "32", "--max-viewpoints", "6", "--workers", "2"],
+    "pvs": ["pvs", "{scene}", "-o", "out.pvs", "--cells", "8", "--size", "32", "--max-viewpoints", "6",
+            "--workers", "2"],
     "levels": ["levels", "{scene}", "-o", "out", "--iterations", "40", "--views", "6", "--held-out", "2",
                "--size", "48x36"],
-    "color": ["color", "{scene}", "-o", "out.arrow", *VIEWS, "--held-out", "2", "--max-terms", "2", "--report", "report"],
+    "color": ["color", "{scene}", "-o", "out.arrow", *VIEWS, "--held-out", "2", "--max-terms", "2",
+              "--report", "report"],
     "train": ["train", "../photos", "-o", "out.ply", "--iterations", "120", "--evaluate-every", "40",
               "--random-points", "1000", "--checkpoint-seconds", "1"],
     "prepare": ["prepare", "{scene}", "-o", "out.gsvis", "--steps", "10", "--views", "4", "--size", "48x36", "--cells",
