@@ -248,3 +248,25 @@ def test_files_that_a_kill_left_moved_are_known_until_the_next_run_is_done(tmp_p
         (folder / "p").write_text("new")
     assert interrupted_moves(target) == set()
     assert everything(tmp_path) == ["out", "out/p", "out/q", "out/r"]
+
+
+def test_an_interrupt_between_moves_is_like_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, replace, moved = tmp_path / "out", os.replace, []
+
+    def interrupted(source: Path, destination: Path) -> None:
+        if len(moved) == limit:
+            raise KeyboardInterrupt
+        moved.append(source)
+        replace(source, destination)
+
+    monkeypatch.setattr("gsvis.io.atomic.os.replace", interrupted)
+    for limit in (0, 1):
+        with pytest.raises(KeyboardInterrupt), atomic_folder(target) as folder:
+            (folder / "p").write_text("p")
+            (folder / "q").write_text("q")
+        assert interrupted_moves(target) == ({"p"} if limit else set())
+        assert len(list(tmp_path.iterdir())) == 1 + limit  # nothing beside it where nothing was moved
+    limit = 9
+    with atomic_folder(target) as folder:
+        (folder / "q").write_text("q")
+    assert everything(tmp_path) == ["out", "out/p", "out/q"]

@@ -162,7 +162,7 @@ def test_spz_compact_rounds_as_other_encoders(tmp_path: Path, degree: int) -> No
         rounded = (wanted[:, band] + step // 2) // step * step
         np.testing.assert_array_equal(got[:, band], np.clip(rounded, 0, 255))
     sizes = [(tmp_path / f"{name}.spz").stat().st_size for name in ("small", "fine")]
-    assert sizes[0] < (0.7 if degree else 0.95) * sizes[1]
+    assert sizes[0] < (0.75 if degree else 0.99) * sizes[1]
 
 
 def test_kernels_unpack_as_plain_numpy() -> None:
@@ -171,12 +171,12 @@ def test_kernels_unpack_as_plain_numpy() -> None:
     bits[:4] = [0, 0xFFFFFFFF, 0x3FFFFFFF, 0xC0000000]  # also three components longer than 1
     table = np.linspace(-0.9, 0.9, 1024, dtype=np.float32)
     three = table[np.stack([bits >> shift & 0x3FF for shift in (20, 10, 0)], axis=1)]
-    wanted = largest_from_three(three, bits >> 30)
+    wanted = largest_from_three(three.astype(np.float64), bits >> 30).astype(np.float64)
     wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
     columns, signs = np.array([1, 2, 3, 0]), np.array([1, -1, -1, 1], np.float32)
     got = np.empty((5000, 4), np.float32)
     kernels.unpack_quats(bits, table, columns, signs, got)
-    np.testing.assert_allclose(got[:, columns], wanted * signs, atol=3e-7)
+    np.testing.assert_allclose(got[:, columns], wanted * signs, atol=2e-7)
 
     low, high = rng.normal(size=(2, 20, 3)).astype(np.float32)
     units = [(bits >> shift & most) / np.float32(most) for shift, most in ((21, 2047), (11, 1023), (0, 2047))]
