@@ -6,6 +6,7 @@
 # make bench   run the benchmarks and write docs/results/<question>.json
 # make lowest  run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
 # make fuzz    100,000 damaged inputs to every reader and the wire (INPUTS=, SEED=)
+# make kill    kill commands at 100 random moments, resume them, compare what they end with
 # make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
@@ -17,7 +18,7 @@ BIN := .venv/bin
 export PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench lowest pins clean fuzz stress repeat
+.PHONY: help demo test check format lint types doctests examples bench lowest pins clean fuzz kill stress repeat
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -92,6 +93,9 @@ lowest: .venv/.gsvis-dev
 fuzz: .venv/.gsvis-dev
 	@mkdir -p docs/results
 	@$(BIN)/python tools/fuzz.py --inputs $(INPUTS) --seed $(SEED) --out docs/results/fuzz.json
+
+kill: .venv/.gsvis-dev
+	@$(BIN)/python tools/kill.py --out docs/results/kill.json
 
 pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py

@@ -31,6 +31,7 @@ from gsvis.cli.terminal import Status
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import OutputError, SceneError
 from gsvis.io._limits import open_regular
+from gsvis.io.atomic import remove_partials
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.visibility.store import VisibilityStore
@@ -228,6 +229,7 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
         raise error.keeping(f"what was found is kept in {kept.name}") from error
     if kept is not None:
         kept.unlink(missing_ok=True)
+        remove_partials(kept)
     levels = plan.source.levels
     shown = None if levels is None else levels.member(len(levels) - 1)
     union = plan.source.union

@@ -9,6 +9,7 @@ from gsvis.cli.source import check_folder, check_new, check_source, inputs_of, l
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.io.convert import AXES, convert_scene
 from gsvis.io.scenes import save_scene
+from gsvis.io.spz import save_spz
 
 __all__ = ["run_convert"]
 
@@ -33,6 +34,8 @@ def run_convert(command: Convert) -> None:
         )
     if target.is_dir():
         raise ValueError(f"OUT: expected the name of a file, got the folder {command.output!r}")
+    if command.compact and target.suffix.lower() != ".spz":
+        raise ValueError(f"--compact: expected an OUT that ends in .spz with it, got {command.output!r}; leave it out")
     check_folder(target.parent)
     check_new(target, command.overwrite)
     if target.exists() and any(path.exists() and target.samefile(path) for path in inputs_of(command.scene)):
@@ -47,7 +50,10 @@ def run_convert(command: Convert) -> None:
         after = convert_scene(
             before, crop=crop, min_opacity=command.min_opacity, max_sh_degree=command.max_sh_degree, up=up
         )
-        save_scene(after, target)
+        if command.compact:
+            save_spz(after, target, compact=True)
+        else:
+            save_scene(after, target)
         status("writing", 1, 1)
     size = target.stat().st_size
     if command.json:

@@ -20,6 +20,7 @@ from gsvis.cli.source import Source, check_folder, check_source, given_up, load_
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.errors import FormatError, OutputError, SceneError
+from gsvis.io.atomic import interrupted_moves
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -207,11 +208,11 @@ def _check_target(command: Levels, names: tuple[str, ...]) -> None:
     for file in files.values():
         if file.exists() and Path(command.scene).exists() and file.samefile(command.scene):
             raise ValueError(f"--out: expected a folder of its own, got {command.out}, whose {file.name} is read")
-    known: tuple[str, ...] = ()
+    known = interrupted_moves(folder)
     if (folder / MAP).exists():
         wanted = f"--out: expected a new folder, or levels of this scene to replace, got {command.out}"
         try:
-            known = levels_info(folder).files
+            known |= {*levels_info(folder).files}
         except FormatError as error:
             raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
     for file in files.values():

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
+from gsvis.io.atomic import interrupted_moves
 from gsvis.io.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -331,6 +332,8 @@ def check_report(path: str | os.PathLike[str]) -> None:
         return
     others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
     others += sorted(file.name for file in folder.glob("*.png"))
+    moved = interrupted_moves(folder)
+    others = [name for name in others if name not in moved]  # a report of gsvis that was cut short is replaced, too
     if others:
         raise ValueError(
             f"{path}: expected a new folder, or one of an earlier report, got one with {others[0]} of something else;"

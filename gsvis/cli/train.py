@@ -18,9 +18,11 @@ from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import OutputError
 from gsvis.io._limits import open_regular
+from gsvis.io.atomic import atomic_path, remove_partials
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress
+    from gsvis.train.history import Record
     from gsvis.train.images import PosedImages
     from gsvis.train.photos import Photos
     from gsvis.train.trainer import TrainConfig, Trainer
@@ -69,9 +71,11 @@ def run_train(command: Train) -> None:
     with Status() as status:
         plan = _planned(command, config, status)
         document = _trained(command, plan, status)
-        document["seconds"] = {name: seconds for name, seconds in status.seconds.items() if name != "kernels"}
+        stages = {name: seconds for name, seconds in status.seconds.items() if name != "kernels"}
+        document["timing"] = {"seconds": stages, **document.pop("timing")}
         _write_record(command, document)
     plan.checkpoint.unlink(missing_ok=True)
+    remove_partials(plan.checkpoint)
     _tell(command, plan, document)
 
 
@@ -249,12 +253,15 @@ def _trained(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         "height": cameras.height,
         "photographs": {"all": len(plan.photos.views), "trained_on": len(plan.train)},
         "start": plan.start,
-        "went_on_from": begun[0] if begun and begun[0] else None,
         "device": plan.device,
         "config": asdict(trainer.config),
-        "curve": [_finite(asdict(record)) for record in result.history],
+        "curve": [_point(record) for record in result.history],
         "quality": {"of": "trained on" if plan.held_out is None else "held out", **quality.as_dict()},
         "remarks": list(plan.photos.remarks),
+        "timing": {  # all that differs between two runs of the same
+            "resumed_from": begun[0] if begun and begun[0] else None,
+            "curve": [record.seconds for record in result.history],
+        },
     }
 
 
@@ -290,14 +297,13 @@ def _thousands(count: int) -> str:
     return f"{count:,}" if count < 10_000 else f"{count / 1e3:.0f}k"
 
 
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    """NaN, which JSON does not know, as null."""
+def _point(record: Record) -> dict[str, Any]:
+    """A record without its time; NaN, which JSON does not know, as null."""
+    values = {name: value for name, value in asdict(record).items() if name != "seconds"}
     return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
 
 
 def _write_record(command: Train, document: dict[str, Any]) -> None:
-    from gsvis.io.atomic import atomic_path
-
     with atomic_path(record_of(command)) as partial:
         text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
         partial.write_text(text + "\n", encoding="utf-8")
@@ -312,8 +318,8 @@ def _tell(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
     kept = photographs["all"] - photographs["trained_on"]
     which = f"{quality['views']} {'held out' if kept else 'of those trained on'}"
     steps = f"{document['config']['iterations']:,}"
-    if document["went_on_from"]:
-        steps += f", the first {document['went_on_from']:,} of them in an earlier run"
+    if resumed := document["timing"]["resumed_from"]:
+        steps += f", the first {resumed:,} of them in an earlier run"
     rows = [
         ("photographs", f"{photographs['all']:,} of {document['width']} x {document['height']}, {kept:,} held out"),
         ("began with", plan.start),
@@ -323,7 +329,7 @@ def _tell(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
         ("SSIM", f"{quality['ssim']['mean']:.4f}, worst {quality['ssim']['worst']:.4f}"),
         ("file", f"{command.out}, {size_of(document['bytes'])}"),
         ("record", str(record_of(command))),
-        ("time", clock(sum(document["seconds"].values()))),
+        ("time", clock(sum(document["timing"]["seconds"].values()))),
     ]
     remarks = [f" {remark}" for remark in plan.photos.remarks]
     if "random" in plan.start and plan.photos.points is None:

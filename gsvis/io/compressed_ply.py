@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._build import exp_scales, gaussians_from, largest_from_three, sh0_from_rgb
+from gsvis.io._build import exp_scales, gaussians_from, sh0_from_rgb
+from gsvis.io._kernels import spread_8888, spread_111011, unpack_quats
 from gsvis.io._ply_header import Element, PlyHeader
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["is_compressed", "read_compressed"]
 
 F32 = NDArray[np.float32]
-U32 = NDArray[np.uint32]
 _CHUNK = 256
 _VERTEX = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
@@ -54,30 +54,27 @@ def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
         raise FormatError(
             header.path, "element chunk", f"{chunks:,} chunks for {vertex.count:,} Gaussians", f"{chunk.count:,}"
         )
-    packed, ranges = _rows(header, vertex, stream), _rows(header, chunk, stream)
-    which = np.arange(vertex.count) // _CHUNK
-
-    def spread(unit: F32, low: str, high: str, axes: str) -> F32:
-        """Unit values of (N, 3) into the ranges of their chunks."""
-        out = np.empty_like(unit)
-        with np.errstate(all="ignore"):
-            for j, axis in enumerate(axes):
-                a, b = ranges[low + axis][which], ranges[high + axis][which]
-                out[:, j] = a * (1.0 - unit[:, j]) + b * unit[:, j]
-        return out
-
-    means = spread(_unpack_111011(packed["packed_position"]), "min_", "max_", "xyz")
-    scales = exp_scales(spread(_unpack_111011(packed["packed_scale"]), "min_scale_", "max_scale_", "xyz"))
-    rgba = _unit(packed["packed_color"], (24, 16, 8, 0), (8, 8, 8, 8))
-    rgb = np.ascontiguousarray(rgba[:, :3])
-    if all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in "rgb"):
-        rgb = spread(rgb, "min_", "max_", "rgb")
-    turn = packed["packed_rotation"]
-    three = (_unit(turn, (20, 10, 0), (10, 10, 10)) - 0.5) * np.float32(np.sqrt(2.0))
-    quats = largest_from_three(three, turn >> np.uint32(30))
+    rows, ranges = _rows(header, vertex, stream), _rows(header, chunk, stream)
+    position, rotation, scale, color = (np.ascontiguousarray(rows[name], np.uint32) for name in _VERTEX)
+    means, log_scales, rgb = (np.empty((vertex.count, 3), np.float32) for _ in range(3))
+    spread_111011(position, *_ends(ranges, "min_", "max_", "xyz"), _CHUNK, means)
+    spread_111011(scale, *_ends(ranges, "min_scale_", "max_scale_", "xyz"), _CHUNK, log_scales)
+    opacities, quats = np.empty(vertex.count, np.float32), np.empty((vertex.count, 4), np.float32)
+    colored = all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in "rgb")
+    whole = np.zeros((chunks, 3), np.float32), np.ones((chunks, 3), np.float32)
+    spread_8888(color, *(_ends(ranges, "min_", "max_", "rgb") if colored else whole), _CHUNK, rgb, opacities)
+    table = (np.arange(1024, dtype=np.float32) / np.float32(1023.0) - 0.5) * np.float32(np.sqrt(2.0))
+    unpack_quats(rotation, table, np.arange(4), np.ones(4, np.float32), quats)
+    scales = exp_scales(log_scales, out=log_scales)
     return gaussians_from(
-        header.path, means, quats, scales, rgba[:, 3], sh0_from_rgb(rgb), _higher(header, vertex.count, stream)
+        header.path, means, quats, scales, opacities, sh0_from_rgb(rgb), _higher(header, vertex.count, stream)
     )
+
+
+def _ends(ranges: NDArray[Any], low: str, high: str, axes: str) -> tuple[F32, F32]:
+    """(C, 3) ends of the ranges of chunks."""
+    ends = [np.stack([ranges[end + axis] for axis in axes], axis=1).astype(np.float32) for end in (low, high)]
+    return ends[0], ends[1]
 
 
 def _required(header: PlyHeader, name: str, properties: tuple[str, ...], kind: str) -> Element:
@@ -100,20 +97,6 @@ def _rows(header: PlyHeader, element: Element, stream: BufferedReader) -> NDArra
     if len(rows) != element.count * row.itemsize:
         raise FormatError(header.path, f"element {element.name}", "a file that stays as long as it was", "its end")
     return rows.view(row)
-
-
-def _unit(packed: U32, shifts: tuple[int, ...], bits: tuple[int, ...]) -> F32:
-    """(N, len(shifts)) bit fields as fractions of their largest value."""
-    out = np.empty((len(packed), len(shifts)), np.float32)
-    for j, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
-        most = (1 << width) - 1
-        out[:, j] = ((packed >> np.uint32(shift)) & np.uint32(most)) / np.float32(most)
-    return out
-
-
-def _unpack_111011(packed: U32) -> F32:
-    """(N, 3) fractions from 11, 10 and 11 bits, most significant first."""
-    return _unit(packed, (21, 11, 0), (11, 10, 11))
 
 
 def _higher(header: PlyHeader, count: int, stream: BufferedReader) -> F32 | None:

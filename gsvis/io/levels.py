@@ -84,8 +84,8 @@ def check_names(names: Sequence[str]) -> None:
 def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> None:
     """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map of reuse.
 
-    All files are written beside the folder and moved into it at the end, the old map removed first: a folder whose
-    writing was cut short has no map, or one that fits. Other files in it stay.
+    All files are written beside the folder and moved into it at the end, the old map removed first and the new one
+    moved last: a folder whose writing was cut short has no map. Other files in it stay.
 
     Args:
         levels: What to write.
@@ -101,7 +101,7 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
         kept = json.loads(json.dumps(dict(extra or {}), allow_nan=False))
     except (TypeError, ValueError) as error:
         raise ValueError(f"extra: expected what JSON can say, got {error}") from error
-    with atomic_folder(folder) as partial:
+    with atomic_folder(folder, last=MAP) as partial:
         rows = []
         for k, name in enumerate(levels.names):
             save_ply(levels.level(k), partial / f"{name}.ply")

@@ -31,7 +31,9 @@ MOST_BYTES = 1 << 20
 """Bytes that a part holds at most, before compression."""
 
 _DIGEST = re.compile("[0-9a-f]{64}")
-_OURS = re.compile(r"[0-9a-f]{64}\.(arrow|bin)|\.part-[0-9a-f]{12}\.(arrow|bin)|\.\.part-[0-9a-f]{12}-.*\.(arrow|bin)")
+_OURS = re.compile(
+    r"[0-9a-f]{64}\.(arrow|bin)|\.part-[0-9a-f]{12}\.(arrow|bin)|\.\.part-[0-9a-f]{12}(-|\.gsvis-).*\.(arrow|bin)"
+)
 _AGAIN = "the part is damaged: copy or prepare the package again"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from functools import partial
 from typing import Any
@@ -18,6 +17,7 @@ from gsvis.report.color_page import DIFFERENCE, color_page
 from gsvis.report.color_plots import draw_active, draw_active_psnr, draw_bytes, draw_first_terms, draw_term_counts
 from gsvis.report.color_spheres import draw_spheres, fit_spheres
 from gsvis.report.document import Subject
+from gsvis.report.files import write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.theme import DARK, LIGHT, drawn
@@ -52,7 +52,6 @@ def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
         "scene": {"name": subject.title, **subject.facts},
         "cameras_from": subject.cameras_from,
         **fitted.as_dict(),
-        "seconds": subject.seconds,
     }
     by_view = {camera: role for role, camera in _views(_quality(fitted)).items()}
     for camera, row in enumerate(document["quality"]["cameras"]):
@@ -82,11 +81,7 @@ def write_color_report(
     figures = _figures(fitted, progress)
     folder = _check.path("folder", folder)
     with atomic_folder(folder) as partial_folder:
-        for figure in figures.values():
-            (partial_folder / figure.file).write_bytes(figure.light)
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (partial_folder / "report.json").write_text(text, encoding="utf-8")
-        (partial_folder / "report.html").write_text(color_page(fitted, document, figures), encoding="utf-8")
+        write_files(partial_folder, figures.values(), document, color_page(fitted, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
         (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
     return document

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,6 +13,7 @@ from gsvis import _check
 from gsvis.io.atomic import atomic_folder
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
+from gsvis.report.files import write_files
 from gsvis.report.html import Figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
 from gsvis.report.page import page
@@ -79,7 +79,6 @@ def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
         **analysis.as_dict(),
         "paper": {**PAPER, "comparable": not subject.differs, "differs": subject.differs or None},
         "cameras": describe_cameras(analysis.cameras),
-        "seconds": subject.seconds,
     }
 
 
@@ -110,12 +109,7 @@ def write_report(
     document = report_document(analysis, subject)
     folder = _check.path("folder", folder)
     with atomic_folder(folder) as partial_folder:
-        for figure in figures.values():
-            (partial_folder / figure.file).write_bytes(figure.light)
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (partial_folder / "report.json").write_text(text, encoding="utf-8")
-        html = page(analysis, document, figures)
-        (partial_folder / "report.html").write_text(html, encoding="utf-8")
+        write_files(partial_folder, figures.values(), document, page(analysis, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
         (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
     return document

@@ -71,13 +71,13 @@ def tiles(found: Sequence[tuple[str, str, str]]) -> str:
 
 
 def described(document: dict[str, Any]) -> str:
-    """How a report was made: its command, parameters and times."""
+    """How a report was made: its command and parameters."""
     shown = [(name, plain(value)) for name, value in document["parameters"].items()]
-    shown += [(f"seconds for {stage}", f"{seconds:.1f}") for stage, seconds in document["seconds"].items()]
     return (
         f"<pre><code>{escape(document['command'])}</code></pre>"
         + table(("parameter", "value"), [(escape(name), escape(value)) for name, value in shown])
-        + f"<p>gsvis {escape(document['gsvis'])}. All figures are in <code>report.json</code> beside this page.</p>"
+        + f"<p>gsvis {escape(document['gsvis'])}. All figures are in <code>report.json</code> beside this page,"
+        + " the time that each stage took in <code>timings.json</code>.</p>"
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from functools import partial
 from typing import Any
@@ -15,6 +14,7 @@ from gsvis.io.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
 from gsvis.report.document import Subject
+from gsvis.report.files import write_files
 from gsvis.report.html import Figure
 from gsvis.report.maps import CellMap, Ground, draw_cells
 from gsvis.report.pictures import png_of
@@ -55,7 +55,6 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
         "viewpoints_from": subject.cameras_from,
         "store": _stored(store),
         "quality": quality.as_dict(),
-        "seconds": subject.seconds,
     }
 
 
@@ -121,11 +120,7 @@ def write_pvs_report(
     document = pvs_document(quality, store, subject)
     figures = _figures(quality, store, subject, document["store"]["ever_visible_share"], progress)
     with atomic_folder(folder) as partial_folder:
-        for figure in figures.values():
-            (partial_folder / figure.file).write_bytes(figure.light)
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (partial_folder / "report.json").write_text(text, encoding="utf-8")
-        (partial_folder / "report.html").write_text(pvs_page(quality, document, figures), encoding="utf-8")
+        write_files(partial_folder, figures.values(), document, pvs_page(quality, document, figures), subject.seconds)
     return document
 
 

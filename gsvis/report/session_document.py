@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.io.atomic import atomic_folder
 from gsvis.progress import Progress, silent
+from gsvis.report.files import write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.session_page import session_page
@@ -117,7 +117,6 @@ def session_document(simulation: Simulation) -> dict[str, Any]:
             }
             for visit in simulation.visits
         ],
-        "seconds": simulation.seconds,
     }
 
 
@@ -144,11 +143,9 @@ def write_session_report(
     figures = _figures(simulation, progress)
     folder = _check.path("folder", folder)
     with atomic_folder(folder) as partial_folder:
-        for figure in figures.values():
-            (partial_folder / figure.file).write_bytes(figure.light)
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (partial_folder / "report.json").write_text(text, encoding="utf-8")
-        (partial_folder / "report.html").write_text(session_page(simulation, document, figures), encoding="utf-8")
+        write_files(
+            partial_folder, figures.values(), document, session_page(simulation, document, figures), simulation.seconds
+        )
     kept = {figure.file for figure in figures.values()}
     for stale in [
         *(folder / f"{name}.png" for name in _PLOTS),

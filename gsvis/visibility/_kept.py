@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io.archive import load_arrays, save_arrays
+from gsvis.io.atomic import remove_partials
 
 __all__ = ["Kept"]
 
@@ -65,6 +66,7 @@ class Kept:
             save_arrays(self.path, arrays)
 
     def remove(self) -> None:
-        """Nothing is kept any more."""
+        """Remove the file, and what a kill left of a write of it."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
+            remove_partials(self.path)

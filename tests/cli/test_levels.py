@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from pathlib import Path
 
@@ -301,3 +302,28 @@ def test_views_read_by_the_fixture_are_those_of_the_scene(ply: Path, photos: Pat
     views = load_photos(photos).views
     assert isinstance(views, PosedImages)
     assert mean_psnr(load_scene(ply), views) > 45.0
+
+
+@pytest.mark.parametrize("moved", [1, 3])
+def test_a_run_that_ends_between_its_files_is_resumed_by_the_same_command(
+    moved: int, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words, replace, before = [BUILTIN, "-o", tmp_path / "levels", *QUICK], os.replace, []
+
+    def ends(source: str, target: Path) -> None:
+        if Path(target).parent == tmp_path / "levels":
+            if len(before) == moved:
+                raise KeyboardInterrupt
+            before.append(target)
+        replace(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("gsvis.io.atomic.os.replace", ends)
+        assert main(["levels", *map(str, words)]) == 130
+    assert names(tmp_path / "levels") == PLYS[:moved]
+    (mine := tmp_path / "levels" / "high.ply").write_bytes(mine.read_bytes() + b"\n")  # no longer what the run wrote
+    assert "high.ply" in refused(capsys, *words)
+    mine.unlink()
+    document(capsys, *words)
+    assert names(tmp_path / "levels") == WRITTEN
+    assert names(tmp_path) == ["levels"]

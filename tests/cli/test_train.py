@@ -109,7 +109,7 @@ def test_a_run_that_is_stopped_is_gone_on_with(
     assert "got another run's; delete it" in refused(capsys, *words, "--seed", "1")
     assert kept.read_bytes() == Path(copy).read_bytes()
     record = document(capsys, *words)
-    assert record["went_on_from"] == 13
+    assert record["timing"]["resumed_from"] == 13
     assert not kept.exists()
     assert (tmp_path / "scene.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
     assert [point["loss"] for point in record["curve"]] == [point["loss"] for point in whole["curve"]]
@@ -117,7 +117,7 @@ def test_a_run_that_is_stopped_is_gone_on_with(
     assert "--overwrite" in refused(capsys, *anew)
     assert (tmp_path / "scene.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
     again = document(capsys, *anew, "--overwrite")
-    assert again["went_on_from"] is None
+    assert again["timing"]["resumed_from"] is None
     assert not Path(copy).exists()
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from gsvis.io.atomic import atomic_folder, atomic_path
+from gsvis.io.atomic import atomic_folder, atomic_path, interrupted_moves, remove_partials
+from gsvis.io.locks import try_lock
 
 
 def everything(folder: Path) -> list[str]:
@@ -98,3 +103,170 @@ def test_a_crash_leaves_the_old_folder_and_nothing_else(tmp_path: Path) -> None:
         raise KeyboardInterrupt
     assert everything(tmp_path) == ["out", "out/old"]
     assert (target / "old").read_text() == "old"
+
+
+KILLED = """
+import os, signal, sys
+from gsvis.io.atomic import atomic_folder, atomic_path, scratch_folder
+kind, target = sys.argv[1:]
+with {"file": atomic_path, "folder": atomic_folder, "scratch": scratch_folder}[kind](target) as partial:
+    (partial if kind == "file" else partial / "half").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+posix = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and locks")
+
+
+def killed(kind: str, target: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", KILLED, kind, str(target)], check=False)
+    assert done.returncode == -signal.SIGKILL
+
+
+@posix
+@pytest.mark.parametrize("kind", ["file", "folder", "scratch"])
+def test_what_a_kill_left_goes_with_the_next_writer(tmp_path: Path, kind: str) -> None:
+    target = tmp_path / "a.sog"
+    killed(kind, target)
+    (left,) = tmp_path.iterdir()
+    assert re.fullmatch(r"\.a(\.sog)?\.gsvis-[0-9a-f]{12}(\.sog)?", left.name)
+    with atomic_path(tmp_path / "b.sog") as partial:  # of another file: it is not its business
+        partial.write_text("b")
+    assert left.exists()
+    if kind == "file":
+        with atomic_path(target) as partial:
+            assert not left.exists()
+            partial.write_text("a")
+    else:
+        with atomic_folder(target) as partial:
+            assert not left.exists()
+            (partial / "whole").write_text("a")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.sog", "b.sog"}
+
+
+@posix
+def test_partials_are_removed_on_request(tmp_path: Path) -> None:
+    killed("file", tmp_path / "a.checkpoint")
+    remove_partials(tmp_path / "a.checkpoint")
+    remove_partials(tmp_path / "nowhere" / "a")
+    assert everything(tmp_path) == []
+
+
+@posix
+def test_what_a_live_process_writes_stays(tmp_path: Path) -> None:
+    code = "import sys; from gsvis.io.atomic import atomic_folder, atomic_path\n"
+    code += "with atomic_path(sys.argv[1]) as p, atomic_folder(sys.argv[2]) as f:\n"
+    code += "    print(p, f, flush=True); sys.stdin.read(); p.write_text('theirs'); (f / 'x').write_text('theirs')"
+    file, folder = tmp_path / "a.ply", tmp_path / "out"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, file, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        theirs = [Path(name) for name in other.stdout.readline().split()]
+        with atomic_path(file) as partial, atomic_folder(folder) as mine:
+            assert all(path.exists() for path in theirs)
+            partial.write_text("mine")
+            (mine / "x").write_text("mine")
+        remove_partials(file)
+        remove_partials(folder)
+        assert all(path.exists() for path in theirs)
+        other.communicate()  # its standard input ends: it goes on
+    assert other.returncode == 0
+    assert everything(tmp_path) == ["a.ply", "out", "out/x"]
+    assert file.read_text() == (folder / "x").read_text() == "theirs"
+
+
+@posix
+def test_only_names_that_are_ours_are_removed(tmp_path: Path) -> None:
+    names = [
+        ".a-0123456789ab.sog", ".a.gsvis-0123456789ab.ply", ".a.gsvis-0123456789ag.sog", "a.gsvis-0123456789ab.sog",
+        ".a.gsvis-0123456789abc.sog", ".b.gsvis-0123456789ab.sog", ".aa.gsvis-0123456789ab.sog", "a.sog.bak",
+    ]  # fmt: skip
+    for name in names:
+        (tmp_path / name).write_text("mine")
+    (tmp_path / ".a.gsvis-0123456789aa.sog").symlink_to(tmp_path / "a.sog.bak")
+    os.mkfifo(tmp_path / ".a.gsvis-0123456789ac.sog")
+    remove_partials(tmp_path / "a.sog")
+    assert len(everything(tmp_path)) == len(names) + 2
+    (tmp_path / ".a.gsvis-0123456789ab.sog").write_text("a killed writer's")
+    remove_partials(tmp_path / "a.sog")
+    assert len(everything(tmp_path)) == len(names) + 2
+
+
+@posix
+def test_a_file_system_without_locks_keeps_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    killed("file", tmp_path / "a")
+    killed("folder", tmp_path / "a")
+    left = everything(tmp_path)
+    monkeypatch.setattr("gsvis.io.atomic.try_lock", lambda descriptor: "none")
+    with atomic_path(tmp_path / "a") as partial:
+        partial.write_text("a")
+    with atomic_folder(tmp_path / "f") as folder:
+        (folder / "x").write_text("x")
+    assert everything(tmp_path) == sorted([*left, "a", "f", "f/x"])
+
+
+@posix
+def test_a_file_that_another_sweeps_up_before_it_is_locked_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swept: list[Path] = []
+
+    def lock(descriptor: int) -> str:
+        if not swept:
+            swept.append(next(path for path in tmp_path.iterdir()))
+            swept[0].rmdir() if swept[0].is_dir() else swept[0].unlink()
+        return try_lock(descriptor)
+
+    monkeypatch.setattr("gsvis.io.atomic.try_lock", lock)
+    with atomic_path(tmp_path / "a") as partial:
+        partial.write_text("a")
+    assert partial not in swept
+    swept.clear()
+    (tmp_path / "a").unlink()
+    with atomic_folder(tmp_path / "a") as folder:
+        (folder / "x").write_text("x")
+    assert folder not in swept
+    assert everything(tmp_path) == ["a", "a/x"]
+
+
+@posix
+def test_files_that_a_kill_left_moved_are_known_until_the_next_run_is_done(tmp_path: Path) -> None:
+    code = "import os, signal, sys; from gsvis.io import atomic\nmoved = []\nmove = os.replace\n"
+    code += "def replace(a, b):\n    moved.append(a)\n    len(moved) > 2 and os.kill(os.getpid(), signal.SIGKILL)\n"
+    code += "    move(a, b)\natomic.os.replace = replace\nwith atomic.atomic_folder(sys.argv[1], last='map') as f:\n"
+    code += "    for name in ('map', 'p', 'q', 'r'):\n        (f / name).write_text(name)\n"
+    target = tmp_path / "out"
+    assert subprocess.run([sys.executable, "-c", code, target], check=False).returncode == -signal.SIGKILL
+    assert everything(target) == ["p", "q"]
+    assert interrupted_moves(target) == {"p", "q"}
+    (target / "q").write_text("somebody's")
+    (target / "r").write_text("somebody's")
+    assert interrupted_moves(target) == {"p"}
+    with pytest.raises(KeyboardInterrupt), atomic_folder(target):
+        raise KeyboardInterrupt
+    assert interrupted_moves(target) == {"p"}
+    with atomic_folder(target) as folder:
+        (folder / "p").write_text("new")
+    assert interrupted_moves(target) == set()
+    assert everything(tmp_path) == ["out", "out/p", "out/q", "out/r"]
+
+
+def test_an_interrupt_between_moves_is_like_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, replace, moved = tmp_path / "out", os.replace, []
+
+    def interrupted(source: Path, destination: Path) -> None:
+        if len(moved) == limit:
+            raise KeyboardInterrupt
+        moved.append(source)
+        replace(source, destination)
+
+    monkeypatch.setattr("gsvis.io.atomic.os.replace", interrupted)
+    for limit in (0, 1):
+        with pytest.raises(KeyboardInterrupt), atomic_folder(target) as folder:
+            (folder / "p").write_text("p")
+            (folder / "q").write_text("q")
+        assert interrupted_moves(target) == ({"p"} if limit else set())
+        assert len(list(tmp_path.iterdir())) == 1 + limit  # nothing beside it where nothing was moved
+    limit = 9
+    with atomic_folder(target) as folder:
+        (folder / "q").write_text("q")
+    assert everything(tmp_path) == ["out", "out/p", "out/q"]

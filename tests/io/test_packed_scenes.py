@@ -12,10 +12,13 @@ import pytest
 import zstandard
 
 from gsvis.errors import FormatError
+from gsvis.io import _kernels as kernels
+from gsvis.io._build import largest_from_three
 from gsvis.io.ply import load_ply
 from gsvis.io.splat import load_splat
 from gsvis.io.spz import load_spz, save_spz
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import rotation_of_sh
 from tests.io.scene_files import compressed_ply_bytes, random_scene, splat_bytes, spz_bytes
 
 
@@ -140,6 +143,61 @@ def test_spz_that_was_written_reads_back(tmp_path: Path, degree: int) -> None:
     again = load_spz(tmp_path / "b.spz")
     for name in ("means", "scales", "opacities", "sh0", "shN"):  # quantised once is quantised for good
         np.testing.assert_allclose(getattr(again, name), getattr(got, name), atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_spz_compact_rounds_as_other_encoders(tmp_path: Path, degree: int) -> None:
+    scene = random_scene(3000, degree)
+    for name, compact in (("fine", False), ("small", True)):
+        save_spz(scene, tmp_path / f"{name}.spz", compact=compact)
+    fine, small = (load_spz(tmp_path / f"{name}.spz") for name in ("fine", "small"))
+    steps = small.means * 2.0**12
+    np.testing.assert_array_equal(steps, np.rint(steps))
+    np.testing.assert_allclose(small.means, scene.means, atol=0.51 / 2**12)
+    for name in ("quats", "scales", "opacities", "sh0"):
+        np.testing.assert_array_equal(getattr(small, name), getattr(fine, name))
+    turned = rotation_of_sh(np.diag([1.0, -1.0, -1.0]), degree).diagonal()[1:, None]
+    wanted, got = (np.rint(g.shN * turned * 128.0 + 128.0) for g in (scene, small))
+    for band, step in ((slice(0, 3), 8), (slice(3, None), 16)):
+        rounded = (wanted[:, band] + step // 2) // step * step
+        np.testing.assert_array_equal(got[:, band], np.clip(rounded, 0, 255))
+    sizes = [(tmp_path / f"{name}.spz").stat().st_size for name in ("small", "fine")]
+    assert sizes[0] < (0.75 if degree else 0.99) * sizes[1]
+
+
+def test_kernels_unpack_as_plain_numpy() -> None:
+    rng = np.random.default_rng(0)
+    bits = rng.integers(0, 1 << 32, 5000, dtype=np.uint32)
+    bits[:4] = [0, 0xFFFFFFFF, 0x3FFFFFFF, 0xC0000000]  # also three components longer than 1
+    table = np.linspace(-0.9, 0.9, 1024, dtype=np.float32)
+    three = table[np.stack([bits >> shift & 0x3FF for shift in (20, 10, 0)], axis=1)]
+    wanted = largest_from_three(three.astype(np.float64), bits >> 30).astype(np.float64)
+    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+    columns, signs = np.array([1, 2, 3, 0]), np.array([1, -1, -1, 1], np.float32)
+    got = np.empty((5000, 4), np.float32)
+    kernels.unpack_quats(bits, table, columns, signs, got)
+    np.testing.assert_allclose(got[:, columns], wanted * signs, atol=2e-7)
+
+    low, high = rng.normal(size=(2, 20, 3)).astype(np.float32)
+    units = [(bits >> shift & most) / np.float32(most) for shift, most in ((21, 2047), (11, 1023), (0, 2047))]
+    unit, which = np.stack(units, axis=1).astype(np.float32), np.arange(5000) // 256
+    spread = np.empty((5000, 3), np.float32)
+    kernels.spread_111011(bits, low, high, 256, spread)
+    np.testing.assert_array_equal(spread, low[which] * (1 - unit) + high[which] * unit)
+    byte = bits.byteswap().view(np.uint8).reshape(-1, 4).astype(np.float32) / np.float32(255.0)
+    alpha = np.empty(5000, np.float32)
+    kernels.spread_8888(bits, low, high, 256, spread, alpha)
+    np.testing.assert_array_equal(spread, low[which] * (1 - byte[:, :3]) + high[which] * byte[:, :3])
+    np.testing.assert_array_equal(alpha, byte[:, 3])
+
+    stream = rng.integers(0, 256, 9 * 500, dtype=np.uint8)
+    padded = np.pad(stream.reshape(-1, 3), ((0, 0), (1, 0))).view("<i4")[:, 0] >> 8
+    factors, points = np.array([0.5, -0.25, 2.0], np.float32), np.empty((500, 3), np.float32)
+    kernels.unpack_fixed_points(stream, factors, points)
+    np.testing.assert_array_equal(points, padded.reshape(-1, 3) * factors)
+    rows, out = stream.reshape(500, 9), np.empty((500, 6), np.float32)
+    kernels.unpack_higher(rows, np.tile(factors, 2), out)
+    np.testing.assert_array_equal(out, (rows[:, :6].astype(np.float32) - 128) * np.tile(factors, 2))
 
 
 def test_spz_spends_its_bits_on_the_extent(tmp_path: Path) -> None:

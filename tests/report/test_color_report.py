@@ -87,7 +87,7 @@ def kept(scene: OccluderScene, tmp_path_factory: pytest.TempPathFactory) -> tupl
 def test_the_folder_holds_the_page_the_document_and_the_pictures(kept: tuple[FittedColors, Path]) -> None:
     folder = kept[1]
     assert {path.name for path in folder.iterdir()} == {
-        "report.html", "report.json", *(f"{name}.png" for name in PLOTS | VIEWS)
+        "report.html", "report.json", "timings.json", *(f"{name}.png" for name in PLOTS | VIEWS)
     }  # fmt: skip
     for path in folder.glob("*.png"):
         with Image.open(path) as image:

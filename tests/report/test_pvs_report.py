@@ -93,7 +93,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[VisibilityStore, Qua
 def test_the_folder_holds_the_page_the_document_and_the_pictures(kept: tuple[VisibilityStore, Quality, Path]) -> None:
     folder = kept[2]
     assert {path.name for path in folder.iterdir()} == {
-        "report.html", "report.json", *(f"{name}.png" for name in PICTURES)
+        "report.html", "report.json", "timings.json", *(f"{name}.png" for name in PICTURES)
     }  # fmt: skip
     for path in folder.glob("*.png"):
         with Image.open(path) as image:

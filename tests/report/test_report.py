@@ -75,7 +75,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_folder_holds_the_page_the_document_and_the_pictures(folder: Path) -> None:
     roles = ("most", "median", "least")
-    names = {"report.json", "report.html", "visible.png", "cdf.png", "map_directions.png"}
+    names = {"report.json", "report.html", "timings.json", "visible.png", "cdf.png", "map_directions.png"}
     names |= {f"{kind}_{role}.png" for kind in ("view", "map") for role in roles}
     assert {path.name for path in folder.iterdir()} == names
     for path in folder.glob("*.png"):

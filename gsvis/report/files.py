@@ -1,0 +1,39 @@
+"""The files of a report in their folder: pictures, `report.json`, `report.html`, and `timings.json`.
+
+Two runs of one command write the same bytes, but for `timings.json`: it alone says how long something took.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gsvis.report.html import Figure
+
+__all__ = ["TIMINGS", "write_files"]
+
+TIMINGS = "timings.json"
+"""The file that differs between two runs."""
+
+
+def write_files(
+    folder: Path, figures: Iterable[Figure], document: Mapping[str, Any], html: str, seconds: Mapping[str, float]
+) -> None:
+    """Write all files of a report.
+
+    Args:
+        folder: A folder that exists.
+        figures: Plots and pictures; those for light pages become files.
+        document: The content of `report.json`.
+        html: The content of `report.html`.
+        seconds: How long each stage took, by its name.
+    """
+    for figure in figures:
+        (folder / figure.file).write_bytes(figure.light)
+    timings = {"format": "gsvis-timings", "version": 1, "seconds": dict(seconds)}
+    for name, content in (("report.json", document), (TIMINGS, timings)):
+        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "report.html").write_text(html, encoding="utf-8")

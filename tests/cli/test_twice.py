@@ -1,0 +1,121 @@
+"""Every command that writes, run twice with the same words: the same bytes, but for the times."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main
+from gsvis.io import save_scene
+from gsvis.prepare import PrepareConfig
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.train.photo_files import write_transforms
+
+VIEW = ["--width", "32", "--height", "24"]
+SETS = ["--cells", "4", "--size", "16", "--max-viewpoints", "3"]
+COMMANDS = {
+    "convert to ply": ["convert", "../rooms.ply", "out.ply", "--min-opacity", "0.1"],
+    "convert to spz": ["convert", "../rooms.ply", "out.spz"],
+    "convert to compact spz": ["convert", "../rooms.ply", "out.spz", "--compact"],
+    "convert to sog": ["convert", "../rooms.ply", "out.sog"],
+    "render": ["render", "../rooms.ply", "-o", "out/", "--orbit", "2", "--depth", *VIEW],
+    "render gif": ["render", "../rooms.ply", "-o", "out.gif", "--orbit", "2", *VIEW],
+    "analyze": ["analyze", "../rooms.ply", "-o", "out", "--views", "2", *VIEW, "--traced-sample", "50",
+                "--rays-per-face", "1"],
+    "pvs": ["pvs", "../rooms.ply", "-o", "out.pvs", *SETS, "--workers", "1"],
+    "pvs-report": ["pvs-report", "../rooms.pvs", "../rooms.ply", "-o", "out", "--cells", "1", "--viewpoints", "1",
+                   "--dense", "0", *VIEW],
+    "color": ["color", "../rooms.ply", "-o", "out.arrow", "--views", "2", "--held-out", "1", *VIEW, "--max-terms", "1",
+              "--report", "report"],
+    "levels": ["levels", "../rooms.ply", "-o", "out", "--iterations", "3", "--views", "2", "--held-out", "1",
+               "--size", "32x24"],
+    "train": ["train", "../photos", "-o", "out.ply", "--iterations", "6", "--random-points", "50",
+              "--evaluate-every", "3"],
+    "prepare": ["prepare", "builtin:wall_with_hole", "-o", "out.gsvis", "--cells", "2", "--face-size", "16",
+                "--max-viewpoints", "1", "--workers", "1", "--max-terms", "1", "--levels", "none"],
+    "unpack": ["unpack", "../rooms.gsvis", "-o", "out"],
+    "simulate": ["simulate", "../rooms.gsvis", "--path", "../walk.csv", "-o", "out", "--mbit", "1", "--seconds", "0.5",
+                 *VIEW],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick() -> object:
+    """A package of few views."""
+    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
+    before = PrepareConfig.__init__
+
+    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
+        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+        object.__setattr__(self, "colors", replace(self.colors, views=few))
+
+    made = replace(two_rooms(1000, sh_degree=1), navigable=NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
+        patch.setattr(PrepareConfig, "__init__", smaller)
+        yield
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("twice")
+    save_scene(two_rooms(1000, sh_degree=1).gaussians, folder / "rooms.ply")
+    (folder / "photos").mkdir()
+    write_transforms(folder / "photos", 8)
+    (folder / "walk.csv").write_text("t,x,y,z,qw,qx,qy,qz\n0,2,2,1.5,1,0,0,0\n2,2.5,2,1.5,1,0,0,0\n")
+    words = COMMANDS["prepare"]
+    assert main([*words[:3], str(folder / "rooms.gsvis"), *words[4:]]) == 0
+    words = COMMANDS["pvs"]
+    assert main(["pvs", str(folder / "rooms.ply"), "-o", str(folder / "rooms.pvs"), *words[4:]]) == 0
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files by name, hidden ones too; times left out where they may be."""
+    found = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert not any(re.search(r"\.gsvis-[0-9a-f]{12}", name) for name in found)
+    for name, data in found.items():
+        if name.endswith(".train.json"):
+            record = json.loads(data)
+            assert record.pop("timing")["seconds"]
+            found[name] = json.dumps(record).encode()
+        elif Path(name).name == "timings.json":
+            assert json.loads(data)["seconds"]
+            found[name] = b""
+    return found
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_run_twice_writes_the_same_bytes(
+    name: str, inputs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for _ in range(2):
+        folder = inputs / "work"
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        assert main(COMMANDS[name]) == 0, capsys.readouterr().err
+        found.append(contents(folder))
+        monkeypatch.chdir(inputs)
+        shutil.rmtree(folder)
+    assert found[0].keys() == found[1].keys()
+    assert [path for path in found[0] if found[0][path] != found[1][path]] == []
+
+
+def test_a_command_that_finds_its_own_result_writes_the_same_again(
+    inputs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(inputs)
+    found = []
+    for _ in range(2):
+        for name in ("analyze", "levels", "pvs"):
+            words = [re.sub(r"^out\b", f"own-{name}", word.replace("../", "")) for word in COMMANDS[name]]
+            assert main(words) == 0, capsys.readouterr().err
+        found.append(contents(inputs))
+    assert found[0] == found[1]
