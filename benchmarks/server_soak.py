@@ -1,12 +1,15 @@
 """Do honest viewers get every byte, in time, while every kind of hostile client is at the server?
 
-A server process pinned to one core; 30 viewers who keep what they receive, each behind a link of its own; after a sixth
-of the time all kinds of `_hostile.py` at once, in processes on the other cores. What a visit has brought is compared
-with the package, byte for byte: records, terms, axes, rows of chunks as they came, and what the viewer then draws. The
-delay of a batch runs from the acknowledgement that makes room for it until it is there. Memory and descriptors of the
-server are sampled each second; it is told to end while the attack goes on.
+A server process pinned to one core; viewers who keep what they receive; after a sixth of the time all kinds of
+`_hostile.py` at once, in processes on the other cores. What a visit has brought is compared with the package, byte for
+byte: records, terms, axes, rows of chunks as they came, and what the viewer then draws.
 
-The machine may be busy with other things: the ratio of delays is of one run, with and without attackers.
+Given: 30 viewers behind links of 2 Mbit/s, each walking and beginning anew when the server has nothing more for it; the
+    numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack.
+Measured: bytes that differ; visits that the server cut; the delay from the acknowledgement that makes room for a batch
+    until it is there, with and without attackers in one run, which is what counts on a machine that is busy with other
+    things; memory and descriptors of the server each second; its exit code when it is told to end under attack.
+Defaults chosen on: builtin:two_rooms, for viewers and rate, so that one core is not full without attackers.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 import shlex
 import shutil
@@ -136,17 +137,27 @@ def test_a_viewer_streams_through_a_proxy_with_tls_and_a_prefix(plain: Path, tmp
     ("line", "status"),
     [("proxy_set_header Host $http_host;", 403), ("proxy_set_header Upgrade $http_upgrade;", 404)],
 )
-def test_without_a_line_it_fails_as_the_readme_says(plain: Path, tmp_path: Path, line: str, status: int) -> None:
-    with serving(plain, limits=Limits()) as server, proxied(server, tmp_path, **{line: ""}) as (place, tls):
+def test_without_a_line_it_fails_as_the_readme_says(
+    plain: Path, tmp_path: Path, line: str, status: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with (
+        caplog.at_level(logging.WARNING, logger="gsvis.serve"),
+        serving(plain, limits=Limits()) as server,
+        proxied(server, tmp_path, **{line: ""}) as (place, tls),
+    ):
         page = {"Origin": f"https://{place}"}
         with pytest.raises(InvalidStatus) as caught:
             connect(f"wss://{place}/scenes/stream", ssl=tls, additional_headers=page, proxy=None)
         assert caught.value.response.status_code == status
+        if status == 403:
+            (said,) = (record.getMessage() for record in caplog.records if "reason=origin" in record.getMessage())
+            for part in (f"https://{place}", f"127.0.0.1:{server.port}", "pass Host on"):
+                assert part in said
 
 
 @needs_nginx
 def test_addresses_of_the_index_lead_to_what_they_name_under_a_prefix(plain: Path, tmp_path: Path) -> None:
-    with serving(plain, limits=Limits()) as server, proxied(server, tmp_path) as (place, tls):
+    with serving(plain, limits=Limits(), proxies=("127.0.0.1",)) as server, proxied(server, tmp_path) as (place, tls):
         base = f"https://{place}/scenes/"
         (row,) = json.loads(fetched(base, tls)[1])["scenes"]
         assert fetched(urljoin(base, row["manifest"]), tls) == (200, (plain / "manifest.json").read_bytes())

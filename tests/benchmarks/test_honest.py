@@ -1,0 +1,65 @@
+"""The check of the soak sees every byte that differs, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks._honest import Checker, Visit
+from gsvis.abr.classes import FieldOfView
+from gsvis.stream import Sender, StreamedScene
+from gsvis.stream.batch import Sections
+from tests.stream.worlds import package_of
+
+
+@pytest.fixture(scope="module", params=["rgb", "axis"])
+def visited(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Checker, Visit]:
+    """A check of a package, and what a viewer who walks has received."""
+    folder = tmp_path_factory.mktemp("visited") / "s.gsvis"
+    with package_of(folder, 1500, request.param, stores=False) as package:
+        scene = StreamedScene.open(package)
+        sender, visit = Sender(scene, FieldOfView.of_degrees(80, 60, margin=8)), Visit(scene.header)
+        for k in range(40):
+            sender.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
+            message = sender.next_message(k / 10, 3000.0)
+            if message is not None:
+                visit.batches.append(message.data)
+                sender.on_ack(k / 10 + 0.05, len(visit.batches))
+    return Checker(folder), visit
+
+
+def test_what_is_right_is_right(visited: tuple[Checker, Visit]) -> None:
+    checker, visit = visited
+    found = checker.check(visit)
+    assert (found["wrong"], found["refused"]) == (0, 0)
+    assert found["batches"] == len(visit.batches) > 3
+    assert min(found["gaussians"], found["terms"]) > 100
+    assert found["bytes"] > sum(map(len, visit.batches))
+
+
+def test_a_byte_that_differs_is_counted(visited: tuple[Checker, Visit]) -> None:
+    checker, visit = visited
+    rng, caught = np.random.default_rng(3), 0
+    for _ in range(20):
+        k = int(rng.integers(len(visit.batches)))
+        about = checker._scene.about
+        sections = Sections.parse(visit.batches[k], about)
+        if not len(sections.records):
+            continue
+        record = sections.records[int(rng.integers(len(sections.records)))].tobytes()
+        place = visit.batches[k].index(record) + int(rng.integers(16))
+        data = bytearray(visit.batches[k])
+        data[place] ^= 1 << int(rng.integers(8))
+        found = checker.check(Visit(visit.welcome, [*visit.batches[:k], bytes(data), *visit.batches[k + 1 :]]))
+        assert found["wrong"] or found["refused"]
+        caught += 1
+    assert caught > 5
+
+
+def test_what_is_missing_or_comes_twice_is_refused(visited: tuple[Checker, Visit]) -> None:
+    checker, visit = visited
+    for batches in (visit.batches[1:], [visit.batches[0], *visit.batches], [visit.batches[0][:-8], *visit.batches[1:]]):
+        assert checker.check(Visit(visit.welcome, list(batches)))["refused"] == 1
+    other = visit.welcome.replace(b'"gaussians":1500', b'"gaussians":1499')
+    assert other != visit.welcome
+    assert checker.check(Visit(other, visit.batches))["wrong"] + checker.check(Visit(other, visit.batches))["refused"]
