@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gsvis import _check
 from gsvis.cli.arguments import Convert
 from gsvis.cli.source import check_folder, check_new, check_source, inputs_of, load_source
 from gsvis.cli.terminal import Status, print_json, show
@@ -28,9 +29,10 @@ def run_convert(command: Convert) -> None:
     check_source(command.scene, command.lod)
     target, up = Path(command.output), _axes(command.up)
     if target.suffix.lower() not in _WRITTEN or target.name.lower().endswith(".compressed.ply"):
+        near = _check.suggestion(target.suffix, _WRITTEN)
         raise ValueError(
-            f"OUT: expected a name that ends in {', '.join(_WRITTEN)}, got {command.output!r};"
-            " other formats are only read"
+            f"OUT: expected a name that ends in {', '.join(_WRITTEN)}, got {command.output!r}; "
+            + (near or "other formats are only read")
         )
     if target.is_dir():
         raise ValueError(f"OUT: expected the name of a file, got the folder {command.output!r}")
