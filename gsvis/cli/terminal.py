@@ -30,6 +30,7 @@ _SAID = {
     "structure": "building the tracing structure",
     "cameras": "tracing cameras",
     "directions": "tracing directions outward",
+    "angles": "measuring solid angles",
     "pictures": "rendering pictures",
     "rendering": "rendering",
     "writing": "writing",

@@ -31,7 +31,6 @@ __all__ = [
     "seen_directions",
     "solid_angle_fractions",
     "trace_directions",
-    "trace_sphere",
 ]
 
 _CHUNK = 4096
@@ -189,47 +188,6 @@ def solid_angle_fractions(
         fractions += np.unpackbits(sets, axis=1, bitorder="little") @ areas[:, k]
         progress("directions", k + 1, rays_per_face)
     return fractions.astype(np.float32)
-
-
-def trace_sphere(
-    tracer: Tracer,
-    navigable: NavigableSpace,
-    *,
-    ids: ArrayLike | None = None,
-    rays_per_face: int = 16,
-    tau: float = TAU,
-    progress: Progress = silent,
-) -> tuple[U8, NDArray[np.float32]]:
-    """Direction sets and shares by solid angle at once: what `trace_directions` and `solid_angle_fractions` give.
-
-    Args:
-        tracer: The scene, N Gaussians.
-        navigable: Where eyes may be.
-        ids: (M,) Gaussians to trace; None means all N.
-        rays_per_face: 1, 4, 16 or 64 rays spread over each of the 80 faces.
-        tau: Weight from which a Gaussian counts as seen.
-        progress: Called with stage "directions".
-
-    Returns:
-        (M, 10) uint8 direction sets, and (M,) float32 shares of the sphere in [0, 1].
-
-    Raises:
-        ValueError: If an id is out of range.
-    """
-    chosen = tracer.chosen(ids)
-    rays, areas = face_directions(rays_per_face), face_shares(rays_per_face)
-    sets = np.zeros((len(chosen), NUM_FACES // 8), np.uint8)
-    fractions = np.zeros(len(chosen))
-    progress("directions", 0, len(chosen))
-    for start in range(0, len(chosen), _CHUNK):
-        part = slice(start, min(start + _CHUNK, len(chosen)))
-        for k in range(rays_per_face):
-            hit = np.zeros((part.stop - start, NUM_FACES // 8), np.uint8)
-            _trace(tracer, navigable, chosen[part], np.ascontiguousarray(rays[:, k : k + 1]), tau, hit)
-            fractions[part] += np.unpackbits(hit, axis=1, bitorder="little") @ areas[:, k]
-            sets[part] |= hit
-        progress("directions", part.stop, len(chosen))
-    return sets, fractions.astype(np.float32)
 
 
 def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], rays: F64, tau: float, sets: U8) -> None:

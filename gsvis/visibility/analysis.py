@@ -35,6 +35,7 @@ FACE_LIMITS = (33, 48)
 SETTLED = 0.02
 """A CDF of which no point moves by this much when the number of cameras doubles has settled."""
 
+_ANGLE_RAYS = 4  # a face, for solid angles: unlike faces they need no more (docs/results.md)
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
@@ -314,7 +315,7 @@ def analyze(
         config: Thresholds, sample and seed; None means `AnalysisConfig()`.
         navigable: Where eyes may be; None traces nothing outward.
         tracer: A tracer of `g` to use again; None builds one.
-        progress: Called with stages "structure", "cameras" and "directions".
+        progress: Called with stages "structure", "cameras", "directions" and "angles".
 
     Returns:
         The analysis.
@@ -344,8 +345,16 @@ def analyze(
     if len(sample) == 0 or navigable is None:
         why = "no sample was asked for" if navigable is not None else "no navigable space was given"
         return replace(found, untraced_because=why)
-    traced, angles = directions.trace_sphere(
+    traced = directions.trace_directions(
         tracer, navigable, ids=sample, rays_per_face=config.rays_per_face, tau=config.tau, progress=progress
+    )
+    angles = directions.solid_angle_fractions(
+        tracer,
+        navigable,
+        ids=sample,
+        rays_per_face=min(config.rays_per_face, _ANGLE_RAYS),
+        tau=config.tau,
+        progress=lambda _, done, total: progress("angles", done, total),
     )
     return replace(
         found,

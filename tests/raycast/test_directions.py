@@ -196,12 +196,3 @@ def test_refusals_name_the_argument() -> None:
         dirs.direction_fractions(np.zeros((3, 9), np.uint8))
     with pytest.raises(ValueError, match=r"^fractions: expected at least one"):
         dirs.direction_cdf([])
-
-
-def test_one_pass_gives_sets_and_solid_angles() -> None:
-    tracer = Tracer(EllipsoidProxies.from_scene(scene("mixed")))
-    box = NavigableSpace.from_box([-3, -3, 1.5], [3, 3, 3], 24)
-    for rays in (1, 16):
-        sets, angles = dirs.trace_sphere(tracer, box, rays_per_face=rays)
-        np.testing.assert_array_equal(sets, dirs.trace_directions(tracer, box, rays_per_face=rays))
-        np.testing.assert_array_equal(angles, dirs.solid_angle_fractions(tracer, box, rays_per_face=rays))
