@@ -49,6 +49,43 @@ def _gather(directions, colours, weights, seen, target, heavy):
     return count
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _order_one(g, space, directions, colours, weights, base, scales, v, amplitudes, counts, order, kept):
+    """Gaussian g of `order_lobes`."""
+    functions, most = v.shape[0], v.shape[2]
+    width = directions.shape[1]
+    seen, target, heavy = (
+        np.empty((3, width), np.float32),
+        np.empty((3, width), np.float32),
+        np.empty(width, np.float32),
+    )
+    count = _gather(directions, colours[g], weights[g], seen, target, heavy)
+    summed, trial = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
+    shown, factors = np.empty((3, width), np.float32), np.full(width, scales[g])
+    for c in range(3):
+        summed[c] = base[g, c]
+    error = _shown_error(space, summed, factors, count, target, heavy, shown)
+    heads, number = np.zeros(functions, np.int64), 0
+    while True:
+        best, chosen = np.inf, -1
+        for f in range(functions):
+            if heads[f] < counts[f, g]:
+                _add(seen, count, v[f, g, heads[f]], amplitudes[f, g, heads[f]], summed, trial)
+                found = _shown_error(space, trial, factors, count, target, heavy, shown)
+                if found < best:
+                    best, chosen = found, f
+        if chosen < 0:
+            break
+        k = heads[chosen]
+        heads[chosen] += 1
+        if best <= error:
+            _add(seen, count, v[chosen, g, k], amplitudes[chosen, g, k], summed, summed)
+            error = best
+            order[g, number] = chosen * most + k
+            number += 1
+    kept[g] = number
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def order_lobes(space, directions, colours, weights, base, scales, v, amplitudes, counts, order, kept):
     """Merge the lobes of F functions of each of n Gaussians.
@@ -66,61 +103,38 @@ def order_lobes(space, directions, colours, weights, base, scales, v, amplitudes
         order: (n, F K) int64, written: f K + k for the lobes kept.
         kept: (n,) int64, written.
     """
-    functions, n, most = v.shape[:3]
+    for g in prange(v.shape[1]):
+        _order_one(np.int64(g), space, directions, colours, weights, base, scales, v, amplitudes, counts, order, kept)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _errors_of_one(g, space, directions, colours, weights, base, scales, v, amplitudes, order, kept, before, after):
+    """Gaussian g of `shown_errors`."""
+    most = v.shape[2]
     width = directions.shape[1]
-    for g in prange(n):
-        seen, target, heavy = (
-            np.empty((3, width), np.float32),
-            np.empty((3, width), np.float32),
-            np.empty(width, np.float32),
-        )
-        count = _gather(directions, colours[g], weights[g], seen, target, heavy)
-        summed, trial = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
-        shown, factors = np.empty((3, width), np.float32), np.full(width, scales[g])
-        for c in range(3):
-            summed[c] = base[g, c]
-        error = _shown_error(space, summed, factors, count, target, heavy, shown)
-        heads, number = np.zeros(functions, np.int64), 0
-        while True:
-            best, chosen = np.inf, -1
-            for f in range(functions):
-                if heads[f] < counts[f, g]:
-                    _add(seen, count, v[f, g, heads[f]], amplitudes[f, g, heads[f]], summed, trial)
-                    found = _shown_error(space, trial, factors, count, target, heavy, shown)
-                    if found < best:
-                        best, chosen = found, f
-            if chosen < 0:
-                break
-            k = heads[chosen]
-            heads[chosen] += 1
-            if best <= error:
-                _add(seen, count, v[chosen, g, k], amplitudes[chosen, g, k], summed, summed)
-                error = best
-                order[g, number] = chosen * most + k
-                number += 1
-        kept[g] = number
+    seen, target, heavy = (
+        np.empty((3, width), np.float32),
+        np.empty((3, width), np.float32),
+        np.empty(width, np.float32),
+    )
+    count = _gather(directions, colours[g], weights[g], seen, target, heavy)
+    summed, shown = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
+    factors, total = np.full(width, scales[g]), 0.0
+    for d in range(count):
+        total += heavy[d]
+    for c in range(3):
+        summed[c] = base[g, c]
+    before[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
+    for j in range(kept[g]):
+        f, k = order[g, j] // most, order[g, j] % most
+        _add(seen, count, v[f, g, k], amplitudes[f, g, k], summed, summed)
+    after[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def shown_errors(space, directions, colours, weights, base, scales, v, amplitudes, order, kept, before, after):
     """Weighted mean squared RGB errors (n,) of the bases alone and with all lobes kept; arguments as above."""
-    n, most = v.shape[1:3]
-    width = directions.shape[1]
-    for g in prange(n):
-        seen, target, heavy = (
-            np.empty((3, width), np.float32),
-            np.empty((3, width), np.float32),
-            np.empty(width, np.float32),
+    for g in prange(v.shape[1]):
+        _errors_of_one(
+            np.int64(g), space, directions, colours, weights, base, scales, v, amplitudes, order, kept, before, after
         )
-        count = _gather(directions, colours[g], weights[g], seen, target, heavy)
-        summed, shown = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
-        factors, total = np.full(width, scales[g]), 0.0
-        for d in range(count):
-            total += heavy[d]
-        for c in range(3):
-            summed[c] = base[g, c]
-        before[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
-        for j in range(kept[g]):
-            f, k = order[g, j] // most, order[g, j] % most
-            _add(seen, count, v[f, g, k], amplitudes[f, g, k], summed, summed)
-        after[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
