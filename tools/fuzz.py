@@ -107,6 +107,13 @@ def serve_inputs(pipe: Connection, place: Any, seed: int, names: list[str]) -> N
         pipe.send(None)
 
 
+def remake(pipe: Connection, name: str, seed: int, index: int) -> None:
+    """Run in a process: send the case of an input."""
+    from tests.fuzz.targets import case_of
+
+    pipe.send(case_of(chosen([name])[name], seed, index))
+
+
 @dataclass
 class Worker:
     """A process and what it is doing."""
@@ -192,17 +199,31 @@ class Run:
     def lost(self, worker: Worker, kind: str, line: str) -> None:
         """Note a process that died or hung, and put back what it had not done."""
         from tests.fuzz.engine import Finding
-        from tests.fuzz.targets import case_of
 
         if worker.work is None:
             raise SystemExit(f"a process {line} before it had work; try --jobs 1")
         name, first, count = worker.work
         index = worker.done + 1
         self.tallies[name].verdicts["found"] += 1
-        case = case_of(self.targets[name], self.args.seed, index)
+        case = self.remade(name, index)
+        kind, line = (kind, line) if case else ("mutator", f"the mutator {line}, gsvis was not reached")
         self.found(Finding(name, index, kind, line, f"{name}: {kind}", case))
         if rest := first + count - index - 1:
             self.pieces.append((name, index + 1, rest))
+
+    def remade(self, name: str, index: int) -> Any:
+        """The case of an input, made in a process of its own; empty where making it is what ends a process."""
+        mine, theirs = self.context.Pipe()
+        process = self.context.Process(target=remake, args=(theirs, name, self.args.seed, index), daemon=True)
+        process.start()
+        theirs.close()
+        try:
+            return mine.recv() if mine.poll(2 * HANG_S) else {}
+        except (EOFError, OSError):
+            return {}
+        finally:
+            process.kill()
+            process.join()
 
     def found(self, finding: Any) -> None:
         """Print the first finding of its key, and keep its input if asked to."""
@@ -212,7 +233,7 @@ class Run:
             return
         tally.examples[finding.key] = finding
         print(f"\n{finding.kind}: {finding.target}, input {finding.index}: {finding.line}", flush=True)
-        if self.args.keep:
+        if self.args.keep and finding.case:
             from tests.fuzz.targets import digest_of, pack_case
 
             path = ROOT / "tests" / "corpus" / finding.target / f"{finding.kind}-{digest_of(finding.case)}.zip"

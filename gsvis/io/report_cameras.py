@@ -64,7 +64,9 @@ def read_own_cameras(path: Path, content: dict[str, Any]) -> Views:
             raise FormatError(path, f"{where}.name", "a string", type(name).__name__)
         sides = [float(to_numbers(path, f"{where}.{key}", entry.get(key), ())) for key in ("width", "height")]
         pose = to_numbers(path, f"{where}.viewmat", entry.get("viewmat"), (4, 4))
-        if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > _RIGID or (pose[3] != (0, 0, 0, 1)).any():
+        with np.errstate(all="ignore"):  # enormous numbers become infinity or NaN, which is refused
+            defect = float(np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max())
+        if not defect <= _RIGID or (pose[3] != (0, 0, 0, 1)).any():
             raise FormatError(path, f"{where}.viewmat", "a rigid matrix, camera from world", "another")
         size = (int(sides[0]), int(sides[1]))
         k = to_numbers(path, f"{where}.K", entry.get("K"), (3, 3))

@@ -14,6 +14,7 @@ from gsvis.errors import FormatError
 from gsvis.io.cameras import load_cameras
 from gsvis.io.points import load_points
 from gsvis.io.poses import load_path
+from gsvis.io.report_cameras import describe_cameras
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.points import PointCloud
 from tests.fuzz.targets import Case, Target
@@ -102,6 +103,16 @@ def in_cameras(folder: Path, case: Case) -> None:
     check_cameras(load_cameras(folder))
 
 
+def reports() -> list[Case]:
+    document = {"format": "gsvis-report", "version": 1, "cameras": describe_cameras(cameras())}
+    return [{"report.json": json.dumps(document).encode()}]
+
+
+def in_report(folder: Path, case: Case) -> None:
+    (name,) = case
+    check_cameras(load_cameras(folder / name))
+
+
 def poses() -> list[Case]:
     header = "t,x,y,z,qw,qx,qy,qz\n"
     rows = "".join(f"{0.1 * k},{k},0,1.5,1,0,0,0\n" for k in range(6))
@@ -167,6 +178,7 @@ TARGETS = [
     ),
     Target("transforms", transforms, in_cameras, modules=(IO + "transforms_json", IO + "views", IO + "cameras")),
     Target("inria-cameras", inria, in_cameras, modules=(IO + "inria_cameras", IO + "views", IO + "cameras")),
+    Target("report-cameras", reports, in_report, modules=(IO + "report_cameras", IO + "views", IO + "cameras")),
     Target("poses", poses, in_path, kinds={"a.csv.gz": "gzip-text"}, modules=(IO + "poses", *_TABLE)),
     Target("eyenav", recordings, in_path, (FormatError, FileNotFoundError), modules=(IO + "eyenav", *_TABLE)),
     Target("traces", traces, in_trace, modules=(IO + "bandwidth_5g", IO + "bandwidth_text", *_TABLE)),

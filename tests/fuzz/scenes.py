@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from tests.io.scene_files import (
     streamed_files,
     zip_bytes,
 )
+from tests.io.test_checkpoint import gsplat_file, nerfstudio_file, nerfstudio_state
+from tests.io.test_checkpoint import splats as raw_splats
 
 __all__ = ["TARGETS"]
 
@@ -125,6 +128,16 @@ def in_streams(folder: Path, case: Case) -> None:
             read_scene(folder, lod)
 
 
+def trained() -> list[Case]:
+    raw = raw_splats(6, 1)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.pt"
+        return [
+            {"a.pt": gsplat_file(path, raw).read_bytes()},
+            {"a.pt": nerfstudio_file(path, nerfstudio_state(raw)).read_bytes()},
+        ]
+
+
 def point_files() -> list[Case]:
     rng = np.random.default_rng(0)
     columns = {
@@ -163,5 +176,6 @@ TARGETS = [
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
     Target("sog-folder", sog_folders, in_sog_folder, modules=_SOG),
     Target("streamed-sog", streams, in_streams, (FormatError, FileNotFoundError), modules=(IO + "streamed_sog", *_SOG)),
+    Target("trained", trained, in_one_file, kinds={"a.pt": "zip"}, modules=(IO + "checkpoint",)),
     Target("points", point_files, in_points, (FormatError, FileNotFoundError), modules=(IO + "points",)),
 ]
