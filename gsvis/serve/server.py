@@ -270,7 +270,7 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         found.bind(address)
-        found.listen(256)
+        found.listen(1024)
         found.setblocking(False)
     except OSError as error:
         found.close()
