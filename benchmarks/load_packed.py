@@ -7,6 +7,10 @@ but for signs of the other frame. That second ratio is like for like; the checks
 gsply works on all threads, gsvis on one: seconds of the processor stand beside those of the clock. Writing: bytes of an
 SPZ of the same scene, as it is and compact, over those of splat-transform (npm `@playcanvas/splat-transform`), and the
 error of all three in images of the scene.
+
+Given: the scenes, and the two peers as they are.
+Measured: seconds, bytes, and PSNR against the scene before it was written.
+Defaults chosen on: nika and flowers, for what an SPZ keeps.
 """
 
 from __future__ import annotations
