@@ -8,9 +8,9 @@ gsply works on all threads, gsvis on one: seconds of the processor stand beside 
 SPZ of the same scene, as it is and compact, over those of splat-transform (npm `@playcanvas/splat-transform`), and the
 error of all three in images of the scene.
 
-Given: real scenes as SPZ and compressed PLY, gsply, splat-transform where its path is given.
-Measured: time over gsply's in the same run, once as it is and once with the same values; bytes and PSNR of an SPZ.
-Defaults chosen on: biker, guitar, nika and flowers, the scenes that are measured too.
+Given: the scenes, and the two peers as they are.
+Measured: seconds, bytes, and PSNR against the scene before it was written.
+Defaults chosen on: nika and flowers, for what an SPZ keeps.
 """
 
 from __future__ import annotations
