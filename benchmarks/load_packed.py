@@ -69,7 +69,7 @@ def main() -> None:
         "checks of the values.",
         "splat-transform writes an SPZ in the frame of the PLY, not right-up-back as the format's README and biker.spz "
         "have it: its file is turned half about x before the comparison.",
-        "Streams of alphas, colors and scales have the same bytes in both; as it is has 16 bits behind the point where "
+        "Streams of alphas, colors and scales have equal sizes in both; as it is has 16 bits behind the point where "
         "splat-transform has 12, and 8 bits of SH where it has 5 and 4: that is the whole difference in size.",
     ]
     details = {"reading": reading, "writing": writing, "notes": notes, "gsply": gsply.__version__}
