@@ -31,6 +31,23 @@ NAMES = (
 )
 
 
+def instrumented(modules: tuple[str, ...]) -> None:
+    """Let Atheris see the plain functions of modules; a kernel that is instrumented would be compiled anew."""
+    import importlib
+    import inspect
+
+    import atheris
+
+    for name in modules:
+        module = importlib.import_module(name)
+        holders = [module, *(value for value in vars(module).values() if inspect.isclass(value))]
+        for holder in holders:
+            for value in list(vars(holder).values()):
+                function = getattr(value, "__func__", getattr(value, "fget", value))
+                if inspect.isfunction(function) and function.__module__ == name:
+                    atheris.instrument_func(function)
+
+
 def by_hypothesis(target: Any, inputs: int) -> list[bytes]:
     from hypothesis import HealthCheck, given, settings
     from hypothesis import strategies as st
@@ -103,10 +120,9 @@ def main() -> None:
     args = parser.parse_args()
     folder = args.folder / args.target
     if args.engine == "atheris" and args.collect:
-        import atheris
+        from tests.fuzz.families import TARGETS
 
-        with atheris.instrument_imports(include=["gsvis"]):
-            from tests.fuzz.families import TARGETS
+        instrumented(TARGETS[args.target].modules)
         by_atheris(TARGETS[args.target], args.inputs, folder)
     import coverage
     from fuzz_coverage import branches_of

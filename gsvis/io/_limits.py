@@ -34,6 +34,8 @@ MAX_EXPANSION = 256
 MIN_BUDGET = 64 << 20
 """Bytes that any file may claim, however small: procedural scenes compress extremely well."""
 
+_LONGEST_PART = 255  # bytes
+
 
 class Budget:
     """The memory that a set of files may ask for, given how large they really are.
@@ -82,13 +84,15 @@ def safe_name(path: str | os.PathLike[str], where: str, name: object) -> str:
         The name with forward slashes and without `.` parts.
 
     Raises:
-        FormatError: If it is no text, empty, absolute, climbs with `..`, or holds a backslash, a drive or a NUL.
+        FormatError: If it is no text, empty, absolute, climbs with `..`, holds a backslash, a drive, a NUL or half of a
+            pair of UTF-16, or a part of it is too long for a file system.
     """
     expected = "the name of a file inside the scene's folder"
     if not isinstance(name, str):
         raise FormatError(path, where, expected, f"{type(name).__name__}")
     parts = PurePosixPath(name).parts
     bad = not parts or len(name) > 1000 or name.startswith("/") or ".." in parts or any(c in name for c in "\\:\0")
+    bad = bad or any("\ud800" <= c <= "\udfff" for c in name) or any(len(p.encode()) > _LONGEST_PART for p in parts)
     if bad:
         raise FormatError(path, where, expected, repr(name[:80]), "names that leave the folder are refused")
     return str(PurePosixPath(*parts))

@@ -10,7 +10,7 @@ import struct
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import cache
-from itertools import count, pairwise
+from itertools import pairwise
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -26,6 +26,7 @@ from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve import Limits, Metrics
 from gsvis.serve._log import EventLog
+from gsvis.serve.clock import ManualClock
 from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
@@ -188,10 +189,11 @@ LIMITS = Limits(batch_bytes=1500, messages_per_s=20.0, burst_s=1.0, poses_per_s=
 class Script:
     """A socket whose client says what is written, then goes; an acknowledgement waits for its message a while."""
 
-    def __init__(self, messages: list[bytes]) -> None:
-        self.messages, self.sent = list(messages), 0
+    def __init__(self, messages: list[bytes], clock: ManualClock) -> None:
+        self.messages, self.clock, self.sent = list(messages), clock, 0
 
     async def receive(self) -> bytes:
+        self.clock.advance(0.02)
         await asyncio.sleep(0)
         if not self.messages:
             raise GoneError("lost")
@@ -226,10 +228,10 @@ class Heard(EventLog):
 
 
 def in_connection(folder: Path, case: Case) -> None:
-    ticks = count()
+    clock = ManualClock()
     log, served = Heard(), ServedScene("rgb", folder, scenes()["rgb"])
-    setting = Setting(LIMITS, Metrics(), log, SchedulerConfig(), lambda: 0.005 * next(ticks))
-    peer = Script([case[name] for name in sorted(case)])
+    setting = Setting(LIMITS, Metrics(), log, SchedulerConfig(), clock)
+    peer = Script([case[name] for name in sorted(case)], clock)
 
     async def run() -> str:
         connection = Connection(peer, served, setting, 1)
