@@ -100,6 +100,7 @@ class Sections:
         return b"".join([head, *rows, bytes(filled)])  # type: ignore[list-item]
 
     def _ids(self, about: SceneHeader) -> U8:
+        assert len(self.owners) == len(self.terms), "the kernel writes an owner for each term"
         types = np.int64, np.int32, np.uint32, np.int32, np.int32
         given = self.chunks, self.gaussians, self.terms, self.owners, self.gone
         lists = [np.ascontiguousarray(ids, kind) for ids, kind in zip(given, types, strict=True)]
