@@ -19,6 +19,8 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from gsvis.cli.source import check_folder
+from gsvis.errors import FormatError
+from gsvis.io._limits import open_regular
 from gsvis.io.atomic import atomic_folder, atomic_path
 from gsvis.io.output import TEMPORARY, output_errors
 
@@ -208,11 +210,11 @@ def _npy(array: NDArray[np.float32]) -> bytes:
 def _is_own(path: Path) -> bool:
     """Whether a file is a picture that `gsvis render` wrote."""
     try:
-        with Image.open(path) as picture:
+        with open_regular(path) as file, Image.open(file) as picture:
             comment = picture.info.get("comment", b"")
             told = comment.decode("utf-8", "replace") if isinstance(comment, bytes) else str(comment)
             return picture.info.get("Software") == _MARK or told.split(" ")[0] == _MARK
-    except (OSError, ValueError, SyntaxError):
+    except (FormatError, OSError, ValueError, SyntaxError):
         return False
 
 

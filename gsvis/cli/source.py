@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.errors import SceneError
+from gsvis.errors import FormatError, SceneError
+from gsvis.io._limits import open_regular
 from gsvis.io.atomic import interrupted_moves
 from gsvis.io.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
@@ -344,9 +345,9 @@ def check_report(path: str | os.PathLike[str]) -> None:
 def _holds_report(path: Path) -> bool:
     """Whether a file begins as a `report.json` of gsvis does."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(64).lstrip(b"{ \r\n").startswith(b'"format": "gsvis-')
-    except OSError:
+    except (FormatError, OSError):
         return False
 
 

@@ -19,6 +19,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.io._limits import read_whole
 from gsvis.io.locks import try_lock
 from gsvis.io.output import output_errors
 
@@ -113,9 +115,9 @@ def interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
     found = set()
     for partial in _partials(target):
         try:
-            note = json.loads((partial / _NOTE).read_text(encoding="utf-8"))
+            note = json.loads(read_whole(partial / _NOTE))
             found |= {name for name, identity in note.items() if _identity_or_none(target / name) == identity}
-        except (OSError, ValueError, AttributeError):  # no note, or half of one: nothing was moved
+        except (FormatError, OSError, ValueError, AttributeError):  # no note, or half of one: nothing was moved
             continue
     return found
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from gsvis import _check
 from gsvis.errors import FormatError
+from gsvis.io._limits import open_regular
 from gsvis.io.colmap import find_colmap, read_colmap
 from gsvis.io.folders import cameras_remedy
 from gsvis.io.inria_cameras import read_inria_cameras
@@ -62,7 +63,7 @@ def _views(path: Path, size: tuple[int, int] | None) -> Views:
         raise FileNotFoundError(errno.ENOENT, "no camera file or folder here", str(path))
     if path.suffix in (".bin", ".txt"):
         return read_colmap(path.parent)
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         start = stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
     if path.suffix.lower() != ".json" and start[:1] not in (b"{", b"["):
         raise FormatError(path, "", _KNOWN, f"a file beginning {start[:8]!r} named {path.name!r}")

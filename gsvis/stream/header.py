@@ -136,7 +136,9 @@ class SceneHeader:
             if not schema.remove_metadata().equals(SCHEMA):
                 raise ProtocolError(f"WELCOME: expected the schema of batches, got {str(schema)[:80]!r}")
             return cls._of(parse_object(_WHERE, (schema.metadata or {}).get(_KEY, b"")))
-        except (pa.ArrowException, OSError, FormatError, ValueError) as error:
+        except FormatError as error:  # names WELCOME itself
+            raise ProtocolError(str(error)[:200]) from error
+        except (pa.ArrowException, OSError, ValueError) as error:
             raise ProtocolError(f"WELCOME: {' '.join(str(error).split())[:200]}") from error
 
     @classmethod

@@ -107,9 +107,9 @@ def test_a_crash_leaves_the_old_folder_and_nothing_else(tmp_path: Path) -> None:
 
 KILLED = """
 import os, signal, sys
-from gsvis.io.atomic import atomic_folder, atomic_path, scratch_folder
+from gsvis.io.atomic import atomic_folder, atomic_path
 kind, target = sys.argv[1:]
-with {"file": atomic_path, "folder": atomic_folder, "scratch": scratch_folder}[kind](target) as partial:
+with {"file": atomic_path, "folder": atomic_folder}[kind](target) as partial:
     (partial if kind == "file" else partial / "half").write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -122,7 +122,7 @@ def killed(kind: str, target: Path) -> None:
 
 
 @posix
-@pytest.mark.parametrize("kind", ["file", "folder", "scratch"])
+@pytest.mark.parametrize("kind", ["file", "folder"])
 def test_what_a_kill_left_goes_with_the_next_writer(tmp_path: Path, kind: str) -> None:
     target = tmp_path / "a.sog"
     killed(kind, target)

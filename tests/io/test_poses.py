@@ -45,7 +45,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(OSError, match="cannot be written: no space left"):
         write_poses(wander(5), file)
     assert file.read_bytes() == before
     assert list(tmp_path.iterdir()) == [file]

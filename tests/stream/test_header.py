@@ -74,7 +74,9 @@ def test_a_claimed_size_takes_no_memory(said: dict[str, Any]) -> None:
     large = said | {"gaussians": MOST, "terms": MOST, "chunks": 1}
     large["levels"] = [{"name": "all", "count": MOST}]
     before = resident()
-    receiver = Receiver(welcome(large))
+    with pytest.raises(ProtocolError, match="raise most_bytes"):
+        Receiver(welcome(large), most_bytes=1 << 20)
+    receiver = Receiver(welcome(large), most_bytes=1 << 40)
     assert len(receiver.shown()) == 0
     assert resident() - before < 64 << 20
     for key in ("gaussians", "terms"):

@@ -410,7 +410,7 @@ def test_a_store_that_is_not_finished_leaves_nothing(tmp_path: Path, monkeypatch
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(_container.ContainerWriter, "close_section", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="cannot be written: no space left"):
         write_store(path, truth.grid, truth.info(), truth.cells(), truth.directions)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["x.pvs"]
