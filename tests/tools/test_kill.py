@@ -33,10 +33,10 @@ def test_a_run_is_killed_or_has_ended(kill: ModuleType, tmp_path: Path, monkeypa
     assert kill.killed_after(0.0, [], tmp_path / "a")
     monkeypatch.setattr(kill, "GSVIS", [sys.executable, "-c", "open('out', 'w').write('done')"])
     assert not kill.killed_after(600.0, [], tmp_path / "a")
-    assert kill.left_alone([], tmp_path / "a") == ""
+    assert kill.left_alone([], tmp_path / "a")[0] == 0
     assert kill.contents(tmp_path / "a") == {"out": b"done"}
     monkeypatch.setattr(kill, "GSVIS", [sys.executable, "-c", "raise SystemExit('no room')"])
-    assert kill.left_alone([], tmp_path / "a") == "exit code 1, no room"
+    assert kill.left_alone([], tmp_path / "a") == (1, "no room")
 
 
 def test_every_difference_and_every_leftover_is_seen(kill: ModuleType, tmp_path: Path) -> None:
