@@ -145,7 +145,7 @@ def _words_of(data: bytes, size: int) -> Words:
         bitmap = BitMap.deserialize(data)
         if bitmap.serialize() != data:  # one that hides something, or is in disorder
             raise ValueError("another spelling")
-    except ValueError as error:
+    except (ValueError, IndexError) as error:  # the latter of no bytes at all
         raise ValueError(f"data: expected a roaring bitmap, got other bytes ({str(error)[:60]})") from error
     if len(bitmap) and (bitmap.max() >= size or len(bitmap) > size):
         raise ValueError(f"data: expected ids below {size}, got {bitmap.max()}")
