@@ -260,7 +260,7 @@ class ActiveTerms:
             raise self._fault(where, "terms that fit their checksum", "others")
         try:
             found = BitMap.deserialize(data)
-        except ValueError as error:
+        except (ValueError, IndexError) as error:
             raise self._fault(where, "a roaring bitmap", f"other bytes ({error})") from error
         if len(found) != count or count > of_visible or (count and found.max() >= self.info.terms):
             raise self._fault(where, f"{count} of {of_visible} terms below {self.info.terms}", "others")

@@ -187,3 +187,15 @@ def test_offsets_start_at_zero_and_never_fall(offsets: list[int]) -> None:
     one = np.zeros((1, 3))
     with pytest.raises(ValueError, match="offsets: expected to start at 0 and never to fall"):
         SrbfColors("rgb", one, [1.0], np.zeros((1, 0, 3)), offsets, [0], [[0, 0]], [1.0], one)
+
+
+def test_the_narrowest_lobe_is_documented() -> None:
+    """Stores and records hold decays up to 1e4: another bound would refuse what is written already."""
+    one = np.zeros((1, 3))
+    for decay, fits in ((1e4, True), (np.nextafter(np.float32(1e4), np.float32(2e4)), False)):
+        words = ("rgb", one, [1.0], np.zeros((1, 0, 3)), [0, 1], [0], [[0, 0]], [decay], one)
+        if fits:
+            assert SrbfColors(*words).decays[0] == decay
+        else:
+            with pytest.raises(ValueError, match="decays: expected values"):
+                SrbfColors(*words)
