@@ -313,7 +313,8 @@ def compared(name: str, rows: list[dict[str, Any]], details: dict[str, Any]) -> 
             kept[f"{key}, {OURS} minus {other}"] = paired_difference(values(ours, key), values(theirs, key)).as_dict()
         score = kept[f"score, {OURS} minus {other}"]
         out.append(
-            {"name": f"QoE of a step over the recorded links, {OURS} minus {other}, {name}", "target": least, "reached": score["mean"],
+            {"name": f"QoE of a step over the recorded links, {OURS} minus {other}, {name}", "target": least,
+             "reached": score["mean"],
              "unit": f"95% CI {score['low']:.3f} to {score['high']:.3f}", "better": "higher"}
         )  # fmt: skip
         never = np.mean(~np.isfinite(values(theirs, "seconds_to_first_image")))
