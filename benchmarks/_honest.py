@@ -26,8 +26,9 @@ from gsvis.errors import ProtocolError
 from gsvis.package import Package
 from gsvis.package.contents import base_rgb
 from gsvis.scene.sh import SH_C0
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, StreamedScene
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver
 from gsvis.stream.batch import Sections
+from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import ERROR, ServerFault
 
 __all__ = ["Checker", "Link", "Viewer", "Visit", "begin_checks", "check"]
@@ -47,6 +48,7 @@ class Link:
         up: (3,) axis.
         mbit: Rate of the link of each, Mbit/s.
         tls: For wss://.
+        one_address: Whether all viewers come from one address, as behind one NAT.
     """
 
     url: str
@@ -54,6 +56,7 @@ class Link:
     up: np.ndarray
     mbit: float
     tls: ssl.SSLContext | None = None
+    one_address: bool = False
 
 
 @dataclass
@@ -87,7 +90,7 @@ class Viewer:
 
     def __init__(self, link: Link, number: int, deliver: Callable[[Visit], None]) -> None:
         self._link, self._deliver, self._rng = link, deliver, np.random.default_rng(number)
-        self._address = f"127.0.1.{1 + number}"
+        self._address = f"127.0.1.{1 if link.one_address else 1 + number}"
         self.delays: list[tuple[float, float]] = []
         self.openings: list[tuple[float, float]] = []
         self.cut: list[tuple[float, str]] = []
@@ -208,20 +211,28 @@ class Checker:
 
     def __init__(self, package: Path) -> None:
         with Package.open(package) as opened:
-            self._scene = StreamedScene.open(opened)
-            self._contents = c = self._scene.contents
+            self._header = SceneHeader.of(opened.manifest).to_message()
+            self._contents = c = opened.contents
             self._gaussians, colors = c.gaussians(), c.colors().dequantised()
             rgb = base_rgb(c.records, c.grids)
         self._sh0 = ((rgb - np.float32(0.5)) / np.float32(SH_C0))[:, None]  # in float32, as a client does it
         self._terms = colors.functions, colors.centers, colors.decays, colors.intensities
         self._base, self._starts = colors.base, c.table.starts[:-1]
+        self._rows = {
+            "origin": c.table.origins, "step": c.table.steps, "low": c.table.lows, "count": c.table.counts,
+            "stride": c.table.strides, "first_level": c.chunk_levels[:, 0], "last_level": c.chunk_levels[:, 1],
+        }  # fmt: skip
+
+    def _owners(self, terms: np.ndarray) -> np.ndarray:
+        """Gaussians of terms, by where the package says that the terms of each begin."""
+        return np.searchsorted(self._contents.term_offsets, terms, side="right") - 1
 
     def check(self, visit: Visit) -> dict[str, int]:
         """Return how many bytes were right and wrong, of batches as they came and of what the viewer then holds."""
         found = {"bytes": 0, "wrong": 0, "gaussians": 0, "terms": 0, "batches": len(visit.batches), "refused": 0}
         try:
             receiver = Receiver(visit.welcome)
-            wrong = sum(a != b for a, b in zip(visit.welcome, self._scene.header, strict=True))
+            wrong = sum(a != b for a, b in zip(visit.welcome, self._header, strict=True))
             found["bytes"], found["wrong"] = len(visit.welcome), wrong
             held, terms = np.zeros(len(self._contents), bool), [np.zeros(0, np.int64)]
             for data in visit.batches:
@@ -243,8 +254,9 @@ class Checker:
         rows = np.searchsorted(self._starts, s.chunks)
         for got, expected in (
             (s.records, c.records[s.gaussians]), (s.term_records, c.term_records[s.terms]),
-            (s.owners, self._scene.owners[s.terms]), (s.rows, self._scene.chunk_rows[rows]),
-            (s.chunks, self._starts[rows]), (s.axes, c.axes[fresh] if c.axes.shape[1] else c.axes[:0]),
+            (s.owners, self._owners(s.terms)), (s.chunks, self._starts[rows]),
+            (s.axes, c.axes[fresh] if c.axes.shape[1] else c.axes[:0]),
+            *((s.rows[name], values[rows]) for name, values in self._rows.items()),
         ):  # fmt: skip
             _compare(got, expected, found)
         found["gaussians"] += len(s.gaussians)
@@ -258,7 +270,7 @@ class Checker:
         for name in ("means", "quats", "scales", "opacities"):
             _compare(getattr(g, name), getattr(self._gaussians, name)[ids], found)
         _compare(colors.base, self._base[ids], found)
-        owners = self._scene.owners[terms]
+        owners = self._owners(terms)
         slots = np.full(len(self._contents), -1)
         slots[ids] = np.arange(len(ids))
         terms, owners = terms[slots[owners] >= 0], owners[slots[owners] >= 0]

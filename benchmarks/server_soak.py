@@ -221,7 +221,8 @@ def measured(
         probe = Probe(server.pid, url, log, tls)
         with ProcessPoolExecutor(1, spawn, begin_checks, (package, rest)) as pool:
             times = args.warm, seconds / 6, seconds * 5 / 6
-            found = asyncio.run(soak(Link(url, stops, up, args.mbit, tls), args.viewers, times, pool, probe, hostile))
+            link = Link(url, stops, up, args.mbit, tls, args.one_address)
+            found = asyncio.run(soak(link, args.viewers, times, pool, probe, hostile))
         server.terminate()  # while the attackers are still there
         code = server.wait(60)
         counts: Counter[str] = Counter()
@@ -270,7 +271,8 @@ def report(
     ]
     details = {
         "package": package.name, "minutes": args.minutes, "viewers": args.viewers, "mbit_per_s": args.mbit,
-        "tls": args.tls, "delays": delays, "openings": openings, "server_cpu_share": cpu,
+        "tls": args.tls, "one_address": args.one_address,
+        "delays": delays, "openings": openings, "server_cpu_share": cpu,
         "health_answered_ms": summary([seconds for seconds in answers if seconds is not None]),
         "settled_after_s": settled - assault, **found, "attackers": counts,
         "crowd": {kind.__name__: count for kind, (count, _) in CROWD.items()},
@@ -297,6 +299,7 @@ def main() -> None:
     parser.add_argument("--warm", type=float, default=10.0, help="seconds before anything counts")
     parser.add_argument("--viewers", type=int, default=30)
     parser.add_argument("--mbit", type=float, default=2.0, help="rate of the link of each, Mbit/s")
+    parser.add_argument("--one-address", action="store_true", help="all viewers come from one address, as behind a NAT")
     parser.add_argument("--attackers", type=int, default=2, help="processes")
     parser.add_argument("--only", nargs="+", help="kinds of attackers, such as flood; otherwise all")
     parser.add_argument("--tls", action="store_true", help="serve with TLS; needs openssl for a certificate")

@@ -40,7 +40,7 @@ class Serve:
     """What is sent first. (default: utility)"""
     clients: Annotated[int, COUNTED] = 100
     """Most viewers at once."""
-    per_address: Annotated[int | None, COUNTED, hint("a quarter of --clients, at least 8")] = None
+    per_address: Annotated[int | None, COUNTED, hint("half of --clients, at least 8")] = None
     """Most viewers of one address at once, and most other connections of it."""
     messages: Annotated[int, COUNTED] = 200
     """Most messages of a viewer a second, on average over ten seconds."""

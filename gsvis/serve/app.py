@@ -13,11 +13,13 @@ name that the server does not know get 421, except for `/healthz`: a page could 
 
 from __future__ import annotations
 
+import errno
 import hmac
 import itertools
 import logging
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -26,13 +28,13 @@ from starlette.middleware import Middleware
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve._addresses import Proxies, is_known_host, owner_of
-from gsvis.serve._log import EventLog
+from gsvis.serve._log import LOGGER, EventLog
 from gsvis.serve._protocols import GUARD
 from gsvis.serve.clock import Clock
 from gsvis.serve.connection import Connection, GoneError, Setting
@@ -47,6 +49,7 @@ __all__ = ["AppConfig", "build_app"]
 _ENDED = 1012  # what uvicorn closes with when the server stops
 _LEFT = (1000, 1001)
 _HEALTH = "/healthz"
+_SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)  # what passes by itself
 
 
 @dataclass(frozen=True)
@@ -117,24 +120,21 @@ class _App:
     async def serve(self, socket: WebSocket, served: ServedScene, number: int, owner: str) -> None:
         """A client that may say HELLO; it has a seat from then on."""
         guard = socket.scope.get("extensions", {}).get(GUARD)
-        seated = False
 
         def seat() -> str:
-            nonlocal seated
-            why = self.seats.take(owner)
-            seated = not why
-            if seated:
+            why = self.seats.take(owner, connection)
+            if not why:
                 self.metrics.clients.set(self.seats.taken)
                 if guard is not None:
                     guard.stream()
             return why
 
+        connection = Connection(_Peer(socket), served, self.setting, number, seat)
         try:
-            await Connection(_Peer(socket), served, self.setting, number, seat).run()
+            await connection.run()
         finally:
-            if seated:
-                self.seats.leave(owner)
-                self.metrics.clients.set(self.seats.taken)
+            self.seats.leave(owner, connection)
+            self.metrics.clients.set(self.seats.taken)
 
     async def deny(
         self, socket: WebSocket, number: int, reason: str, line: str, status: int, why: str | None = None
@@ -197,9 +197,19 @@ class _App:
                 self.metrics.faults.add(of=served.name)
                 self.log("damaged", logging.ERROR, scene=served.name, why=str(error))
                 response = PlainTextResponse("this part is damaged on the server\n", 500)
+            except OSError as error:
+                response = self.unread(served, error)
         self.metrics.parts.add(of=str(response.status_code))
         self.metrics.parts_bytes.add(len(response.body))
         return response
+
+    def unread(self, served: ServedScene, error: OSError) -> Response:
+        """503 where the server is short of something for a moment, 500 where a file cannot be read."""
+        self.log("failed", logging.ERROR, scene=served.name, why=f"{type(error).__name__}: {error}")
+        if error.errno in _SHORT_OF:
+            return PlainTextResponse("the server is busy; try again later\n", 503, {"retry-after": "1"})
+        self.metrics.faults.add(of=served.name)
+        return PlainTextResponse("this file cannot be read on the server\n", 500)
 
     def admits(self, asked: HTTPConnection) -> bool:
         """Whether the request shows the token."""
@@ -269,7 +279,10 @@ def _same_origin(socket: WebSocket, allowed: tuple[str, ...]) -> bool:
     origin = socket.headers.get("origin")
     if origin is None or "*" in allowed or origin in allowed:
         return True
-    return urlsplit(origin).netloc.lower() == socket.headers.get("host", "").lower() != ""
+    try:
+        return urlsplit(origin).netloc.lower() == socket.headers.get("host", "").lower() != ""
+    except ValueError:  # such as "http://["
+        return False
 
 
 def _why_not_origin(socket: WebSocket) -> str:
@@ -279,15 +292,18 @@ def _why_not_origin(socket: WebSocket) -> str:
     )
 
 
-class _HostCheck:
-    """Refuses requests by names that the server does not know."""
+class _Front:
+    """Refuses requests by names that the server does not know; a request that fails costs one line of the log."""
 
     def __init__(self, inner: ASGIApp, app: _App) -> None:
         self._inner, self._app = inner, app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket") or self._is_good(scope):
+        if scope["type"] not in ("http", "websocket"):
             await self._inner(scope, receive, send)
+            return
+        if self._is_good(scope):
+            await self._pass_on(scope, receive, send)
             return
         app, asked = self._app, HTTPConnection(scope)
         app.metrics.refused.add(of="host")
@@ -298,6 +314,28 @@ class _HostCheck:
             await WebSocket(scope, receive, send).send_denial_response(answer)
         else:
             await answer(scope, receive, send)
+
+    async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
+        begun = False
+
+        async def watched(message: Message) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            await self._inner(scope, receive, watched)
+        except WebSocketDisconnect:
+            pass  # it has gone before it had an answer
+        except Exception as error:
+            peer = self._app.place(HTTPConnection(scope))
+            self._app.log("failed", logging.ERROR, peer=peer, why=f"{type(error).__name__}: {error}")
+            LOGGER.debug("request of %s", peer, exc_info=error)
+            with suppress(Exception):
+                if scope["type"] == "websocket":
+                    await send({"type": "websocket.close", "code": 1011})
+                elif not begun:
+                    await PlainTextResponse("the server failed; come back later\n", 500)(scope, receive, send)
 
     def _is_good(self, scope: Scope) -> bool:
         host = HTTPConnection(scope).headers.get("host")
@@ -332,7 +370,7 @@ def build_app(
         config.limits, metrics, log, config.scheduler, clock or Clock(), planners=planners, pace=pace or Pace()
     )
     app = _App(scenes, config, metrics, log, setting)
-    return Starlette(
+    found = Starlette(
         routes=[
             Route("/", app.index, methods=["GET"]),
             Route(_HEALTH, app.health, methods=["GET"]),
@@ -342,5 +380,7 @@ def build_app(
             WebSocketRoute("/stream", app.stream),
             WebSocketRoute("/stream/{name}", app.stream),
         ],
-        middleware=[Middleware(_HostCheck, app)],
+        middleware=[Middleware(_Front, app)],
     )
+    found.router.redirect_slashes = False  # such an answer names the server, not the prefix that a proxy puts before it
+    return found

@@ -28,6 +28,7 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.errors import ProtocolError
 from gsvis.serve.clock import Clock
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Received, Receiver
+from gsvis.stream.receiver import MOST_BYTES
 from gsvis.stream.wire import ERROR, FAULTS, ServerFault
 
 __all__ = ["ClientConfig", "Pose", "StreamClient", "fetch"]
@@ -35,7 +36,7 @@ __all__ = ["ClientConfig", "Pose", "StreamClient", "fetch"]
 Pose = Callable[[float], tuple[ArrayLike, ArrayLike]]
 """Position (3,) and quaternion (4,) wxyz, world from camera, at seconds since the start; `HeadPath.at` is one."""
 
-_OPEN_S = 10.0  # seconds in which a connection has to stand
+_OPEN_S = 10.0  # seconds in which a connection has to stand, in which HELLO has to go out, and WELCOME to come
 _LEAVE_S = 0.5  # seconds that BYE may take
 _PING_S = 20.0  # seconds between pings, and for the answer to one
 
@@ -49,23 +50,26 @@ class ClientConfig:
     Attributes:
         token: To show; None shows none.
         poses_per_s: Poses a second. The server plans ten times a second; more than 20 serve little.
-        give_up_s: Seconds without any connection after which the server counts as gone.
+        give_up_s: Seconds without any stream after which the server counts as gone. After an outage it has to be longer
+            than a server keeps the seats of viewers that it does not hear (`Limits.idle_s`).
         first_wait_s: Seconds before it is tried again; twice as long each further time, up to `longest_wait_s`.
         longest_wait_s: See there.
         message_bytes: Bytes of a message of the server at most.
         tls: For wss://; None checks certificates as usual.
+        scene_bytes: Memory that sets and tables of a scene may take before a Gaussian has come.
     """
 
     token: str | None = field(default=None, repr=False)
     poses_per_s: float = 20.0
-    give_up_s: float = 30.0
+    give_up_s: float = 90.0
     first_wait_s: float = 0.1
     longest_wait_s: float = 5.0
     message_bytes: int = 64 << 20
     tls: ssl.SSLContext | None = None
+    scene_bytes: int = MOST_BYTES
 
     def __post_init__(self) -> None:
-        for name in ("poses_per_s", "give_up_s", "first_wait_s", "longest_wait_s", "message_bytes"):
+        for name in ("poses_per_s", "give_up_s", "first_wait_s", "longest_wait_s", "message_bytes", "scene_bytes"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
@@ -177,12 +181,12 @@ class StreamClient:
         )  # fmt: skip
         async with await self._clock.within(_OPEN_S, _open(opening)) as socket:
             hello = Hello(self.view) if self.receiver is None else self.receiver.hello(self.view)
-            await _say(socket, hello.to_bytes())
-            welcome = await _next(socket)
+            await self._clock.within(_OPEN_S, _say(socket, hello.to_bytes()))
+            welcome = await self._clock.within(_OPEN_S, _next(socket))
             if self.receiver is None:
-                self.receiver = Receiver(welcome)
+                self.receiver = self._received(welcome)
             elif not self.receiver.resume(welcome):
-                self.receiver = Receiver(welcome)
+                self.receiver = self._received(welcome)
                 self.restarts += 1
             self.connections += 1
             await _say(socket, Ack(0).to_bytes())
@@ -202,6 +206,14 @@ class StreamClient:
                 for task in beside:
                     task.cancel()
                 await asyncio.gather(*beside, return_exceptions=True)
+
+    def _received(self, welcome: bytes) -> Receiver:
+        """A receiver of a scene, if there is memory for it."""
+        try:
+            return Receiver(welcome, most_bytes=self.config.scene_bytes)
+        except ProtocolError as error:
+            line = str(error).replace("raise most_bytes", "raise scene_bytes of ClientConfig")
+            raise ProtocolError(line, error.code) from None
 
     async def _keep_alive(self, socket: ClientConnection) -> None:
         """Close the connection when the server does not answer any more."""

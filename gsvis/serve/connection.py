@@ -147,6 +147,16 @@ class Connection:
         self._planned = setting.measure()
         self._alarm: Timer | None = None
         self._has_pose, self._fresh, self._dry = False, False, False  # a pose; one not planned for; nothing to send
+        self._seat_gone = asyncio.Event()
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since its last message."""
+        return self._setting.clock.now() - self._alive
+
+    def give_way(self) -> None:
+        """End: another viewer has its seat."""
+        self._seat_gone.set()
 
     async def run(self) -> None:
         """All of it; raises nothing but cancellation."""
@@ -154,7 +164,7 @@ class Connection:
         loops: list[asyncio.Task[None]] = []
         try:
             await self._greet()
-            loops = [asyncio.create_task(self._listen()), asyncio.create_task(self._talk())]
+            loops = [asyncio.create_task(loop) for loop in (self._listen(), self._talk(), self._leave_seat())]
             done, _ = await asyncio.wait(loops, return_when=asyncio.FIRST_COMPLETED)
             for task in sorted(done, key=loops.index):
                 task.result()
@@ -182,6 +192,7 @@ class Connection:
         said = parse_client(data, most_hello=limits.message_bytes or self._served.scene.most_hello)
         if not isinstance(said, Hello):
             raise ProtocolError(f"message: expected HELLO first, got {type(said).__name__}")
+        self._alive = clock.now()
         if self._seat is not None and (why := self._seat()):
             raise ProtocolError(f"no seat ({why}); try again later", FAULTS["too-many"])
         try:
@@ -219,6 +230,12 @@ class Connection:
             self._heard.append((self._setting.measure(), said))
             if isinstance(said, Ack) or not self._has_pose:
                 self._ring()
+
+    async def _leave_seat(self) -> None:
+        """End once another viewer has the seat."""
+        await self._seat_gone.wait()
+        why = f"silent for {self.silent_s:.0f} s, and another viewer of this address needs the seat; come back"
+        raise ProtocolError(why, FAULTS["late"])
 
     async def _talk(self) -> None:
         """Plan and send until something ends it."""

@@ -6,12 +6,15 @@ Seconds, bytes, and counts. Whoever goes beyond a limit is sent away; the others
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Protocol
 
 import numpy as np
 
 from gsvis import _check
 
-__all__ = ["Limits", "Pace", "RateBucket", "Seats"]
+__all__ = ["Limits", "Pace", "RateBucket", "Seats", "Viewer"]
+
+_SILENT_S = 5.0  # seconds of silence after which a seat goes to another viewer of its address, where there is no other
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,7 @@ class Limits:
         waiting: Connections at once that do not stream: requests, idle ones, handshakes. None: as many as
             `connections`, at least 32. Beyond it the one that waits longest gives way.
         per_address: Streaming clients of one address at once, and as many connections that do not stream. None: a
-            quarter of `connections`, at least 8. An IPv6 network of 64 bits is one address.
+            half of `connections`, at least 8. An IPv6 network of 64 bits is one address.
         message_bytes: Bytes of one message of a client. None: what the holdings of the largest scene can take.
         messages_per_s: Messages of a client a second, in the mean over `burst_s`; one that sends more is sent away.
         burst_s: Seconds of messages that may come at once, as they do after a link has stalled.
@@ -70,48 +73,78 @@ class Limits:
     @property
     def most_per_address(self) -> int:
         """Clients of one address, and connections of it that do not stream."""
-        return max(self.connections // 4, 8) if self.per_address is None else self.per_address
+        return max(self.connections // 2, 8) if self.per_address is None else self.per_address
+
+
+class Viewer(Protocol):
+    """Whoever has a seat."""
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since its last message."""
+        ...
+
+    def give_way(self) -> None:
+        """Its seat has gone to another."""
+        ...
 
 
 class Seats:
-    """Counts the clients that stream, all and by address.
+    """Gives seats to the viewers that stream: so many in all, so many of each address.
+
+    Where there is none left, a viewer takes that of the longest silent one of its own address, if that has been silent
+    for 5 s: after an outage of a link that many share, all come back before the server has missed any of them. Nobody
+    can take the seat of another address.
 
     Args:
         limits: Bounds.
 
     Attributes:
         taken: How many.
-
-    Examples:
-        >>> seats = Seats(Limits(connections=3, per_address=2))
-        >>> [seats.take(owner) for owner in ("a", "a", "a", "b", "c")]
-        ['', '', 'address-full', '', 'too-many']
     """
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._by_owner: dict[str, int] = {}
+        self._by_owner: dict[str, list[Viewer]] = {}
         self.taken = 0
 
     def why_not(self, owner: str) -> str:
-        """Return why a client of an address has no seat; "" if there is one."""
+        """Return why a viewer of an address can have no seat: "too-many", "address-full"; "" if it can."""
+        why = self._why_full(owner)
+        return "" if not why or self._silent(owner) is not None else why
+
+    def take(self, owner: str, viewer: Viewer) -> str:
+        """Take a seat, perhaps that of a silent one. Return why there is none, or ""."""
+        if why := self._why_full(owner):
+            silent = self._silent(owner)
+            if silent is None:
+                return why
+            self.leave(owner, silent)
+            silent.give_way()
+        self.taken += 1
+        self._by_owner.setdefault(owner, []).append(viewer)
+        return ""
+
+    def leave(self, owner: str, viewer: Viewer) -> None:
+        """Give a seat back; nothing happens if another has it by now."""
+        seated = self._by_owner.get(owner, [])
+        if viewer not in seated:
+            return
+        self.taken -= 1
+        seated.remove(viewer)
+        if not seated:
+            del self._by_owner[owner]
+
+    def _why_full(self, owner: str) -> str:
         if self.taken >= self._limits.connections:
             return "too-many"
-        return "address-full" if self._by_owner.get(owner, 0) >= self._limits.most_per_address else ""
+        full = len(self._by_owner.get(owner, [])) >= self._limits.most_per_address
+        return "address-full" if full else ""
 
-    def take(self, owner: str) -> str:
-        """Take a seat. Return why there is none, or ""."""
-        if not (why := self.why_not(owner)):
-            self.taken += 1
-            self._by_owner[owner] = self._by_owner.get(owner, 0) + 1
-        return why
-
-    def leave(self, owner: str) -> None:
-        """Give a seat back."""
-        self.taken -= 1
-        self._by_owner[owner] -= 1
-        if not self._by_owner[owner]:
-            del self._by_owner[owner]
+    def _silent(self, owner: str) -> Viewer | None:
+        """The one that has been silent for longest, if that is long enough."""
+        found = max(self._by_owner.get(owner, []), key=lambda viewer: viewer.silent_s, default=None)
+        return found if found is not None and found.silent_s > _SILENT_S else None
 
 
 class RateBucket:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from benchmarks._honest import Checker, Visit
 from gsvis.abr.classes import FieldOfView
-from gsvis.stream import Sender, StreamedScene
+from gsvis.stream import Receiver, Sender, StreamedScene
 from gsvis.stream.batch import Sections
 from tests.stream.worlds import package_of
 
@@ -17,15 +19,20 @@ def visited(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """A check of a package, and what a viewer who walks has received."""
     folder = tmp_path_factory.mktemp("visited") / "s.gsvis"
     with package_of(folder, 1500, request.param, stores=False) as package:
-        scene = StreamedScene.open(package)
-        sender, visit = Sender(scene, FieldOfView.of_degrees(80, 60, margin=8)), Visit(scene.header)
-        for k in range(40):
-            sender.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
-            message = sender.next_message(k / 10, 3000.0)
-            if message is not None:
-                visit.batches.append(message.data)
-                sender.on_ack(k / 10 + 0.05, len(visit.batches))
+        visit = visit_of(StreamedScene.open(package))
     return Checker(folder), visit
+
+
+def visit_of(scene: StreamedScene) -> Visit:
+    """What a viewer who walks receives."""
+    sender, visit = Sender(scene, FieldOfView.of_degrees(80, 60, margin=8)), Visit(scene.header)
+    for k in range(40):
+        sender.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
+        message = sender.next_message(k / 10, 3000.0)
+        if message is not None:
+            visit.batches.append(message.data)
+            sender.on_ack(k / 10 + 0.05, len(visit.batches))
+    return visit
 
 
 def test_what_is_right_is_right(visited: tuple[Checker, Visit]) -> None:
@@ -42,7 +49,7 @@ def test_a_byte_that_differs_is_counted(visited: tuple[Checker, Visit]) -> None:
     rng, caught = np.random.default_rng(3), 0
     for _ in range(20):
         k = int(rng.integers(len(visit.batches)))
-        about = checker._scene.about
+        about = Receiver(visit.welcome).about
         sections = Sections.parse(visit.batches[k], about)
         if not len(sections.records):
             continue
@@ -63,3 +70,25 @@ def test_what_is_missing_or_comes_twice_is_refused(visited: tuple[Checker, Visit
     other = visit.welcome.replace(b'"gaussians":1500', b'"gaussians":1499')
     assert other != visit.welcome
     assert checker.check(Visit(other, visit.batches))["wrong"] + checker.check(Visit(other, visit.batches))["refused"]
+
+
+@pytest.mark.parametrize("kind", ["owners", "rows"])
+def test_what_the_server_builds_wrong_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:  # fmt: skip
+    build = StreamedScene.__init__
+
+    def wrong(self: StreamedScene, *args: object, **options: object) -> None:
+        build(self, *args, **options)  # type: ignore[arg-type]
+        if kind == "rows":
+            assert self.chunk_rows["last_level"].any()
+            self.chunk_rows["last_level"] = 0  # which no picture shows
+            self.chunk_rows["first_level"] = 0
+        else:
+            owners = np.unique(self.owners)
+            self.owners = owners[np.maximum(np.searchsorted(owners, self.owners) - 1, 0)].astype(np.int32)
+
+    monkeypatch.setattr(StreamedScene, "__init__", wrong)
+    with package_of(tmp_path / "s.gsvis", 1500, "rgb", stores=False) as package:
+        visit = visit_of(StreamedScene.open(package))
+    assert Checker(tmp_path / "s.gsvis").check(visit)["wrong"] > 0

@@ -195,6 +195,30 @@ def test_an_address_has_so_many_streams(plain: Path) -> None:
         assert server.metrics.refused.value("address-full") == 1
 
 
+def test_a_class_behind_one_address_comes_back_after_an_outage(plain: Path) -> None:
+    with serving(plain, limits=limits_of(connections=8)) as server, ExitStack() as stack:
+        dead = [stack.enter_context(raw(server)) for _ in range(8)]
+        for ws in dead:
+            assert heard(ws)[0] == 129
+        with raw(server, b"") as early:
+            assert ServerFault.parse(heard(early)).code == FAULTS["too-many"]
+        server.clock.advance(5.1)  # type: ignore[attr-defined]
+        place, source = ("127.0.0.1", server.port), ("127.0.0.9", 0)
+        with socket.create_connection(place, PATIENCE, source_address=source) as stranger:  # who takes nobody's seat
+            stranger.sendall(UPGRADE + b"\r\n" + frame(Hello(VIEW).to_bytes()))
+            until(lambda: server.metrics.refused.value("too-many") == 2)
+        dead[0].send(pose())  # lives
+        until(lambda: server.metrics.received.value("PoseAt") == 1)
+        for _ in range(7):
+            assert heard(stack.enter_context(raw(server)))[0] == 129
+        assert server.metrics.clients.value() == 8
+        with raw(server, b"") as one_more:
+            assert ServerFault.parse(heard(one_more)).code == FAULTS["too-many"]
+        assert dead[0].ping().wait(PATIENCE)
+        for ws in dead[1:]:
+            assert ServerFault.parse(heard(ws)).code == FAULTS["late"]
+
+
 def test_connections_without_hello_take_no_seat(plain: Path) -> None:
     with serving(plain, limits=limits_of(connections=3, per_address=30, waiting=30)) as server, ExitStack() as stack:
         for _ in range(20):

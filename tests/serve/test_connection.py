@@ -156,3 +156,20 @@ def test_no_batch_exceeds_its_limit_and_the_pace_is_kept(plain: Path) -> None:
     assert connection.reason == "left"
     assert max(len(data) for data in peer.sent[1:]) <= 1.1 * 5000
     assert metrics.batches.value() == len(peer.sent) - 1
+
+
+@pytest.mark.parametrize("room", [True, False])
+def test_one_that_gives_way_ends_whether_or_not_its_socket_has_room(plain: Path, room: bool) -> None:
+    peer = FakePeer(Hello(VIEW).to_bytes(), pose(), room=room)
+
+    async def passing(connection: Connection, clock: ManualClock) -> None:
+        await peer.is_silent.wait()
+        clock.advance(7.0)
+        assert connection.silent_s == 7.0
+        connection.give_way()
+        if not room:
+            await past_the_farewell(connection, clock)
+
+    connection, metrics, _ = served_to(plain, peer, limits_of(), passing)
+    assert (connection.reason, metrics.closed.value("late")) == ("late", 1)
+    assert (peer.closed, peer.aborted) == (("late", False) if room else ("", True))

@@ -176,6 +176,7 @@ def test_addresses_of_the_index_lead_to_what_they_name_without_a_proxy(plain: Pa
         (row,) = json.loads(ask(server, "/")[2])["scenes"]
         assert ask(server, urljoin("/", row["manifest"]))[0] == 200
         assert urljoin(server.url, row["stream"]) == f"{server.url}/plain"
+        assert ask(server, "/healthz/")[0] == 404  # a redirect would name the server without the prefix
 
 
 def test_the_unit_starts_a_command_that_there_is() -> None:
@@ -197,3 +198,38 @@ def test_the_readme_speaks_of_what_is_there() -> None:
     for line in ("proxy_set_header Host $http_host", "proxy_read_timeout"):
         assert line in text
         assert line in config
+
+
+STUBS = {
+    "python3": 'test "$1 $2" = "-m venv" && mkdir -p "$3/bin" && ln -s /bin/true "$3/bin/pip"',
+    "systemctl": "true",
+    "nginx": "true",
+    "openssl": "echo 0123abcd",
+}
+
+
+def test_the_commands_of_the_readme_work_on_a_fresh_machine(tmp_path: Path) -> None:
+    root, work, stubs = tmp_path / "root", tmp_path / "work", tmp_path / "stubs"
+    for folder in ("opt", "srv", "etc/systemd/system", "etc/nginx/sites-available", "etc/nginx/sites-enabled"):
+        (root / folder).mkdir(parents=True)  # Debian with systemd and nginx has them
+    (work / "scene.gsvis" / "parts").mkdir(parents=True)
+    (work / "scene.gsvis" / "manifest.json").write_text("{}")
+    for name in ("nginx.conf", "gsvis.service"):
+        shutil.copy(DEPLOY / name, work)
+    stubs.mkdir()
+    for name, line in STUBS.items():
+        (stubs / name).write_text(f"#!/bin/sh\n{line}\n")
+        (stubs / name).chmod(0o755)
+    block = (DEPLOY / "README.md").read_text().partition("```sh\n")[2].partition("```")[0]
+    script = re.sub(r"(?<= )/(?=opt/|srv/|etc/)", f"{root}/", block)
+    done = subprocess.run(
+        ["sh", "-eux"], input=script, cwd=work, env={"PATH": f"{stubs}:/usr/bin:/bin"}, text=True, capture_output=True,
+        timeout=GUARD_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert (root / "srv/gsvis/scene.gsvis/manifest.json").is_file()
+    assert (root / "etc/gsvis/serve.env").read_text() == "GSVIS_TOKEN=0123abcd\n"
+    assert (root / "etc/gsvis/serve.env").stat().st_mode & 0o777 == 0o600
+    for path in ("etc/systemd/system/gsvis.service", "etc/nginx/sites-enabled/gsvis"):
+        assert "your-name.example" in (root / path).read_text()
+        assert "scenes.example.org" not in (root / path).read_text()

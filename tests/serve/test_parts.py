@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
 import shutil
 from pathlib import Path
 
@@ -112,6 +114,46 @@ def test_what_is_damaged_or_a_link_does_not_go_out_and_the_rest_does(plain: Path
         assert [row["state"] for row in json.loads(ask(server, "/")[2])["scenes"]] == ["ready", "refused"]
         assert json.loads(ask(server, "/healthz")[2])["refused"] == 1
         assert patient(server.url, plain)[0].connections == 1
+
+
+@pytest.mark.parametrize(("number", "status"), [(errno.EMFILE, 503), (errno.ENOMEM, 503), (errno.EIO, 500)])
+def test_a_file_that_cannot_be_read_costs_one_line(
+    plain: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, number: int, status: int
+) -> None:
+    part = next((plain / "parts").iterdir()).name
+
+    def unread(*_: object) -> bytes:
+        raise OSError(number, "no luck", str(plain))
+
+    with caplog.at_level(logging.INFO), serving(plain) as server:
+        monkeypatch.setattr("gsvis.serve.parts.read_whole", unread)
+        for path in (f"/packages/plain/parts/{part}", "/packages/plain/manifest.json"):
+            caplog.clear()
+            found, _, body = ask(server, path)
+            assert (found, str(plain).encode() in body) == (status, False)
+            lines = [record for record in caplog.records if record.levelno >= logging.WARNING]
+            assert [("no luck" in record.getMessage(), record.exc_info) for record in lines] == [(True, None)]
+        assert server.metrics.parts.value(str(status)) == 2
+        assert server.metrics.faults.value("plain") == (0 if status == 503 else 2)
+        monkeypatch.undo()
+        assert ask(server, f"/packages/plain/parts/{part}")[0] == 200
+
+
+def test_a_request_that_fails_costs_one_line(
+    plain: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("the inside of it")
+
+    monkeypatch.setattr("gsvis.serve.app._App.admits", broken)
+    upgrade = {"Upgrade": "websocket", "Sec-WebSocket-Key": "A" * 22 + "==", "Sec-WebSocket-Version": "13"}
+    with caplog.at_level(logging.INFO), serving(plain) as server:
+        for path, headers in (("/metrics", {}), ("/stream", upgrade)):
+            caplog.clear()
+            status, _, body = ask(server, path, **{"Connection": "Upgrade"} if headers else {}, **headers)
+            assert (status >= 400, b"inside" in body) == (True, False)
+            lines = [record for record in caplog.records if record.levelno >= logging.WARNING]
+            assert [("the inside" in record.getMessage(), record.exc_info) for record in lines] == [(True, None)]
 
 
 def test_with_a_token_all_but_health_wants_it(plain: Path) -> None:

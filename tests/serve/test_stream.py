@@ -11,6 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.asyncio.server import ServerConnection
+from websockets.asyncio.server import serve as websocket_server
+from websockets.protocol import State
 
 from gsvis.errors import ProtocolError
 from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, fetch, open_scenes
@@ -241,3 +244,72 @@ def test_the_clock_of_a_client_may_turn_over() -> None:
     start = (1 << 32) - 500
     times = [clock.at(50.0 + k / 10, (start + 100 * k) % (1 << 32)) for k in range(20)]
     np.testing.assert_allclose(np.diff(times), 0.1, atol=1e-3)
+
+
+def test_a_server_that_says_nothing_is_left(plain: Path) -> None:
+    async def both() -> None:
+        clock, again = ManualClock(), asyncio.Event()
+
+        async def silent(ws: ServerConnection) -> None:
+            await ws.recv()  # HELLO
+            while ws.state is State.OPEN and not again.is_set():
+                clock.advance(1.0)
+                await asyncio.sleep(0.01)
+            again.set()
+
+        async with websocket_server(silent, "127.0.0.1", 0) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            client = StreamClient(f"ws://127.0.0.1:{port}", VIEW, ClientConfig(give_up_s=1e9), clock=clock)
+            running = asyncio.create_task(client.run(still))
+            await asyncio.wait({running, asyncio.create_task(again.wait())}, return_when=asyncio.FIRST_COMPLETED)
+            assert not running.done()
+            client.stop()
+            await running
+
+    asyncio.run(asyncio.wait_for(both(), PATIENCE))
+
+
+def test_a_client_waits_for_a_seat_for_longer_than_dead_seats_are_kept(plain: Path) -> None:
+    limits = limits_of(connections=1)
+
+    async def wait_for_it(server: Server, leave: Callable[[], object]) -> None:
+        async def refused(count: int) -> None:
+            while server.metrics.refused.value("too-many") < count and not running.done():
+                await asyncio.sleep(0.01)
+
+        clock = ManualClock()
+        client = StreamClient(server.url, VIEW, ClientConfig(longest_wait_s=0.02), clock=clock)
+        running = asyncio.create_task(client.run(still))
+        await refused(2)
+        clock.advance(limits.idle_s + 10.0)
+        await refused(6)
+        assert not running.done()
+        leave()
+        while not client.connections and not running.done():
+            await asyncio.sleep(0.01)
+        client.stop()
+        await running
+        assert client.connections == 1
+
+    with serving(plain, limits=limits) as server, raw(server) as other:
+        assert heard(other)[0] == 129
+        asyncio.run(asyncio.wait_for(wait_for_it(server, other.close), PATIENCE))
+
+
+def test_a_scene_too_large_for_the_client_names_what_to_raise(plain: Path) -> None:
+    with serving(plain) as server:
+        with pytest.raises(ProtocolError, match=r"raise scene_bytes of ClientConfig"):
+            after_one_batch(server.url, ClientConfig(scene_bytes=100))
+        assert after_one_batch(server.url, ClientConfig(scene_bytes=1_000_000)).connections == 1
+    with pytest.raises(ValueError, match="scene_bytes"):
+        ClientConfig(scene_bytes=0)
+
+
+def test_an_origin_that_is_none_is_turned_away_without_a_traceback(
+    plain: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    upgrade = {"Upgrade": "websocket", "Sec-WebSocket-Key": "A" * 22 + "==", "Sec-WebSocket-Version": "13"}
+    with caplog.at_level(logging.INFO), serving(plain) as server:
+        assert ask(server, "/stream", Connection="Upgrade", Origin="http://[", **upgrade)[0] == 403
+        assert server.metrics.refused.value("origin") == 1
+        assert not any(record.exc_info or "Traceback" in record.getMessage() for record in caplog.records)
