@@ -287,6 +287,13 @@ async def reconnect_storm(line: Line, target: Target, rng: np.random.Generator) 
     line.close(reset=True)
 
 
+async def reset_when_answered(line: Line, target: Target, rng: np.random.Generator) -> None:
+    await line.say(HEALTH + b"\r\n")
+    await line.reader.readuntil(b"\r\n\r\n")
+    await line.reader.readuntil(b"}")
+    line.close(reset=True)
+
+
 async def silent(line: Line, target: Target, rng: np.random.Generator) -> None:
     await line.hold()
 
@@ -317,6 +324,7 @@ CROWD: dict[Kind, tuple[int, float]] = {
     bad_holdings: (4, 0.5), flood: (2, 2.0), huge_frame: (4, 1.0), fragments: (2, 1.0), unread_pings: (2, 2.0),
     traversal: (4, 0.2), never_acks: (6, 1.0), never_reads: (4, 1.0), reconnect_storm: (4, 0.2), silent: (40, 0.5),
     silent_socket: (16, 0.5), smuggled: (4, 0.5), half_closed: (8, 0.5),
+    reset_when_answered: (4, 0.2),
 }  # fmt: skip
 """How many of each kind at once, and the seconds between two attempts of one."""
 

@@ -12,15 +12,13 @@ import errno
 import logging
 import socket
 import ssl
+import sys
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from gsvis.serve._addresses import Proxies, owner_of
-from gsvis.serve._guard import Guard, Phase
-from gsvis.serve._log import EventLog
-from gsvis.serve.clock import Clock
-from gsvis.serve.limits import Limits
+from gsvis.serve._addresses import Proxies
+from gsvis.serve._guard import Guard, Means, Phase
 
 __all__ = ["Door"]
 
@@ -37,9 +35,7 @@ class Door:
 
     Args:
         listener: A listening socket that does not block.
-        limits: Bounds.
-        clock: Where deadlines come from.
-        log: Where to say what happened.
+        means: What its guards share.
         inner: Makes the protocol that answers the requests of a connection.
         proxies: Whom to believe about addresses; their own are not counted.
         tls: None for plain connections.
@@ -51,14 +47,12 @@ class Door:
     def __init__(
         self,
         listener: socket.socket,
-        limits: Limits,
-        clock: Clock,
-        log: EventLog,
+        means: Means,
         inner: Callable[[], Any],
         proxies: Proxies,
         tls: ssl.SSLContext | None = None,
     ) -> None:
-        self._listener, self._limits, self._clock, self._log = listener, limits, clock, log
+        self._listener, self._means, self._limits, self._log = listener, means, means.limits, means.log
         self._inner, self._proxies, self._tls = inner, proxies, tls
         self.guards: set[Guard] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -99,7 +93,9 @@ class Door:
 
     def _make_do(self, error: OSError) -> None:
         """Say that a connection could not be accepted, and make room if that was the reason."""
-        now = self._clock.now()
+        name = errno.errorcode.get(error.errno or 0, "other")
+        self._means.metrics.accept_failures.add(of=name)
+        now = self._means.clock.now()
         if now - self._said >= _QUIET_S:
             self._said = now
             self._log("accept-failed", logging.ERROR, why=str(error), connections=len(self.guards))
@@ -108,7 +104,7 @@ class Door:
 
     def _take(self, sock: socket.socket, peer: tuple[str, int]) -> None:
         sock.setblocking(False)
-        guard = Guard(sock, peer, self._limits, self._clock, self._log, self._inner, self._place, self._forget)
+        guard = Guard(sock, peer, self._means, self._inner, self._place, self._forget)
         self.guards.add(guard)
         self._crowd(guard)
         task = asyncio.create_task(self._begin(guard, sock))
@@ -119,10 +115,14 @@ class Door:
         options: dict[str, Any] = {}
         if self._tls is not None:
             options = {"ssl": self._tls, "ssl_handshake_timeout": _NEVER}
+            if sys.version_info >= (3, 11):  # before, there is no such time-out
+                options["ssl_shutdown_timeout"] = _NEVER
         try:
             await asyncio.get_running_loop().connect_accepted_socket(lambda: guard, sock, **options)
         except OSError as error:  # no handshake; the connection is closed by now
-            self._log("cut", logging.INFO, reason="no TLS", peer=str(guard), why=type(error).__name__)
+            if not guard.is_cut:
+                self._means.metrics.cut.add(of="no TLS")
+                self._log("cut", logging.INFO, reason="no TLS", peer=str(guard), why=type(error).__name__)
             guard.end()
         except asyncio.CancelledError:
             guard.end()
@@ -141,24 +141,24 @@ class Door:
         """Keep to the limits: somebody gives way to the newcomer."""
         waiting = self._waiting()
         if newcomer.address not in self._proxies:
-            owner = owner_of(newcomer.address)
-            same = [guard for guard in waiting if owner_of(guard.address) == owner]
+            same = [guard for guard in waiting if guard.owner == newcomer.owner]
             if len(same) > self._limits.most_per_address:
-                self._make_room(same)
+                self._make_room([guard for guard in same if guard is not newcomer])
                 waiting = self._waiting()
         if len(waiting) > self._limits.most_waiting:
-            self._make_room(waiting)
+            self._make_room([guard for guard in waiting if guard is not newcomer])
 
     def _make_room(self, among: list[Guard]) -> None:
         """Cut the one that can best be spared."""
         if not among:
             return
-        held = Counter(owner_of(guard.address) for guard in among)
+        held = Counter(guard.owner for guard in among)
         last = min(
             among,
             key=lambda guard: (
                 guard.phase is Phase.ANSWERING and not guard.is_full,
-                -held[owner_of(guard.address)],
+                -held[guard.owner],
+                guard.unsent > 0,
                 guard.phase is not Phase.ENDING,
                 guard.since,
             ),

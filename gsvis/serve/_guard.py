@@ -4,7 +4,7 @@ Whatever a peer does, a connection is in one phase, and each phase ends: by prog
 
     ASKING     no whole request yet; also the TLS handshake           handshake_s
     ANSWERING  a request is being answered                            as long as the answer is read
-    IDLE       between requests, until the next one is whole          keep_alive_s
+    IDLE       between requests, until the next one is whole          keep_alive_s, once the answer is out
     GREETING   a WebSocket before its HELLO                           handshake_s, kept by `Connection`
     STREAMING  a viewer                                               kept by `Connection`
     ENDING     closed by us, or refused; what is left is being sent   stall_s
@@ -22,20 +22,25 @@ import itertools
 import logging
 import socket
 import struct
+import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, Protocol
 
+from gsvis.serve._addresses import owner_of
 from gsvis.serve._head import MOST_BYTES, Refusal, check_head, find_end
 from gsvis.serve._log import EventLog
 from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits
+from gsvis.serve.metrics import Metrics
 
-__all__ = ["Guard", "Phase", "Wire"]
+__all__ = ["Guard", "Means", "Phase", "Wire"]
 
 _AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
-_MOST_PENDING = 1 << 20  # bytes of answers to pings that nobody reads
+_MOST_PENDING = 1 << 20  # bytes that wait for a viewer, answers to pings among them; or four batches
 _PACE = 1 << 10  # bytes that a peer takes in `stall_s`, at least
+_LOOK_S = 1.0  # between two looks whether an answer is out
 
 _numbers = itertools.count()
 
@@ -49,6 +54,23 @@ class Phase(enum.Enum):
     GREETING = "greeting"
     STREAMING = "streaming"
     ENDING = "ending"
+
+
+@dataclass(frozen=True)
+class Means:
+    """What all guards of a server share.
+
+    Attributes:
+        limits: Bounds.
+        clock: Where deadlines come from.
+        log: Where to say what happened.
+        metrics: Where to count it.
+    """
+
+    limits: Limits
+    clock: Clock
+    log: EventLog
+    metrics: Metrics
 
 
 class _Inner(Protocol):
@@ -90,9 +112,7 @@ class Guard(asyncio.Protocol):
     Args:
         sock: The socket, as it was accepted.
         peer: Address of the other end.
-        limits: Bounds.
-        clock: Where deadlines come from.
-        log: Where to say what happened.
+        means: What all guards share.
         inner: Makes the protocol that answers requests.
         seen: Called when the guard's address is to be found in the headers of a request; returns it.
         gone: Called once, when the connection has ended.
@@ -101,6 +121,7 @@ class Guard(asyncio.Protocol):
         phase: What it does.
         since: Rises with each change of phase; the smallest has waited longest.
         address: Of whoever is behind it.
+        owner: What counts as one address with it.
         is_cut: Whether it has been cut; the transport reports its end a little later.
     """
 
@@ -108,16 +129,15 @@ class Guard(asyncio.Protocol):
         self,
         sock: socket.socket,
         peer: tuple[str, int],
-        limits: Limits,
-        clock: Clock,
-        log: EventLog,
+        means: Means,
         inner: Callable[[], Any],
         seen: Callable[[str, list[str]], str],
         gone: Callable[[Guard], object],
     ) -> None:  # fmt: skip
-        self._sock, self.peer, self._limits, self._clock, self._log = sock, peer, limits, clock, log
+        self._sock, self.peer, self._limits, self._clock = sock, peer, means.limits, means.clock
+        self._log, self._metrics = means.log, means.metrics
         self._make, self._seen, self._gone = inner, seen, gone
-        self.address, self.is_cut = peer[0], False
+        self.address, self.owner, self.is_cut = peer[0], owner_of(peer[0]), False
         self._transport: Any = None
         self._inner: _Inner | None = None
         self._buffer, self._seen_bytes = bytearray(), 0
@@ -125,7 +145,7 @@ class Guard(asyncio.Protocol):
         self._room: Timer | None = None
         self._is_over = self._is_upgraded = False
         self._left = 0  # bytes that waited to be sent at the last look, while it ends
-        self._enter(Phase.ASKING, limits.handshake_s)
+        self._enter(Phase.ASKING, self._limits.handshake_s)
 
     def __str__(self) -> str:
         return f"{self.peer[0]}:{self.peer[1]}"
@@ -134,6 +154,20 @@ class Guard(asyncio.Protocol):
     def is_full(self) -> bool:
         """Whether the socket has no room."""
         return self._room is not None
+
+    @property
+    def unsent(self) -> int:
+        """Bytes that wait for room in the socket."""
+        if self._transport is None:
+            return 0
+        tls = getattr(self._transport, "_ssl_protocol", None)
+        below = getattr(tls, "_transport", None)
+        if tls is not None and below is None:  # its end is about to be reported
+            return 0
+        waiting = int(self._transport.get_write_buffer_size())
+        if below is not None and sys.version_info >= (3, 11):  # TLS counts only what it has not handed down
+            waiting += int(below.get_write_buffer_size())
+        return waiting
 
     # from the transport
 
@@ -188,9 +222,10 @@ class Guard(asyncio.Protocol):
 
     def answered(self) -> None:
         """The answer to a request is out, or waits in the buffer of the socket."""
-        if self.phase is not Phase.ANSWERING:
+        if self._is_over or self.phase is not Phase.ANSWERING:
             return
-        self._enter(Phase.IDLE, self._limits.keep_alive_s)
+        self._enter(Phase.IDLE)
+        self._rest()
         self._transport.resume_reading()
         if self._buffer:
             asyncio.get_running_loop().call_soon(self._go_on)
@@ -213,26 +248,27 @@ class Guard(asyncio.Protocol):
     def close(self) -> None:
         """End the connection once all has been sent, at the latest after `stall_s`."""
         self.finish()
-        if self._transport is not None:
+        if self._transport is not None and not self._transport.is_closing():  # a second close of TLS cannot be aborted
             self._transport.close()
 
     def finish(self) -> None:
         """The last has been said; the other side has `stall_s` to take it and to agree."""
-        if self.phase is not Phase.ENDING:
-            self._left = self._unsent()
+        if not self._is_over and self.phase is not Phase.ENDING:
+            self._left = self.unsent
             self._enter(Phase.ENDING, self._limits.stall_s)
 
     def cut(self, reason: str = "", level: int = logging.WARNING) -> None:
         """End the connection now and forget what waits to be sent, in the kernel, too.
 
         Args:
-            reason: For the log; "" logs nothing.
+            reason: For the log and the metrics; "" logs and counts nothing.
             level: Of the line.
         """
         if self._is_over or self.is_cut:
             return
         self.is_cut = True
         if reason:
+            self._metrics.cut.add(of=reason)
             self._log("cut", level, reason=reason, peer=str(self), phase=self.phase.value)
         with suppress(OSError):
             self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
@@ -273,21 +309,37 @@ class Guard(asyncio.Protocol):
             self._deadline.cancel()
         self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
 
+    def _rest(self) -> None:
+        """Start the deadline of the next request once the answer is out; until then the peer takes it at a pace."""
+        left, end = self.unsent, self._clock.now() + self._limits.stall_s
+
+        def look() -> None:
+            unsent = self.unsent
+            if unsent > 0 and self._clock.now() < end:
+                self._deadline = self._clock.call_later(wait, look)
+            elif unsent > 0 and left - unsent < _PACE:
+                self.cut("does not read")
+            else:
+                self._rest()
+
+        wait = min(_LOOK_S, self._limits.stall_s)
+        if left:
+            self._deadline = self._clock.call_later(wait, look)
+        else:
+            self._enter(Phase.IDLE, self._limits.keep_alive_s)
+
     def _too_late(self) -> None:
         if self.phase is Phase.IDLE and not self._buffer:
             self.close()  # nothing is wrong: it just has no further request
             return
         if self.phase is Phase.ENDING:
-            left, self._left = self._left, self._unsent()
+            left, self._left = self._left, self.unsent
             if left - self._left >= _PACE:  # it takes what is left
                 self._enter(Phase.ENDING, self._limits.stall_s)
                 return
             self.cut("does not read" if self._left else "does not end", logging.INFO)
             return
         self.cut("no request in time", logging.INFO)
-
-    def _unsent(self) -> int:
-        return 0 if self._transport is None else int(self._transport.get_write_buffer_size())
 
     def _take_request(self) -> None:
         while self._buffer.startswith(b"\r\n"):  # allowed between requests
@@ -306,7 +358,9 @@ class Guard(asyncio.Protocol):
             self._refuse(head)
             return
         del self._buffer[:end]
-        self.address = self._seen(self.peer[0], [value for name, value in head.headers if name == "x-forwarded-for"])
+        address = self._seen(self.peer[0], [value for name, value in head.headers if name == "x-forwarded-for"])
+        if address != self.address:
+            self.address, self.owner = address, owner_of(address)
         self._enter(Phase.ANSWERING)
         self._hand_over(raw)
         if self._is_upgraded and self._buffer:
@@ -320,14 +374,16 @@ class Guard(asyncio.Protocol):
         try:
             inner.data_received(data)
         except Exception as error:  # a parser that stumbles costs its own connection
+            self._metrics.cut.add(of="failed")
             self._log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
             self.cut()
             return
-        if self._is_upgraded and self._unsent() > _MOST_PENDING:
+        if self._is_upgraded and self.unsent > max(_MOST_PENDING, 4 * self._limits.batch_bytes):
             self.cut("pings and does not read")
 
     def _refuse(self, refusal: Refusal) -> None:
         """Answer without bothering anybody else, and read no more than the other side still sends."""
+        self._metrics.refused.add(of=str(refusal.status))
         self._log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
         body = f"{refusal.line}\n".encode()
         phrase = http.HTTPStatus(refusal.status).phrase
@@ -345,10 +401,10 @@ class Guard(asyncio.Protocol):
 
     def _watch_room(self) -> None:
         """Look whether the peer reads: `_PACE` bytes in `stall_s`, or all."""
-        waiting = self._unsent()
+        waiting = self.unsent
 
         def look() -> None:
-            now = self._unsent()
+            now = self.unsent
             if now > 0 and waiting - now < _PACE:
                 self.cut("does not read")
             else:

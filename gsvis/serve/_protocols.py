@@ -28,6 +28,7 @@ class Plain(H11Protocol):
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
+        self._unset_keepalive_if_required()  # the guard has the deadline; this one outlives a reset connection
         guard: Guard = self.transport.guard  # type: ignore[attr-defined]
         guard.answered()
 

@@ -112,7 +112,10 @@ class Metrics:
         clients: Streaming now.
         opened: Connections that became clients, by scene.
         closed: Clients that went or were sent away, by reason.
-        refused: Requests that were turned away before they became clients, by reason.
+        refused: Requests that were turned away before they became clients, by reason; those that no application
+            saw by their HTTP status.
+        cut: Connections that were cut, by reason; a viewer that is told why counts in `closed`.
+        accept_failures: Connections that could not be accepted, by the name of the error.
         sent_bytes: Bytes of batches.
         batches: Batches.
         gaussians: Gaussians in them.
@@ -133,6 +136,8 @@ class Metrics:
         self.opened = Counter(r, "gsvis_clients_opened_total", "Clients that began to stream.", "scene")
         self.closed = Counter(r, "gsvis_clients_closed_total", "Clients that went or were sent away.", "reason")
         self.refused = Counter(r, "gsvis_refused_total", "Requests that were turned away.", "reason")
+        self.cut = Counter(r, "gsvis_cut_total", "Connections that were cut.", "reason")
+        self.accept_failures = Counter(r, "gsvis_accept_failures_total", "Connections not accepted.", "error")
         self.sent_bytes = Counter(r, "gsvis_sent_bytes_total", "Bytes of batches.")
         self.batches = Counter(r, "gsvis_batches_total", "Batches.")
         self.gaussians = Counter(r, "gsvis_sent_gaussians_total", "Gaussians in batches.")

@@ -19,6 +19,7 @@ import uvicorn
 from gsvis import _check
 from gsvis.serve._addresses import Proxies
 from gsvis.serve._door import Door
+from gsvis.serve._guard import Means
 from gsvis.serve._head import MOST_BYTES
 from gsvis.serve._log import EventLog
 from gsvis.serve._protocols import Plain, Socket
@@ -111,7 +112,8 @@ class Server:
 
     def _open_door(self, inner: Callable[[], Any], tls: ssl.SSLContext | None) -> Door:
         proxies = Proxies(self.config.proxies)
-        return Door(self._socket, self.config.limits, self.clock, self._log, inner, proxies, tls)
+        means = Means(self.config.limits, self.clock, self._log, self.metrics)
+        return Door(self._socket, means, inner, proxies, tls)
 
     @property
     def url(self) -> str:
@@ -136,7 +138,7 @@ class Server:
         watching = asyncio.create_task(self._watch_lateness())
         asyncio.get_running_loop().set_exception_handler(self._note)
         try:
-            with _few_lines():
+            with _few_lines(self.clock):
                 await self._server.serve()
         finally:
             watching.cancel()
@@ -241,20 +243,22 @@ def _settings(app: Any, address: Address, message_bytes: int) -> uvicorn.Config:
 
 
 class _Few(logging.Filter):
-    """Lets so many lines a second pass."""
+    """Lets so many lines a second pass, from any thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
         super().__init__()
+        self._clock, self._lock = clock, threading.Lock()
         self._bucket = RateBucket(_LINES_PER_S, 10.0 * _LINES_PER_S)
 
     def filter(self, record: logging.LogRecord) -> bool:
-        return self._bucket.take(record.created)
+        with self._lock:
+            return self._bucket.take(self._clock.now())
 
 
 @contextmanager
-def _few_lines() -> Iterator[None]:
+def _few_lines(clock: Clock) -> Iterator[None]:
     """Limit the lines of the loggers beside ours; peers can make both talk."""
-    filters = [(logging.getLogger(name), _Few()) for name in ("asyncio", "uvicorn.error")]
+    filters = [(logging.getLogger(name), _Few(clock)) for name in ("asyncio", "uvicorn.error")]
     for logger, few in filters:
         logger.addFilter(few)
     try:

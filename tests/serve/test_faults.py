@@ -269,6 +269,7 @@ def test_one_that_asks_for_files_and_never_reads_is_cut(plain: Path) -> None:
             until(lambda: any(guard.is_full for guard in list(server._server._door.guards)))
             advance_until(server, lambda: _is_reset(found), 10.0)
         assert server.metrics.parts.value("200") < 200
+        assert server.metrics.cut.value("does not read") == 1
 
 
 def _is_reset(one: socket.socket) -> bool:
@@ -282,6 +283,7 @@ def test_one_that_says_nothing_is_cut(plain: Path) -> None:
             until(lambda: phases(server) == ["asking", "asking"])
             advance_until(server, lambda: phases(server) == [])
             assert rest_of(silent) == rest_of(slow) == b""
+            assert server.metrics.cut.value("no request in time") == 2
         with raw(server, b"") as ws:
             advance_until(server, lambda: server.metrics.refused.value("late") == 1)
             assert fault_of(ws).code == FAULTS["late"]

@@ -22,7 +22,8 @@ from tests.serve.servers import PATIENCE, VIEW, still
 from tests.stream.worlds import package_of
 
 LATE = 3.0
-"""Seconds from the begin after which the first batch ends the exchange, however long it takes to come."""
+"""Seconds from the begin after which the first batch ends the exchange: without one after all that the link did, a test
+hangs until `PATIENCE` ends it."""
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +75,6 @@ def check(client: StreamClient, came: np.ndarray, most: np.ndarray) -> None:
     gaussians, _ = client.receiver.scene()
     assert len(gaussians) == len(client.receiver.shown()) > 0
     assert (np.cumsum(came[:, 1]) <= most + 16_000).all()  # no link brings more than it carries, and its bucket
-    assert came[-1, 0] > LATE  # and after all that the link did, it still comes
 
 
 @pytest.mark.slow

@@ -1,0 +1,302 @@
+"""Guards and the door, each rule by itself: what is held, who gives way, what counts as unsent."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import ipaddress
+import socket
+import ssl
+import struct
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse
+
+from gsvis.serve import Limits, ManualClock, Server
+from gsvis.serve._addresses import Proxies
+from gsvis.serve._door import Door
+from gsvis.serve._guard import Guard, Means, Phase
+from gsvis.serve._log import EventLog
+from gsvis.serve.metrics import Metrics
+from tests.serve.certificates import certificate
+from tests.serve.servers import PATIENCE, advance_until, limits_of, phases, plain_socket, serving, until
+
+HEALTH = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
+LARGE = 12_000_000
+
+
+class FakeTransport:
+    """Sends what a test lets it send."""
+
+    def __init__(self, unsent: int = 0) -> None:
+        self.left, self.is_aborted = unsent, False
+
+    def get_write_buffer_size(self) -> int:
+        return self.left
+
+    def abort(self) -> None:
+        self.is_aborted = True
+
+    def resume_reading(self) -> None: ...
+
+
+class Silent:
+    """A protocol that answers nothing."""
+
+    def connection_made(self, transport: object) -> None: ...
+    def data_received(self, data: bytes) -> None: ...
+
+
+def house(limits: Limits) -> tuple[Door, Means]:
+    """A door that nobody has opened."""
+    means = Means(limits, ManualClock(), EventLog(), Metrics())
+    return Door(None, means, Silent, Proxies()), means  # type: ignore[arg-type]
+
+
+def guard_of(door: Door, means: Means, address: str, phase: Phase, unsent: int = 0) -> tuple[Guard, FakeTransport]:
+    """A guard behind a door, in a phase."""
+    sock = socket.socket()
+    sock.close()  # its options cannot be set, which a guard bears
+    guard, transport = Guard(sock, (address, 1), means, Silent, door._place, door._forget), FakeTransport(unsent)
+    guard.connection_made(transport)
+    door.guards.add(guard)
+    guard._enter(phase)
+    return guard, transport
+
+
+def run(test: Callable[[], None]) -> None:
+    """Run a function where there is an event loop."""
+
+    async def inside() -> None:
+        test()
+
+    asyncio.run(inside())
+
+
+def count_guards() -> int:
+    gc.collect()
+    return sum(type(thing) is Guard for thing in gc.get_objects())
+
+
+@pytest.mark.parametrize("is_reset", [True, False])
+def test_nothing_is_kept_of_a_connection_that_ends_after_its_answer(plain: Path, is_reset: bool) -> None:
+    before = count_guards()
+    with serving(plain) as server:
+        for _ in range(20):
+            with plain_socket(server) as found:
+                found.sendall(HEALTH)
+                answer = b""
+                while not answer.endswith(b"}"):
+                    answer += found.recv(1 << 16)
+                if is_reset:
+                    found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        until(lambda: phases(server) == [])
+        until(lambda: count_guards() <= before)
+
+
+def test_a_newcomer_costs_few_looks_at_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed: list[object] = []
+    parse = ipaddress.ip_address
+
+    def counted(text: Any) -> Any:
+        parsed.append(text)
+        return parse(text)
+
+    def test() -> None:
+        door, means = house(limits_of(waiting=200, per_address=200))
+        for k in range(200):
+            guard_of(door, means, f"2001:db8:0:{k:x}::1", Phase.IDLE)
+        monkeypatch.setattr(ipaddress, "ip_address", counted)
+        newcomer, _ = guard_of(door, means, "2001:db8:1::1", Phase.ASKING)
+        door._crowd(newcomer)
+        assert sum(guard.is_cut for guard in door.guards) == 1
+        assert 0 < len(parsed) < 5
+
+    run(test)
+
+
+def test_an_address_said_by_a_proxy_changes_the_owner() -> None:
+    def test() -> None:
+        limits = limits_of()
+        means = Means(limits, ManualClock(), EventLog(), Metrics())
+        door = Door(None, means, Silent, Proxies(("127.0.0.1",)))  # type: ignore[arg-type]
+        guard, _ = guard_of(door, means, "127.0.0.1", Phase.ASKING)
+        assert guard.owner == "127.0.0.1"
+        guard.data_received(HEALTH[:-2] + b"X-Forwarded-For: 2001:db8::7\r\n\r\n")
+        assert (guard.address, guard.owner) == ("2001:db8::7", "2001:db8::/64")
+
+    run(test)
+
+
+@pytest.mark.parametrize("limits", [limits_of(waiting=3, per_address=9), limits_of(waiting=9, per_address=3)])
+def test_a_newcomer_never_gives_way_to_itself(limits: Limits) -> None:
+    def test() -> None:
+        door, means = house(limits)
+        others = [guard_of(door, means, "10.0.0.1", Phase.ANSWERING)[0] for _ in range(3)]
+        newcomer, _ = guard_of(door, means, "10.0.0.1", Phase.ASKING)
+        door._crowd(newcomer)
+        assert [guard.is_cut for guard in (*others, newcomer)] == [True, False, False, False]
+        assert means.metrics.cut.value("gives way to others") == 1
+
+    run(test)
+
+
+@pytest.mark.parametrize("phase", [Phase.IDLE, Phase.ENDING])
+def test_an_idle_connection_gives_way_before_an_older_download(phase: Phase) -> None:
+    def test() -> None:
+        door, means = house(limits_of(waiting=2))
+        download, _ = guard_of(door, means, "10.0.0.1", phase, unsent=1000)
+        idle, _ = guard_of(door, means, "10.0.0.2", Phase.IDLE)
+        newcomer, _ = guard_of(door, means, "10.0.0.3", Phase.ASKING)
+        door._crowd(newcomer)
+        assert [guard.is_cut for guard in (download, idle, newcomer)] == [False, True, False]
+
+    run(test)
+
+
+def test_what_may_wait_for_a_viewer_follows_the_size_of_batches() -> None:
+    def test() -> None:
+        door, means = house(limits_of(batch_bytes=1 << 20))
+        guard, transport = guard_of(door, means, "10.0.0.1", Phase.STREAMING)
+        guard.upgrade(Silent())
+        for transport.left, is_cut in ((4 << 20, False), ((4 << 20) + 1, True)):
+            guard.data_received(b"a ping")
+            assert guard.is_cut == is_cut
+        small, transport = guard_of(*house(limits_of(batch_bytes=100)), "10.0.0.1", Phase.STREAMING)
+        small.upgrade(Silent())
+        transport.left = 1 << 20
+        small.data_received(b"a ping")
+        assert not small.is_cut
+
+    run(test)
+
+
+def test_nothing_waits_once_tls_has_lost_its_transport() -> None:
+    class Lost(FakeTransport):
+        class _ssl_protocol:  # noqa: N801
+            _transport = None
+
+        def get_write_buffer_size(self) -> int:
+            raise AttributeError
+
+    def test() -> None:
+        guard, _ = guard_of(*house(limits_of()), "10.0.0.1", Phase.IDLE)
+        guard._transport = Lost()
+        assert guard.unsent == 0
+
+    run(test)
+
+
+def test_the_deadline_of_the_next_request_starts_when_the_answer_is_out() -> None:
+    async def test() -> None:
+        door, means = house(limits_of(keep_alive_s=5.0, stall_s=10.0))
+        clock: Any = means.clock
+        guard, transport = guard_of(door, means, "10.0.0.1", Phase.ANSWERING, unsent=100_000)
+        guard.answered()
+
+        async def advance(seconds: float) -> None:
+            for _ in range(round(seconds / 0.5)):
+                clock.advance(0.5)
+                await asyncio.sleep(0)
+
+        for _ in range(5):
+            await advance(9.0)
+            transport.left -= 2000
+            assert (guard.phase, transport.is_aborted) == (Phase.IDLE, False)
+        transport.left = 0
+        await advance(5.0)
+        assert guard.phase is Phase.IDLE  # it is seen within a second, and then has 5
+        guard.data_received(b"G")
+        await advance(2.0)
+        assert transport.is_aborted
+        assert means.metrics.cut.value("no request in time") == 1
+
+    asyncio.run(test())
+
+
+def test_an_answer_that_nobody_reads_is_cut_though_it_is_complete() -> None:
+    async def test() -> None:
+        door, means = house(limits_of(keep_alive_s=500.0, stall_s=10.0))
+        clock: Any = means.clock
+        guard, transport = guard_of(door, means, "10.0.0.1", Phase.ANSWERING, unsent=5000)
+        guard.answered()
+        for _ in range(12):
+            assert not transport.is_aborted or clock.now() >= 10.0
+            clock.advance(1.0)
+            await asyncio.sleep(0)
+        assert transport.is_aborted
+        assert means.metrics.cut.value("does not read") == 1
+
+    asyncio.run(test())
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return certificate(tmp_path_factory.mktemp("tls"))
+
+
+@contextmanager
+def large_answer(server: Server, chain: Path | None, header: bytes = b"") -> Iterator[tuple[socket.socket, Guard]]:
+    """A connection whose large answer is complete for the application, and waits to be read."""
+    server._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)  # that of the connection, too
+    with socket.socket() as found:
+        found.settimeout(PATIENCE)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        found.connect(("127.0.0.1", server.port))
+        if chain is not None:
+            context = ssl.create_default_context(cafile=str(chain))
+            found = context.wrap_socket(found, server_hostname="127.0.0.1")
+        with found:
+            found.sendall(HEALTH[:-2] + header + b"\r\n")
+            until(lambda: phases(server) in (["idle"], ["ending"]))
+            (guard,) = server._server._door.guards
+            yield found, guard
+
+
+async def large(self: object, request: Request) -> PlainTextResponse:
+    return PlainTextResponse(b"x" * (LARGE - 1) + b"}")
+
+
+@pytest.mark.parametrize("header", [b"", b"Connection: close\r\n"])
+@pytest.mark.parametrize("is_safe", [True, False])
+def test_who_reads_a_large_answer_steadily_gets_all(
+    plain: Path, secured: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, header: bytes, is_safe: bool
+) -> None:
+    monkeypatch.setattr("gsvis.serve.app._App.health", large)
+    limits = limits_of(keep_alive_s=0.5, stall_s=1.0)
+    with serving(plain, limits=limits, tls=secured if is_safe else None) as server:
+        with large_answer(server, secured[0] if is_safe else None, header) as (found, guard):
+            if is_safe and sys.version_info >= (3, 11):  # the guard's deadlines are the only ones
+                assert guard._transport._ssl_protocol._ssl_shutdown_timeout >= 1e6
+            came, passed = found.recv(1 << 16), 0.0
+            while guard.unsent:
+                before = guard.unsent
+                while guard.unsent > max(before - 50_000, 0):
+                    piece = found.recv(1 << 16)
+                    assert piece, len(came)
+                    came += piece
+                if guard.unsent:
+                    server.clock.advance(0.4)  # type: ignore[attr-defined]
+                    passed += 0.4
+            assert passed > 2 * (limits.keep_alive_s + limits.stall_s)
+            while not came.endswith(b"}"):
+                came += found.recv(1 << 16)
+            assert len(came.partition(b"\r\n\r\n")[2]) == LARGE
+        advance_until(server, lambda: phases(server) == [])
+        assert server.metrics.cut.value("does not read") == server.metrics.cut.value("does not end") == 0
+
+
+@pytest.mark.parametrize("header", [b"", b"Connection: close\r\n"])
+def test_who_does_not_read_a_large_answer_is_cut_under_tls(
+    plain: Path, secured: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, header: bytes
+) -> None:
+    monkeypatch.setattr("gsvis.serve.app._App.health", large)
+    with serving(plain, tls=secured) as server, large_answer(server, secured[0], header):
+        advance_until(server, lambda: phases(server) == [])
+        assert server.metrics.cut.value("does not read") == 1
