@@ -19,6 +19,7 @@ from gsvis.progress import silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
+from gsvis.train._photo_files import FAULTS, quiet_pillow
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.levels import LevelsConfig, _subsets
 from gsvis.train.photos import load_photos
@@ -71,9 +72,11 @@ def change_picture(rng: Random, data: bytes) -> bytes:
     if way < 7:
         return change_bytes(rng, data)
     try:
-        with Image.open(io.BytesIO(data)) as image:
-            picture = image.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError):
+        with quiet_pillow(), Image.open(io.BytesIO(data)) as image:
+            picture = image.convert("RGB") if image.width * image.height <= 1 << 20 else None
+    except FAULTS:
+        picture = None
+    if picture is None:  # damaged before, or said to be too large
         return change_bytes(rng, data)
     if way == 7:
         sides = (1, 15, 16, picture.width // 2, picture.width - 1, 2 * picture.width, 400)
