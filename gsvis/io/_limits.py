@@ -101,6 +101,8 @@ def safe_name(path: str | os.PathLike[str], where: str, name: object) -> str:
 def inside(path: str | os.PathLike[str], where: str, folder: Path, name: str) -> Path:
     """Return the path of that name in a folder, unless links lead out of it; a link inside the folder is fine.
 
+    A folder in a cache of the Hugging Face hub, `CACHE/snapshots/REVISION/...`, may link into its own `CACHE/blobs`.
+
     Args:
         path: The file that holds the name, for the error message.
         where: The key or entry that holds it.
@@ -111,10 +113,18 @@ def inside(path: str | os.PathLike[str], where: str, folder: Path, name: str) ->
         FormatError: If links lead out of the folder. What they lead to is not looked at.
     """
     root = Path(os.path.realpath(folder))
-    if not Path(os.path.realpath(root / name)).is_relative_to(root):
-        remedy = "links out of the folder are not followed; copy the file into it"
+    found = Path(os.path.realpath(root / name))
+    if not any(found.is_relative_to(place) for place in (root, *_blobs_of(root))):
+        remedy = "copy the files, e.g. with cp -rL, or download to a plain folder; links out of it are not followed"
         raise FormatError(path, where, f"a file inside {folder}", "a link that leads out of it", remedy)
     return folder / name
+
+
+def _blobs_of(root: Path) -> list[Path]:
+    """Return the folder that holds the content of the snapshot that a real path is in, if it is in one."""
+    parts = root.parts
+    at = max((i for i, part in enumerate(parts[:-1]) if part == "snapshots"), default=-1)
+    return [Path(*parts[:at], "blobs")] if at > 0 else []
 
 
 _KINDS = {

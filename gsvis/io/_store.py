@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import Budget, check_regular, inside, read_whole, safe_name
+from gsvis.io._limits import Budget, inside, open_regular, read_whole, safe_name
 
 __all__ = ["FolderStore", "Store", "ZipStore"]
 
@@ -94,16 +94,20 @@ class ZipStore:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)
-        self.size = check_regular(path).st_size
+        self._file = open_regular(path)
         try:
-            self._zip = zipfile.ZipFile(path)
-        except _ZIP_FAULTS as error:
-            raise FormatError(path, "", "a zip archive", str(error), "is it truncated?") from error
-        try:
+            self.size = os.fstat(self._file.fileno()).st_size
+            self._zip = self._opened_zip()
             self._entries = self._safe_entries()
-        except FormatError:
-            self._zip.close()
+        except BaseException:
+            self._file.close()
             raise
+
+    def _opened_zip(self) -> zipfile.ZipFile:
+        try:
+            return zipfile.ZipFile(self._file)
+        except _ZIP_FAULTS as error:
+            raise FormatError(self.path, "", "a zip archive", str(error), "is it truncated?") from error
 
     def _safe_entries(self) -> dict[str, zipfile.ZipInfo]:
         entries = {}
@@ -120,6 +124,7 @@ class ZipStore:
 
     def __exit__(self, *_: object) -> None:
         self._zip.close()
+        self._file.close()
 
     def file_bytes(self, names: list[str]) -> int:
         """Real bytes on disk behind these files: never more than the zip has.

@@ -44,6 +44,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._build import exp_scales, format_error, sh0_from_rgb, sigmoid
+from gsvis.io._limits import open_regular
 from gsvis.io._table import listed
 from gsvis.scene.gaussians import Gaussians
 
@@ -116,7 +117,7 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
 def is_checkpoint(path: str | os.PathLike[str]) -> bool:
     """Whether a zip file is a checkpoint of torch; one that cannot be opened is judged by its suffix."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             return _structure_name(archive) is not None
     except _BAD_ZIP:
         return os.fspath(path).lower().endswith(SUFFIXES)
@@ -137,7 +138,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
     """
     _warn_of_other_ranks(Path(path))
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             raw = _tensors(path, archive)
             if "means" in raw and np.shape(raw["means"])[:1] == (0,):
                 raise FormatError(path, "means", "at least one Gaussian", "none", "the file holds an empty scene")

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from gsvis.io.folders import cameras_remedy
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 
-__all__ = ["FAULTS", "MODES", "find_files", "find_views", "named", "read_sizes", "whole_factor"]
+__all__ = ["FAULTS", "MODES", "find_files", "find_views", "named", "quiet_pillow", "read_sizes", "whole_factor"]
 
 Size = tuple[int, int]
 
@@ -35,6 +37,14 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp")
 _KNOWN = "a COLMAP model (cameras and images, .bin or .txt) or a transforms.json"
 _MOST_SHRUNK = 64
 _SHOWN = 5
+
+
+@contextmanager
+def quiet_pillow() -> Iterator[None]:
+    """Keep Pillow's warnings of odd images off the terminal: what matters is refused. Of the whole process."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
@@ -126,7 +136,7 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
     sizes = []
     for path in files:
         try:
-            with open_regular(path) as file, Image.open(file) as image:
+            with quiet_pillow(), open_regular(path) as file, Image.open(file) as image:
                 mode, size = image.mode, image.size
                 held = os.fstat(file.fileno()).st_size
         except FAULTS as error:

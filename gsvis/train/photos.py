@@ -23,7 +23,7 @@ from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent
 from gsvis.scene.points import PointCloud
-from gsvis.train._photo_files import FAULTS, find_files, find_views, named, read_sizes, whole_factor
+from gsvis.train._photo_files import FAULTS, find_files, find_views, named, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
 __all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
@@ -195,7 +195,7 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
 
     progress("photos", 0, len(files))
     count, broken = 0, []
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with quiet_pillow(), ThreadPoolExecutor(_THREADS) as pool:
         try:
             for done, (transparent, error) in enumerate(pool.map(read, range(len(files))), 1):
                 count += transparent

@@ -48,6 +48,11 @@ class ContainerWriter:
         self._crc = 0
         file.write(bytes(HEAD_BYTES))
 
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._end
+
     def append(self, data: bytes) -> tuple[int, int, int]:
         """Add bytes to the section under construction; their offset inside it, their length and CRC-32."""
         offset = self._end - self._start

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.io._limits import MAX_EXPANSION
 from gsvis.io.atomic import atomic_path
 from gsvis.progress import Progress, silent
 from gsvis.visibility import _codec, _order
@@ -26,7 +27,7 @@ from gsvis.visibility import _kernels_store as kernels
 from gsvis.visibility._container import ContainerWriter
 from gsvis.visibility.cells import CellGrid
 
-__all__ = ["CELL_ROW", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "write_store"]
+__all__ = ["CELL_ROW", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "beyond_free", "write_store"]
 
 FORMAT = "gsvis visible sets"
 MAX_CLASSES = 16
@@ -46,7 +47,16 @@ CELL_ROW = np.dtype(
 )
 """What the file keeps of each cell, beside its set and its classes."""
 
+FREE_BYTES = 1 << 30
+"""Bytes in memory, of 16 for each Gaussian, that a store of any size may ask for: 67 million Gaussians."""
+
+_GAUSSIAN_BYTES = 16  # in memory: order, labels and direction sets, of which all other arrays are smaller
 _HELD = 64  # sets of recent cells kept while pairs of neighbours are compared
+
+
+def beyond_free(gaussians: int) -> int:
+    """Bytes in memory that so many Gaussians take beyond the free GiB, which the size of the file must answer for."""
+    return max(_GAUSSIAN_BYTES * gaussians - FREE_BYTES, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +241,10 @@ class StoreWriter:
         container.close_section("coords")
         container.append(self._rows.tobytes())
         container.close_section("cells")
+        least = -(-beyond_free(self.info.gaussians) // MAX_EXPANSION)  # bytes that the reader asks of the file
+        if container.size < least:
+            container.append(bytes(least - container.size))
+            container.close_section("room")
         container.finish(
             {
                 "format": FORMAT,

@@ -164,13 +164,14 @@ def build_pvs(
                     journal.keep(cell, data)
                     progress("cells", done, len(grid))
             _write(journal, grid, target, plan, config, progress)
+            store = VisibilityStore.open(target)  # before the journal goes: what cannot be read is not lost
             journal.remove()
     except SceneError:
         journal.remove()
         raise
     except OSError as error:
         raise _explained(error, journal, len(grid), target) from error
-    return VisibilityStore.open(target)
+    return store
 
 
 def estimate_pvs(

@@ -31,7 +31,7 @@ from gsvis.visibility import _kernels_store as kernels
 from gsvis.visibility._cache import Cache
 from gsvis.visibility._container import Container
 from gsvis.visibility._levels import levels_record, union_of
-from gsvis.visibility._writer import CELL_ROW, FORMAT, CellSet, StoreInfo, StoreWriter, write_store
+from gsvis.visibility._writer import CELL_ROW, FORMAT, CellSet, StoreInfo, StoreWriter, beyond_free, write_store
 from gsvis.visibility.cells import MAX_CELLS, CellGrid
 from gsvis.visibility.why import Why, why
 
@@ -41,7 +41,6 @@ Words = NDArray[np.uint64]
 U8 = NDArray[np.uint8]
 
 _REMEDY = "the file is damaged: copy or build it again"
-_BYTES = 16  # in memory, of a Gaussian: order, labels and direction sets, of which all other arrays are smaller
 
 
 class VisibilityStore:
@@ -70,7 +69,10 @@ class VisibilityStore:
     def open(
         cls, path: str | PathLike[str], *, scene: Gaussians | Levels | None = None, max_cache: int = 256 << 20
     ) -> VisibilityStore:
-        """Open a store.
+        """Open a store; every file that `write_store` wrote opens.
+
+        A header may ask for 1 GiB, 16 bytes for each of 67 million Gaussians, whatever the size of the file. Beyond
+        that it may ask for 64 MiB and 256 bytes for each byte of the file.
 
         Args:
             path: The file.
@@ -429,7 +431,7 @@ class VisibilityStore:
         if not isinstance(scene, str):
             raise self._fault("scene", "the hash of a scene", repr(scene)[:60])
         n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
-        Budget(self.path, self._container.size).claim(_BYTES * n + 12 * cells, "header")
+        Budget(self.path, self._container.size).claim(beyond_free(n) + 12 * cells, "header")
         config = header.child("config").value
         shape = tuple(int(side) for side in grid.numbers("shape", 3))
         frame = grid.numbers("origin", 3), grid.number("cell_size"), shape

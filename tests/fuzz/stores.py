@@ -229,7 +229,7 @@ TARGETS = [
         kinds={"a.arrow": "active"},
         modules=(VIS + "active_terms",),
     ),
-    Target("kept", kept_files, in_kept, (), modules=(VIS + "_kept",), refuses=False),
+    Target("kept", kept_files, in_kept, (), modules=(VIS + "_kept", IO + "archive"), refuses=False),
     Target(
         "journal",
         journals,
@@ -240,7 +240,12 @@ TARGETS = [
         refuses=False,
     ),
     Target(
-        "checkpoint", checkpoints, in_checkpoint, (FormatError, ValueError), modules=(TRAIN + "checkpoint",), weight=0.5
+        "checkpoint",
+        checkpoints,
+        in_checkpoint,
+        modules=(TRAIN + "checkpoint", IO + "archive"),
+        weight=0.5,
+        beginnings=("checkpoint: expected ",),  # another run's
     ),
     Target("staircase", staircases, in_staircase, modules=("gsvis.report.staircase",), weight=0.5),
 ]

@@ -14,7 +14,7 @@ import pytest
 
 from tests.fuzz.engine import run_input, run_whole
 from tests.fuzz.families import TARGETS
-from tests.fuzz.targets import case_of, unpack_case
+from tests.fuzz.targets import Target, case_of, unpack_case
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 ENTRIES = sorted(CORPUS.rglob("*.zip"))
@@ -67,3 +67,33 @@ def test_mutators_change_and_do_not_fail(name: str) -> None:
             failed += 1
     assert failed <= 2
     assert changed > 75
+
+
+@pytest.mark.parametrize(
+    ("told", "verdict"),
+    [
+        ("checkpoint: expected x to be of the same images, got another run's", "refused"),
+        ("checkpoint is no array", "found"),
+        ("", "found"),
+        ("a: checkpoint: expected x", "found"),
+    ],
+)
+def test_of_value_errors_a_target_allows_those_it_names_alone(told: str, verdict: str) -> None:
+    def fail(folder: Path, case: dict[str, bytes]) -> None:
+        raise ValueError(told)
+
+    for target in (TARGETS["checkpoint"], TARGETS["subsets"]):
+        fails = Target("x", lambda: [{"a": b""}], fail, target.allowed, beginnings=target.beginnings)
+        named = verdict if target.name == "checkpoint" else "found"
+        assert run_whole(fails, {"a": b""}).verdict == named
+
+
+def test_readers_of_training_and_archives_are_among_the_targets() -> None:
+    modules = {module for target in TARGETS.values() for module in target.modules}
+    assert modules >= {
+        "gsvis.io.archive",
+        "gsvis.train._photo_files",
+        "gsvis.train.checkpoint",
+        "gsvis.train.levels",
+        "gsvis.train.photos",
+    }

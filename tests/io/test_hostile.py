@@ -24,6 +24,7 @@ from gsvis.io._json import parse_json, parsed_bytes
 from gsvis.io._limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
 from gsvis.io.archive import load_arrays
 from gsvis.io.cameras import load_cameras
+from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.levels import load_levels
 from gsvis.io.points import load_points
 from gsvis.io.poses import load_path
@@ -87,6 +88,8 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "package": ("manifest.json", lambda path: Package.open(path.parent)),
     "part": (f"parts/{PART}", lambda path: read_part(path.parent.parent, PART)),
     "archive": ("run.ckpt", load_arrays),
+    "checkpoint": ("run.pt", load_checkpoint),
+    "checkpoint, looked at": ("run.pth", is_checkpoint),
     "staircase": ("result.json", load_staircase_result),
 }
 
@@ -156,17 +159,80 @@ def opens(tree: ast.AST) -> list[str]:
         owner = ast.unparse(node.func.value) if isinstance(node.func, ast.Attribute) else ""
         modes = [a.value for a in [*node.args, *(k.value for k in node.keywords)] if isinstance(a, ast.Constant)]
         reads = any(mode in ("r", "rb", "rt") for mode in modes)
-        writes = any(str(mode)[:1] in "wax" for mode in modes)
-        given = ast.unparse(node.args[0]) if node.args else ""
-        other = {"read_bytes", "read_text", "fromfile", "memory_map", "memmap", "loadtxt"}
+        writes = any(str(mode)[:1] in ("w", "a", "x") or mode == "r+b" for mode in modes)
+        first = [*node.args, *(k.value for k in node.keywords if k.arg == "fileobj")]
+        given = ast.unparse(first[0]) if first else ""
         if (
-            (name in other and owner != "self._parts")
-            or (name == "load" and owner == "np")
+            (name in BY_PATH and owner != "self._parts")
+            or (name in BY_EITHER and not writes and given not in OPENED)
+            or (name == "load" and owner in ("np", "numpy", "torch") and given not in OPENED)
             or (name == "open" and reads and owner != "pa")
-            or (name == "open" and owner in ("", "Image") and not writes and "path" in given)
+            or (name == "open" and not node.args and owner.rpartition(".")[2] in ("path", "file", "_path"))
+            or (name == "open" and owner in LIBRARIES and not writes and given not in OPENED)
         ):
             found.append(name)
     return found
+
+
+BY_PATH = {"read_bytes", "read_text", "fromfile", "memory_map", "memmap", "open_memmap", "loadtxt", "genfromtxt"}
+"""Calls that take a path alone."""
+
+BY_EITHER = {"ZipFile", "PyZipFile", "TarFile", "GzipFile", "BZ2File", "LZMAFile", "FileIO", "OSFile", "mmap"}
+"""Calls that take a path or a number, or what was opened."""
+
+LIBRARIES = {"", "io", "codecs", "Image", "gzip", "bz2", "lzma", "tarfile", "zipfile", "wave", "tokenize"}
+"""Whose `open` takes a path or what was opened."""
+
+OPENED = {"file", "stream", "self._file", "file.fileno()", "io.BytesIO(data)"}
+"""What is given in place of a path: files that were opened as regular ones, and bytes."""
+
+DOORS = """zipfile.ZipFile(path)
+ZipFile(path, "r")
+zipfile.ZipFile(file=path)
+zipfile.ZipFile(self.path)
+zipfile.ZipFile(os.fspath(folder / name))
+np.load(path)
+np.load(kept, mmap_mode="r")
+torch.load(path)
+np.memmap(path, "<f4", mode="r")
+np.lib.format.open_memmap(path)
+np.fromfile(path)
+np.genfromtxt(path)
+mmap.mmap(os.open(path, os.O_RDONLY), 0)
+pa.OSFile(str(path))
+pa.memory_map(str(path))
+gzip.open(path)
+gzip.GzipFile(path)
+lzma.open(folder / name)
+tarfile.open(path)
+Image.open(path)
+Image.open(folder / name)
+open(path)
+open(folder / name, "rb")
+io.open(name)
+path.open()
+self.path.open()
+path.open("rb")
+path.read_bytes()""".splitlines()
+
+NO_DOORS = """zipfile.ZipFile(file)
+gzip.GzipFile(fileobj=io.BytesIO(data))
+zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED)
+zipfile.ZipFile(partial, "a")
+mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+pa.OSFile(str(path), "wb")
+Image.open(file)
+Image.open(io.BytesIO(data), formats=["WEBP"])
+open(partial, "r+b")
+partial.open("wb")
+Package.open(path)
+self._door.open()
+read_whole(path)""".splitlines()
+
+
+def test_every_door_is_seen() -> None:
+    assert [code for code in DOORS if not opens(ast.parse(code))] == []
+    assert [code for code in NO_DOORS if opens(ast.parse(code))] == []
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))

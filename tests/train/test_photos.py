@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import struct
+import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -273,3 +276,18 @@ def test_bonsai_at_the_size_of_the_issue(realdata: Path) -> None:
     train, test = photos.views.split()
     assert (len(train), len(test)) == (255, 37)
     np.testing.assert_allclose(photos.views.cameras.Ks[0, :2, 2], [200.0, 133.0])
+
+
+def test_odd_images_are_read_or_refused_without_a_warning(tmp_path: Path) -> None:
+    folder = write_photos(tmp_path, 8)
+    path = folder / "images" / "photo_003.png"
+    data = path.read_bytes()
+    odd = b"acTL" + bytes(8)  # an animation of no pictures
+    path.write_bytes(data[:33] + struct.pack(">I", 8) + odd + struct.pack(">I", zlib.crc32(odd)) + data[33:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(load_photos(folder).views) == 8
+        header = b"IHDR" + struct.pack(">II", 12_000, 9_000) + data[24:29]
+        path.write_bytes(data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
+        with pytest.raises(FormatError, match="exhaust memory"):
+            load_photos(folder)

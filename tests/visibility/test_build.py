@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsvis.errors import GsvisError, SceneError
+from gsvis.errors import FormatError, GsvisError, SceneError
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -159,6 +159,23 @@ def test_a_damaged_cell_is_looked_from_again(job: Job, tmp_path: Path, looked: l
     assert job.run(path) == job.wanted
     assert len(looked) == len(job.grid) - 3
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.pvs"]
+
+
+def test_the_journal_stays_until_the_store_is_open(
+    job: Job, tmp_path: Path, looked: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> None:
+        raise FormatError(path, "", "a store", "another file")
+
+    path = tmp_path / "x.pvs"
+    with monkeypatch.context() as patch:
+        patch.setattr(VisibilityStore, "open", refuse)
+        with pytest.raises(FormatError, match="expected a store"):
+            job.run(path)
+    assert len(list(job.journal(path).glob("cell-*.bin"))) == len(looked) == len(job.grid)
+    assert job.run(path) == job.wanted
+    assert len(looked) == len(job.grid)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.pvs"]
 
 
 def test_other_settings_do_not_use_the_journal(job: Job, tmp_path: Path, looked: list[int]) -> None:

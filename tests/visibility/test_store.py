@@ -442,3 +442,18 @@ def test_only_a_few_sets_are_held_while_writing(tmp_path: Path, monkeypatch: pyt
         writer.finish(truth.directions)
         assert len(writer._held) <= 3
     assert (tmp_path / "x.pvs").read_bytes() == Path(structured(3000, 20).write(tmp_path / "y.pvs").path).read_bytes()
+
+
+@pytest.mark.parametrize("free", [1 << 30, 0], ids=["as it is", "without a free GiB"])
+def test_a_store_of_many_gaussians_in_a_small_file_opens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int
+) -> None:
+    monkeypatch.setattr(_writer, "FREE_BYTES", free)
+    n, ids = 5_000_000, np.arange(0, 5000, 100)  # more than the 64 MiB that a file of any kind may ask for
+    info = StoreInfo(n, "0" * 64, 1 / 255, EDGES)
+    cell = CellSet(ids, np.zeros(len(ids), np.uint8))
+    path = write_store(tmp_path / "x.pvs", grid_of(1, np.random.default_rng(0)), info, [cell], np.zeros((n, 10), "u1"))
+    assert path.stat().st_size < 16 * n / 256 + 100_000
+    with VisibilityStore.open(path) as store:
+        assert np.array_equal(store.visible_ids(0), ids)
+        store.verify()
