@@ -191,7 +191,10 @@ def suggestion(value: object, choices: Iterable[str]) -> str:
 
 
 def path(name: str, value: str | os.PathLike[str]) -> Path:
-    """The path of a string or of anything with `__fspath__`; a leading `~` becomes the home folder."""
+    """The path of a string or of anything with `__fspath__`; a leading `~` of a string becomes the home folder.
+
+    A `Path` stays as it is: `./~/x` is `~/x` once it is one.
+    """
     try:
         text = os.fsdecode(value)
     except TypeError:
@@ -200,7 +203,7 @@ def path(name: str, value: str | os.PathLike[str]) -> Path:
         raise ValueError(f"{name}: expected a path, got an empty text")
     if "\0" in text:
         raise ValueError(f"{name}: expected a path, got a text with a NUL in it")
-    return Path(os.path.expanduser(text))
+    return Path(os.path.expanduser(text) if isinstance(value, str) else text)
 
 
 def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:

@@ -207,7 +207,8 @@ def test_what_looks_alike_is_suggested(value: Any, told: str) -> None:
 def test_paths_are_coerced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     assert _check.path("file", "~/a.ply") == tmp_path / "a.ply"
-    assert _check.path("file", Path("~") / "a.ply") == tmp_path / "a.ply"
+    assert _check.path("file", Path("~") / "a.ply") == Path("~/a.ply")
+    assert _check.path("file", _check.path("file", "./~/a.ply")) == Path("~/a.ply")
     assert _check.path("file", "a~b") == Path("a~b")
     assert _check.path("file", os.fsencode("a.ply")) == Path("a.ply")  # type: ignore[arg-type]
     for value, told in ((3, "got int"), (None, "got NoneType"), ("", "got an empty text"), ("a\0", "with a NUL in it")):

@@ -1,7 +1,7 @@
 """One way to report a file that cannot be written: with its path and what helps, as attributes of `OutputError`.
 
-The number of the fault decides, never its text. A full disk is a full disk wherever it shows; missing rights count only
-below the place that is being written, since a block that writes may read as well.
+The number of the fault decides, never its text. A full disk is a full disk wherever it shows; missing rights and broken
+disks count only below the place that is being written, since a block that writes may read as well.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ def output_errors(path: str | os.PathLike[str], *inside: str | os.PathLike[str],
             raise
         name = error.filename if isinstance(error.filename, str | bytes) else None  # it may be a descriptor
         named = None if name is None else Path(os.fsdecode(name)).absolute()
-        ours = named is None or any(named.is_relative_to(Path(place).absolute()) for place in (path, *inside))
+        if named is None:  # a read fails without a name as a write does, but never because the disk is full
+            ours = code in _FULL
+        else:
+            ours = any(named.is_relative_to(Path(place).absolute()) for place in (path, *inside))
         if ours and not (isinstance(error, OutputError) and error.path == os.fspath(path)):
             kept = error.kept if isinstance(error, OutputError) else ""
             raise OutputError(path, code, kept, remedy) from error

@@ -20,7 +20,7 @@ import zstandard
 
 from gsvis.errors import FormatError
 from gsvis.io._limits import MAX_EXPANSION, MIN_BUDGET, read_whole
-from gsvis.io.atomic import atomic_path
+from gsvis.io.atomic import atomic_path, remove_all_partials
 from gsvis.io.locks import locked
 from gsvis.visibility._codec import CodecError, decompress
 from gsvis.visibility.pvs import CellView
@@ -91,11 +91,10 @@ class Journal:
                     " wait for it or stop it"
                 )
             try:
+                remove_all_partials(self.folder)  # of a build that was killed
                 if not (self.folder / "plan.json").exists():
-                    with atomic_path(self.folder / "plan.json") as partial:
+                    with atomic_path(self.folder / "plan.json", sweep=False) as partial:
                         partial.write_text(json.dumps(self._plan, indent=1) + "\n", encoding="utf-8")
-                for partial in self.folder.glob(".*"):  # of a build that was killed
-                    partial.unlink(missing_ok=True)
                 yield
             finally:
                 if not any(self.folder.glob("cell-*.bin")):
@@ -103,7 +102,7 @@ class Journal:
 
     def keep(self, cell: int, data: bytes) -> None:
         """Keep the packed view of a cell."""
-        with atomic_path(self._path(cell)) as partial:
+        with atomic_path(self._path(cell), sweep=False) as partial:  # to list all cells for each takes too long
             partial.write_bytes(data)
 
     def view(self, cell: int) -> CellView | None:

@@ -103,3 +103,22 @@ def test_home_is_expanded_by_the_library(monkeypatch: pytest.MonkeyPatch, tmp_pa
     write_poses(HeadPath([0, 1], [[0, 0, 0], [1, 0, 0]], [[1, 0, 0, 0]] * 2), "~/walk.csv")
     assert len(load_path("~/walk.csv")) == 2
     assert not (tmp_path / "~").exists()
+
+
+def test_a_folder_that_is_called_like_home_is_that_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    home, here = tmp_path / "home", tmp_path / "here"
+    home.mkdir()
+    here.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(here)
+    for name in ("b.ply", "b.spz", "b.sog"):
+        (home / name).write_text("precious")
+    scene = two_rooms().gaussians[:20]
+    save_scene(scene, "./~/a.ply")
+    save_scene(scene, Path("~") / "c.ply")
+    for name in ("b.ply", "b.spz", "b.sog"):
+        assert main(["convert", "./~/a.ply", f"./~/{name}"]) == 0
+        assert len(load_scene(Path("~") / name)) == 20
+        assert (home / name).read_text() == "precious"
+    assert {path.name for path in (here / "~").iterdir()} == {"a.ply", "b.ply", "b.spz", "b.sog", "c.ply"}
+    assert {path.name for path in home.iterdir()} == {"b.ply", "b.spz", "b.sog"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import json
 import os
 import re
 import signal
@@ -12,7 +14,15 @@ from pathlib import Path
 
 import pytest
 
-from gsvis.io.atomic import atomic_folder, atomic_path, interrupted_moves, remove_partials
+from gsvis.io.atomic import (
+    _NOTE,
+    _host,
+    atomic_folder,
+    atomic_path,
+    interrupted_moves,
+    remove_all_partials,
+    remove_partials,
+)
 from gsvis.io.locks import try_lock
 
 
@@ -182,11 +192,15 @@ def test_only_names_that_are_ours_are_removed(tmp_path: Path) -> None:
     ]  # fmt: skip
     for name in names:
         (tmp_path / name).write_text("mine")
-    (tmp_path / ".a.gsvis-0123456789aa.sog").symlink_to(tmp_path / "a.sog.bak")
-    os.mkfifo(tmp_path / ".a.gsvis-0123456789ac.sog")
+    names = [re.sub("(?<=gsvis-)0123", _host(), name) for name in names]
+    for name in names[1:]:
+        (tmp_path / name).write_text("mine")
+    names = everything(tmp_path)
+    (tmp_path / f".a.gsvis-{_host()}456789aa.sog").symlink_to(tmp_path / "a.sog.bak")
+    os.mkfifo(tmp_path / f".a.gsvis-{_host()}456789ac.sog")
     remove_partials(tmp_path / "a.sog")
     assert len(everything(tmp_path)) == len(names) + 2
-    (tmp_path / ".a.gsvis-0123456789ab.sog").write_text("a killed writer's")
+    (tmp_path / f".a.gsvis-{_host()}456789ab.sog").write_text("a killed writer's")
     remove_partials(tmp_path / "a.sog")
     assert len(everything(tmp_path)) == len(names) + 2
 
@@ -270,3 +284,201 @@ def test_an_interrupt_between_moves_is_like_a_kill(tmp_path: Path, monkeypatch: 
     with atomic_folder(target) as folder:
         (folder / "q").write_text("q")
     assert everything(tmp_path) == ["out", "out/p", "out/q"]
+
+
+def hidden(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.name.startswith("."))
+
+
+@posix
+@pytest.mark.parametrize("note", ['{"p": [[1, 2', "[1]", "7", '{"p": 1}', '{"p": [[1, 2, 3]]}', '{"gone": [null]}'])
+def test_a_note_that_is_cut_or_of_which_nothing_moved_is_no_note(tmp_path: Path, note: str) -> None:
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "p").write_text("somebody's")
+    killed("folder", target)
+    (left,) = hidden(tmp_path)
+    (left / _NOTE).write_text(note)
+    assert interrupted_moves(target) == set()
+    with pytest.raises(KeyboardInterrupt), atomic_folder(target):
+        raise KeyboardInterrupt
+    assert everything(tmp_path) == ["out", "out/p"]
+
+
+def test_a_disk_that_is_full_for_the_note_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = Path.write_text
+
+    def full(path: Path, text: str, encoding: str = "utf-8") -> int:
+        if path.name != _NOTE:
+            return write(path, text, encoding)
+        write(path, text[: len(text) // 2], encoding)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    for _ in range(3):
+        with pytest.raises(OSError, match="no space left"), atomic_folder(tmp_path / "out") as folder:
+            (folder / "p").write_text("p")
+        assert everything(tmp_path) == ["out"]
+
+
+def test_a_folder_in_the_way_of_a_file_is_found_before_anything_moves(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    (target / "report.json").mkdir(parents=True)
+    for _ in range(3):
+        with pytest.raises(IsADirectoryError) as caught, atomic_folder(target) as folder:
+            (folder / "a").write_text("a")
+            (folder / "report.json").write_text("{}")
+        assert caught.value.filename == str(target / "report.json")
+        assert everything(tmp_path) == ["out", "out/report.json"]
+    (target / "plots").write_text("somebody's")
+    with pytest.raises(NotADirectoryError), atomic_folder(target) as folder:
+        (folder / "a").write_text("a")
+        (folder / "plots").mkdir()
+        (folder / "plots" / "b").write_text("b")
+    assert everything(tmp_path) == ["out", "out/plots", "out/report.json"]
+
+
+@posix
+def test_failures_between_moves_leave_one_note_and_no_payload(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, replace = tmp_path / "out", os.replace
+
+    def fails(source: Path, destination: Path) -> None:
+        if source.name == "z":
+            raise OSError(errno.EIO, os.strerror(errno.EIO), str(source))
+        replace(source, destination)
+
+    moved: set[str] = set()
+    with monkeypatch.context() as patched:
+        patched.setattr("gsvis.io.atomic.os.replace", fails)
+        for name in ("p", "q", "p", "r"):
+            with pytest.raises(OSError, match="cannot be written"), atomic_folder(target) as folder:
+                (folder / name).write_text(name)
+                (folder / "sub").mkdir()
+                (folder / "z").write_text("large")
+            moved.add(name)
+            assert interrupted_moves(target) == moved
+            (left,) = hidden(tmp_path)
+            assert everything(left) == [_NOTE]
+    with atomic_folder(target) as folder:
+        (folder / "z").write_text("z")
+    assert everything(tmp_path) == ["out", *(f"out/{name}" for name in ("p", "q", "r", "sub", "z"))]
+
+
+@posix
+def test_what_a_kill_between_moves_left_shrinks_to_its_note(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    target.mkdir()
+    killed("folder", target)
+    (left,) = hidden(tmp_path)
+    (target / "p").write_text("p")
+    found = (target / "p").stat()
+    note = {"p": [[found.st_ino, found.st_size, found.st_mtime_ns]], "half": [[1, 2, 3]]}
+    (left / _NOTE).write_text(json.dumps(note))
+    with pytest.raises(KeyboardInterrupt), atomic_folder(target):
+        raise KeyboardInterrupt
+    assert everything(left) == [_NOTE]
+    assert interrupted_moves(target) == {"p"}
+
+
+@posix
+def test_another_host_s_files_stay_and_its_moves_are_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "out"
+    killed("file", target)
+    killed("folder", target)
+    (left,) = (path for path in hidden(tmp_path) if path.is_dir())
+    target.mkdir()
+    (target / "p").write_text("p")
+    found = (target / "p").stat()
+    (left / _NOTE).write_text(json.dumps({"p": [[found.st_ino, found.st_size, found.st_mtime_ns]]}))
+    theirs, host = hidden(tmp_path), _host()
+    assert all(f".gsvis-{host}" in path.name for path in theirs)
+    with monkeypatch.context() as patched:  # its locks do not reach us
+        patched.setattr("gsvis.io.atomic._host", lambda: "ffff" if host != "ffff" else "fffe")
+        with atomic_folder(target) as folder:
+            (folder / "q").write_text("q")
+        remove_partials(target)
+        remove_all_partials(tmp_path)
+        assert hidden(tmp_path) == theirs
+        assert interrupted_moves(target) == {"p"}
+    remove_all_partials(tmp_path)
+    assert everything(tmp_path) == ["out", "out/p", "out/q"]
+
+
+@posix
+def test_where_a_lock_keeps_other_descriptors_out_none_is_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on SMB: while a descriptor holds a lock, a write through another fails."""
+    opened, refused = open, []
+
+    def smb(path: Path, mode: str, **more: int) -> object:
+        with opened(path) as file:
+            state = try_lock(file.fileno())
+        if state == "busy":
+            refused.append(path)
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return opened(path, mode, **more)  # type: ignore[call-overload]
+
+    monkeypatch.setattr("gsvis.io.atomic.open", smb, raising=False)
+    with atomic_path(tmp_path / "a.ply") as partial:
+        assert refused == [path for path in refused if not path.exists()] != []
+        with partial.open() as file:
+            assert try_lock(file.fileno()) == "held"  # nobody else had it
+        remove_partials(tmp_path / "a.ply")
+        remove_all_partials(tmp_path)
+        partial.write_text("whole")
+    assert (tmp_path / "a.ply").read_text() == "whole"
+    assert everything(tmp_path) == ["a.ply"]
+
+
+@posix
+def test_the_trial_of_a_lock_leaves_an_empty_file(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "a") as partial:
+        assert partial.read_bytes() == b""
+
+
+@posix
+def test_files_are_opened_for_writing_to_be_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on NFS: an exclusive lock needs a descriptor that is open for writing."""
+    import fcntl
+
+    def nfs(descriptor: int) -> str:
+        readable = fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY
+        return "none" if readable and stat.S_ISREG(os.fstat(descriptor).st_mode) else try_lock(descriptor)
+
+    killed("file", tmp_path / "a")
+    killed("folder", tmp_path / "b")
+    monkeypatch.setattr("gsvis.io.atomic.try_lock", nfs)
+    remove_partials(tmp_path / "a")
+    remove_partials(tmp_path / "b")
+    assert everything(tmp_path) == []
+
+
+@posix
+def test_partials_of_all_targets_of_a_folder(tmp_path: Path) -> None:
+    for name in ("a.sog", "b", "c.tar.gz", ".d.json"):
+        killed("file", tmp_path / name)
+        killed("folder", tmp_path / name)
+    digits = f"{_host()}01234567"
+    names = sorted(
+        [".profile", f".gsvis-{digits}", f"a.gsvis-{digits}", f".a.gsvis-{digits}8", f".a.gsvis-{digits}.b.c"]
+    )
+    for name in names:
+        (tmp_path / name).write_text("mine")
+    with atomic_path(tmp_path / "e") as partial:
+        remove_all_partials(tmp_path)
+        assert everything(tmp_path) == sorted([*names, partial.name])
+        partial.write_text("e")
+    remove_all_partials(tmp_path / "nowhere")
+
+
+@posix
+def test_a_writer_that_does_not_sweep_lists_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    killed("file", tmp_path / "a")
+    (left,) = tmp_path.iterdir()
+    with monkeypatch.context() as patched:
+        patched.delattr("gsvis.io.atomic.os.listdir")
+        with atomic_path(tmp_path / "a", sweep=False) as partial:
+            partial.write_text("a")
+    assert left.exists()
+    with atomic_path(tmp_path / "a") as partial:
+        assert not left.exists()
+        partial.write_text("a")

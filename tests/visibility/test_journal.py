@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -13,6 +14,7 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gsvis.io.atomic import _host, atomic_path
 from gsvis.visibility._journal import Journal, pack_view, unpack_view
 from gsvis.visibility.pvs import CellView
 
@@ -77,6 +79,26 @@ def test_cells_are_kept_until_the_journal_goes(tmp_path: Path) -> None:
     assert journal.finished(9) == [0, 7]
     journal.remove()
     assert not journal.folder.exists()
+
+
+def test_what_a_killed_build_left_goes_once_and_cells_are_not_listed_for_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path / "j", {})
+    journal.folder.mkdir()
+    left = journal.folder / f".cell-000001.gsvis-{_host()}01234567.bin"
+    left.write_bytes(b"half")
+    (journal.folder / ".mine").write_text("somebody's")
+    with atomic_path(journal.folder / "cell-000002.bin") as live:
+        live.write_bytes(b"")
+        with journal.opened():
+            assert live.exists()
+            assert left.exists() == (os.name != "posix")
+            with monkeypatch.context() as patched:
+                patched.delattr("gsvis.io.atomic.os.listdir")
+                journal.keep(0, pack_view(some_view(0)))
+    assert (journal.folder / ".mine").exists()
+    assert journal.finished(3) == [0]
 
 
 def test_every_flipped_bit_and_every_cut_counts_as_missing() -> None:
