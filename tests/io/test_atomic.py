@@ -296,8 +296,9 @@ def test_a_note_that_is_cut_or_of_which_nothing_moved_is_no_note(tmp_path: Path,
     target = tmp_path / "out"
     target.mkdir()
     (target / "p").write_text("somebody's")
-    killed("folder", target)
-    (left,) = hidden(tmp_path)
+    left = tmp_path / f".out.gsvis-{_host()}01234567"
+    left.mkdir()
+    (left / "half").write_text("half")
     (left / _NOTE).write_text(note)
     assert interrupted_moves(target) == set()
     with pytest.raises(KeyboardInterrupt), atomic_folder(target):
@@ -368,8 +369,9 @@ def test_failures_between_moves_leave_one_note_and_no_payload(tmp_path: Path, mo
 def test_what_a_kill_between_moves_left_shrinks_to_its_note(tmp_path: Path) -> None:
     target = tmp_path / "out"
     target.mkdir()
-    killed("folder", target)
-    (left,) = hidden(tmp_path)
+    left = tmp_path / f".out.gsvis-{_host()}01234567"
+    left.mkdir()
+    (left / "half").write_text("half")
     (target / "p").write_text("p")
     found = (target / "p").stat()
     note = {"p": [[found.st_ino, found.st_size, found.st_mtime_ns]], "half": [[1, 2, 3]]}
@@ -424,6 +426,7 @@ def test_where_a_lock_keeps_other_descriptors_out_none_is_held(tmp_path: Path, m
             assert try_lock(file.fileno()) == "held"  # nobody else had it
         remove_partials(tmp_path / "a.ply")
         remove_all_partials(tmp_path)
+        assert partial.exists()
         partial.write_text("whole")
     assert (tmp_path / "a.ply").read_text() == "whole"
     assert everything(tmp_path) == ["a.ply"]
@@ -454,10 +457,11 @@ def test_files_are_opened_for_writing_to_be_locked(tmp_path: Path, monkeypatch: 
 
 @posix
 def test_partials_of_all_targets_of_a_folder(tmp_path: Path) -> None:
-    for name in ("a.sog", "b", "c.tar.gz", ".d.json"):
-        killed("file", tmp_path / name)
-        killed("folder", tmp_path / name)
+    killed("file", tmp_path / "c.tar.gz")
+    killed("folder", tmp_path / ".d.json")
     digits = f"{_host()}01234567"
+    for name in (f".a.gsvis-{digits}.sog", f".b.gsvis-{digits}", f"..d.gsvis-{digits}.json"):
+        (tmp_path / name).write_text("half")
     names = sorted(
         [".profile", f".gsvis-{digits}", f"a.gsvis-{digits}", f".a.gsvis-{digits}8", f".a.gsvis-{digits}.b.c"]
     )
