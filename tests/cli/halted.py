@@ -14,8 +14,10 @@ __all__ = ["GUARD", "Halted"]
 GUARD = 600.0  # seconds until a hang is a failure; no verdict rests on them
 
 _PROGRAM = """
-import os, sys, time
+import os, signal, sys, time
 from gsvis.cli import main, terminal
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs tests in the background ignores it
 
 pipe, stage, least = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 report, parent = terminal.Status.__call__, os.getppid()
