@@ -65,8 +65,8 @@ check: lint types doctests examples test
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \
     $(addprefix tests/cli/test_,serve.py process.py pvs.py color.py levels.py) \
-    $(addprefix tests/visibility/test_,build.py cluster.py journal.py store.py) \
-    tests/simulate/test_link.py tests/io/test_atomic.py
+    $(addprefix tests/pvs/test_,build.py cluster.py journal.py store.py) \
+    tests/simulate/test_link.py tests/files/test_atomic.py
 
 # Kernels are compiled anew in the first run, as for a newcomer. The loops end with the tests, or at the limit.
 stress: .venv/.gsvis-dev

@@ -25,8 +25,8 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.photos import load_photos
-from gsvis.visibility.colors import ViewSampling
 
 __all__ = ["Case", "Numbers", "bonsai", "drawn", "showroom", "standing_cameras", "summed_weights"]
 

@@ -33,9 +33,9 @@ from gsvis.abr.scheduler import Scheduler, SchedulerConfig
 from gsvis.io import load_scene
 from gsvis.io.eyenav import read_eyenav
 from gsvis.package.order import in_package_order
+from gsvis.pvs.cells import CellGrid
 from gsvis.scene.levels import Levels
 from gsvis.scene.paths import HeadPath
-from gsvis.visibility.cells import CellGrid
 
 BUDGET = 125e3  # 100 ms at 10 Mbit/s
 CLIENTS = 50

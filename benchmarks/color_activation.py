@@ -50,21 +50,21 @@ from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.io import load_scene
 from gsvis.io.poses import load_path
+from gsvis.prepare.active_terms import build_active_terms
+from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
+from gsvis.pvs.build import build_pvs
+from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.walk import PAPER_WALK, WalkConfig
 from gsvis.render import rasterize, view_weights
 from gsvis.render.metrics import flip_map, psnr
+from gsvis.scene import corridor
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.retarget import RetargetConfig, retarget
-from gsvis.visibility import corridor
-from gsvis.visibility.active_terms import build_active_terms
-from gsvis.visibility.build import build_pvs
-from gsvis.visibility.cells import MAX_CELLS, CellGrid
-from gsvis.visibility.pvs import PvsConfig
-from gsvis.visibility.store import VisibilityStore
-from gsvis.visibility.walk import PAPER_WALK, WalkConfig
-from gsvis.visibility.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
 RULES = {"gaussian": False, "pixel": True}
 EPSILONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1)

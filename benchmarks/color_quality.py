@@ -38,13 +38,13 @@ from gsvis.color import (
     yuv_to_rgb,
 )
 from gsvis.io import load_scene
+from gsvis.prepare.importance import importance_from_views
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import trace_directions
 from gsvis.render import flip, rasterize, ssim
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.importance import importance_from_views
 
 SCENES = {"nika": ("nika_sh3", 0), "flowers": ("flowers_sh2", 1)}
 UP = "-y"

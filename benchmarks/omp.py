@@ -21,7 +21,7 @@ from numba import get_num_threads
 from sklearn.linear_model import orthogonal_mp_gram
 
 from gsvis.color import orthogonal_matching_pursuit, srbf_dictionary
-from gsvis.color._kernels_products import BLOCK, WIDTH, multiply
+from gsvis.color._kernels.products import BLOCK, WIDTH, multiply
 from gsvis.scene.icosphere import icosphere
 
 DECAYS = {324: (4.0, 16.0), 648: (2.0, 5.0, 12.0, 30.0)}

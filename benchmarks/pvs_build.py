@@ -25,16 +25,16 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
+from gsvis.pvs.build import Workers, build_pvs
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.config import PvsConfig, see_cell
+from gsvis.pvs.look import Look
+from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.build import Workers, build_pvs
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.look import Look
-from gsvis.visibility.pvs import PvsConfig, see_cell
-from gsvis.visibility.viewpoints import CellViewpoints
 
 DENSE, SIZE = 27, 128
 

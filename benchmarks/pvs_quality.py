@@ -28,15 +28,15 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
+from gsvis.pvs.build import build_pvs
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
+from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.build import build_pvs
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.pvs import PvsConfig
-from gsvis.visibility.quality import Quality, QualityConfig, measure_quality
-from gsvis.visibility.store import VisibilityStore
-from gsvis.visibility.viewpoints import CellViewpoints
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from scipy.spatial import cKDTree
 
-from gsvis._simd import Builder
+from gsvis._kernels.simd import Builder
 from gsvis.render import GaussianTensors, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -130,8 +130,8 @@ def blended_pairs(g: Gaussians, camera: Cameras) -> int:
     """How many (pixel, Gaussian) pairs the image blends: the gradient of the image by ones of every Gaussian."""
     from types import SimpleNamespace
 
-    from gsvis.render import _kernels_tiles
-    from gsvis.render.cpu import View, project
+    from gsvis.render._kernels import tiles as _kernels_tiles
+    from gsvis.render.splats import View, project
 
     view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
     arrays = SimpleNamespace(**{name: getattr(g, name) for name in ("means", "quats", "scales", "opacities", "sh0")})

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from gsvis.color import FitConfig, fit_srbf, quantise, record_bytes, sh_bytes
 from gsvis.io import load_scene
+from gsvis.prepare.importance import importance_from_views
 from gsvis.render import flip, psnr, rasterize, ssim
 from gsvis.scene.cameras import Cameras
 from gsvis.train.photos import load_photos
-from gsvis.visibility.importance import importance_from_views
 
 SIZE = (400, 266)
 POINTS = {

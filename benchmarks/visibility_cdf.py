@@ -34,10 +34,22 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
-from gsvis.raycast import TAU, EllipsoidProxies, Tracer, directions, visible_from, visible_in
+from gsvis.raycast import (
+    FACE_LIMITS,
+    PAPER,
+    TAU,
+    Agreement,
+    AnalysisConfig,
+    DirectionCdf,
+    EllipsoidProxies,
+    Tracer,
+    analyze,
+    directions,
+    visible_from,
+    visible_in,
+)
+from gsvis.raycast.analysis import SETTLED
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility import FACE_LIMITS, PAPER, Agreement, AnalysisConfig, DirectionCdf, analyze
-from gsvis.visibility.analysis import SETTLED
 
 SCENES = ("showroom:3", "nika_sh3:0", "flowers_sh2:1")
 LOT = 64  # viewpoints at a time

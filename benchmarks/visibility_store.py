@@ -24,14 +24,14 @@ from _harness import add_arguments, realdata, write_result
 from pyroaring import BitMap
 
 from gsvis.io import load_scene
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
 from gsvis.raycast.directions import seen_directions
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
 
 EDGES = np.array([1 / 255, 1 / 64, 1 / 16, 1 / 4])
 

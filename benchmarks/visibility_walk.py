@@ -27,11 +27,11 @@ from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
 from gsvis.io.poses import load_path
+from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.walk import PAPER_WALK, WalkConfig, seen_over_walk
+from gsvis.raycast import PAPER
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.retarget import RetargetConfig, retarget
-from gsvis.visibility import PAPER
-from gsvis.visibility.store import VisibilityStore
-from gsvis.visibility.walk import PAPER_WALK, WalkConfig, seen_over_walk
 
 SCENES = ("showroom:3", "nika_sh3:1", "flowers_sh2:1")
 METRES = {"showroom": 1.0}

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gsvis.pvs import CellGrid, PvsConfig, build_pvs
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.scene.procedural import builtin_scene
-from gsvis.visibility import CellGrid, PvsConfig, build_pvs
 
 scene = builtin_scene("two_rooms")
 grid = CellGrid.over(scene.navigable, max_cells=12)

@@ -6,8 +6,9 @@ Run it with `python examples/06_color.py`; the name of an Arrow file to write ma
 import sys
 
 from gsvis.color import FitConfig, active, record_bytes, save_srbf, sh_bytes
+from gsvis.prepare import ColorConfig, ColorQualityConfig, measure_colors, prepare_colors
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility import ColorConfig, ColorQualityConfig, ViewSampling, measure_colors, prepare_colors
+from gsvis.scene.view_sampling import ViewSampling
 
 rooms = two_rooms(5000, sh_degree=3)
 scene, space = rooms.gaussians, rooms.navigable

@@ -7,10 +7,10 @@ import sys
 
 from gsvis.io.levels import save_levels
 from gsvis.scene.procedural import two_rooms
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.images import render_views
 from gsvis.train.level_quality import measure_levels
 from gsvis.train.levels import LevelsConfig, train_levels
-from gsvis.visibility import ViewSampling
 
 rooms = two_rooms(5000, sh_degree=1)
 scene, space = rooms.gaussians, rooms.navigable

@@ -13,14 +13,15 @@ ROOMS = (
     "errors",
     "progress",
     "_check",
-    "_simd",
+    "_kernels",
+    "files",
     "scene",
     "io",
     "color",
     "render",
     "raycast",
     "hpr",
-    "visibility",
+    "pvs",
     "train",
     "package",
     "prepare",
@@ -73,6 +74,31 @@ def test_a_module_imports_only_from_rooms_above_it(path: Path) -> None:
         assert ROOMS.index(other) <= ROOMS.index(room), f"{name_of(path)} imports {target}, a room below it"
 
 
+def named(path: Path) -> Iterator[str]:
+    """Full names of all that a module imports from gsvis, with the names taken from modules."""
+    package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            source = ".".join([*base, *(node.module or "").split(".")]).rstrip(".")
+            yield from (f"{source}.{alias.name}" for alias in node.names)
+
+
+def is_private(name: str) -> bool:
+    """Whether a name is private to its room: an underscore below `gsvis.room`."""
+    return any(part.startswith("_") and not part.startswith("__") for part in name.split(".")[2:])
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_imports_no_private_name_of_another_room(path: Path) -> None:
+    room = room_of(name_of(path))
+    for target in named(path):
+        if target.startswith("gsvis.") and room_of(target) != room:
+            assert not is_private(target), f"{name_of(path)} imports {target}, a private name"
+
+
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_a_module_keeps_the_habits_of_the_house(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
@@ -87,6 +113,37 @@ def test_a_module_keeps_the_habits_of_the_house(path: Path) -> None:
             assert node.func.id != "print" or room_of(name_of(path)) == "cli", f"line {node.lineno}: print"
         if isinstance(node, ast.ExceptHandler):
             assert node.type is not None, f"line {node.lineno}: a bare except"
+
+
+def test_a_private_name_is_seen_in_every_spelling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "gsvis"
+    (package / "io").mkdir(parents=True)
+    monkeypatch.setattr(f"{__name__}.PACKAGE", package)
+    module = package / "io" / "x.py"
+    module.write_text(
+        "import gsvis.render._kernels.tiles\nfrom gsvis.render import _kernels\nfrom gsvis.render.cpu import _array\n"
+        "from gsvis import _check\nfrom gsvis._kernels.bits import ones\nfrom ..color import _kinds\n"
+    )
+    assert [is_private(name) for name in named(module)] == [True, True, True, False, False, True]
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """At the top of modules; what a function imports when it runs closes no circle."""
+    above: dict[str, set[str]] = {}
+    every = {name_of(path) for path in MODULES}
+    for path in MODULES:
+        found: set[str] = set()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                full = ((f"{node.module}.{a.name}", node.module) for a in node.names)
+                names = [name if name in every else module for name, module in full]
+            found |= {name for name in names if name in every}
+        above[name_of(path)] = found - {name_of(path)}
+    while free := [name for name, needs in above.items() if not needs & set(above)]:
+        for name in free:
+            del above[name]
+    assert not above, f"a circle among {sorted(above)}"
 
 
 def test_every_room_in_the_tree_has_a_place_in_the_order() -> None:

@@ -11,9 +11,12 @@ import pytest
 import torch
 
 from gsvis import _check
-from gsvis.color import _kernels_sh, _kernels_srbf
+from gsvis.color._kernels import sh as _kernels_sh
+from gsvis.color._kernels import srbf as _kernels_srbf
 from gsvis.color.evaluate import Evaluator
-from gsvis.render import GaussianTensors, _kernels_project, _kernels_tiles, rasterize
+from gsvis.render import GaussianTensors, rasterize
+from gsvis.render._kernels import project as _kernels_project
+from gsvis.render._kernels import tiles as _kernels_tiles
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from tests.color.samples import random_colors

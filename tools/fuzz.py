@@ -9,7 +9,7 @@ Given: small valid files of every format and sessions of the wire, made by tests
 Measured: how each changed input ends, its processor time and the growth of memory; branches of the readers in a run of
     its own. Branches of functions that write, that callers ask or that are compiled do not count; how many these are
     stands beside the figure, and `readers` in the details has a figure for each module.
-Defaults chosen on: nothing; the limits of memory are twice what the readers promise in gsvis.io._limits.
+Defaults chosen on: nothing; the limits of memory are twice what the readers promise in gsvis.files.limits.
 """
 
 from __future__ import annotations

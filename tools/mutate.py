@@ -47,8 +47,8 @@ MODULES = {
     "gsvis/train/merge.py": ("tests/train/test_merge.py",),
     "gsvis/raycast/directions.py": ("tests/raycast/test_directions.py",),
     "gsvis/raycast/reference.py": ("tests/raycast/test_known_scenes.py", "tests/raycast/test_tracer.py"),
-    "gsvis/visibility/store.py": ("tests/visibility/test_store.py", "tests/visibility/test_cells.py"),
-    "gsvis/visibility/_codec.py": ("tests/visibility/test_codec.py", "tests/visibility/test_store.py"),
+    "gsvis/pvs/store.py": ("tests/pvs/test_store.py", "tests/pvs/test_cells.py"),
+    "gsvis/pvs/codec.py": ("tests/pvs/test_codec.py", "tests/pvs/test_store.py"),
 }
 """A module and the tests that have to notice a change in it."""
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.abr import _kernels as kernels
-from gsvis.abr._kernels_plan import SEVERAL
+from gsvis._kernels.bits import count as ones
+from gsvis.abr._kernels import units as kernels
+from gsvis.abr._kernels.plan import SEVERAL
 from gsvis.abr.index import CellMembers, SceneIndex
-from gsvis.visibility._codec import word_count
-from gsvis.visibility._kernels_store import count as ones
-from gsvis.visibility.cells import CellGrid
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.codec import word_count
 
 __all__ = ["RINGS", "CandidateStore", "Candidates", "ring_cells"]
 

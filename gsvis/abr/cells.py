@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr.index import CellMembers
-from gsvis.visibility._codec import ids_of, pack
-from gsvis.visibility.active_terms import ActiveTerms
-from gsvis.visibility.store import VisibilityStore
+from gsvis.package.active_terms import ActiveTerms
+from gsvis.pvs.codec import ids_of, pack
+from gsvis.pvs.store import VisibilityStore
 
 __all__ = ["StoreCells", "class_weights"]
 

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.abr import _kernels as kernels
+from gsvis.abr._kernels import units as kernels
 from gsvis.abr.candidates import RINGS, ring_cells
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.predict import finite_vector
-from gsvis.visibility._codec import ids_of
+from gsvis.pvs.codec import ids_of
 
 __all__ = ["ADJACENT", "FOV", "NONE", "PERIPHERAL", "Classes", "FieldOfView", "classify"]
 

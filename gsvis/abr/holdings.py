@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pyroaring import BitMap
 
 from gsvis import _check
-from gsvis.visibility._codec import bitmap_of, ids_of, pack, word_count
-from gsvis.visibility._kernels_store import count
+from gsvis._kernels.bits import count
+from gsvis.pvs.codec import bitmap_of, ids_of, pack, word_count
 
 __all__ = ["Holdings"]
 

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from gsvis import _check
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.codec import pack, word_count
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from gsvis.visibility._codec import pack, word_count
-from gsvis.visibility.cells import CellGrid
 
 __all__ = ["CellMembers", "CellSets", "SceneIndex", "extents", "nearest_replacements"]
 

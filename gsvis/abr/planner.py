@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.abr import _kernels_plan as kernels
+from gsvis.abr._kernels import plan as kernels
 from gsvis.abr.candidates import Candidates, CandidateStore
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.policies import UtilityConfig, table

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.abr import _kernels as kernels
-from gsvis.abr._kernels_plan import NEVER
+from gsvis.abr._kernels import units as kernels
+from gsvis.abr._kernels.plan import NEVER
 from gsvis.abr.candidates import RINGS
 
 __all__ = ["GROUPS", "POLICIES", "REGIMES", "UtilityConfig", "lowest_last", "offsets", "pairs", "regime_of"]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.abr import _kernels as kernels
+from gsvis.abr._kernels import units as kernels
 from gsvis.abr.candidates import RINGS, CandidateStore, ring_cells, strengths
 from gsvis.abr.classes import FOV, classify
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.policies import UtilityConfig, lowest_last, offsets
-from gsvis.visibility._codec import ids_of
+from gsvis.pvs.codec import ids_of
 
 __all__ = ["View", "order_records"]
 

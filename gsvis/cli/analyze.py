@@ -61,8 +61,8 @@ def run_analyze(command: Analyze) -> None:
 def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[str, Any]:
     """Everything between reading the scene and a written report."""
     from gsvis.raycast import EllipsoidProxies, Tracer
+    from gsvis.raycast.analysis import AnalysisConfig, analyze
     from gsvis.report import Subject, picture_views, write_report
-    from gsvis.visibility import AnalysisConfig, analyze
 
     config = AnalysisConfig(command.tau, command.traced_sample, command.rays_per_face, command.seed)
     status("reading", 0, 1)
@@ -112,7 +112,7 @@ def _differs(command: Analyze, cameras: int) -> str:
 
 def _warm_up() -> None:
     """Compile the kernels, or load them, on a scene of one Gaussian, so that the first run tells what it waits for."""
-    from gsvis.visibility import AnalysisConfig, analyze
+    from gsvis.raycast.analysis import AnalysisConfig, analyze
 
     one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
     camera = Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1)

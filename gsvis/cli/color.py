@@ -30,20 +30,20 @@ from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import OutputError, SceneError
-from gsvis.io._limits import open_regular
-from gsvis.io.atomic import remove_partials
+from gsvis.files.atomic import remove_partials
+from gsvis.files.limits import open_regular
+from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.store import VisibilityStore
 
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Prepare
     from gsvis.color import EpsilonCalibration, Observer
     from gsvis.color.fit import FitConfig
     from gsvis.color.srbf import SrbfColors
-    from gsvis.visibility.color_quality import ColorQuality
-    from gsvis.visibility.colors import ColorConfig, ColorPreparation
-    from gsvis.visibility.fitted_colors import FittedColors
+    from gsvis.prepare.color_quality import ColorQuality
+    from gsvis.prepare.colors import ColorConfig, ColorPreparation
+    from gsvis.prepare.fitted_colors import FittedColors
 
 __all__ = ["fit_config", "run_color"]
 
@@ -119,10 +119,11 @@ def _checked(command: Color) -> ColorConfig:
     if command.report is not None and command.held_out == 0:
         raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
     given_up(command.up)
-    from gsvis.visibility.colors import ColorConfig, ViewSampling
+    from gsvis.prepare.colors import ColorConfig
+    from gsvis.scene.view_sampling import ViewSampling
 
     if command.epsilon == 0.0 or (command.epsilon is None and command.active is not None):
-        from gsvis.visibility.color_quality import check_flip
+        from gsvis.prepare.color_quality import check_flip
 
         check_flip()
     fit = replace(fit_config(command), refine=not command.no_refine)
@@ -198,15 +199,15 @@ def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
             free = np.zeros_like(space.free)
             free[tuple(held.T)] = True
             return replace(space, free=free, rule=f"{space.rule}, in the cells")
-    from gsvis.visibility.quality import box_space
+    from gsvis.pvs.quality import box_space
 
     return box_space(store.grid, source.gaussians)
 
 
 def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
     """Everything between a read scene and the last file that was asked for."""
-    from gsvis.visibility.colors import kept_beside, prepare_colors
-    from gsvis.visibility.fitted_colors import FittedColors, rounded
+    from gsvis.prepare.colors import kept_beside, prepare_colors
+    from gsvis.prepare.fitted_colors import FittedColors, rounded
 
     g, sets = plan.source.whole, None if plan.store is None else plan.store.direction_sets
     if plan.source.union.sh_degree > 0:
@@ -246,8 +247,8 @@ def _epsilon(
     command: Color, plan: _Plan, colors: SrbfColors, status: Status
 ) -> tuple[float | None, EpsilonCalibration | None]:
     """The epsilon that was given or that the model observer comes to, where it is needed and possible."""
-    from gsvis.visibility.color_quality import has_flip
-    from gsvis.visibility.colors import ViewSampling
+    from gsvis.prepare.color_quality import has_flip
+    from gsvis.scene.view_sampling import ViewSampling
 
     if command.epsilon:
         return command.epsilon, None
@@ -298,7 +299,7 @@ def _looked_at(command: Color, plan: _Plan, fitted: FittedColors, status: Status
     """What is made of the colours once they are safe."""
     g, colors, epsilon = fitted.gaussians, fitted.colors, fitted.epsilon
     if command.active is not None and plan.store is not None and epsilon is not None:
-        from gsvis.visibility.active_terms import build_active_terms
+        from gsvis.prepare.active_terms import build_active_terms
 
         told = "given" if fitted.calibration is None else "the model observer FLIP"
         with build_active_terms(
@@ -320,8 +321,8 @@ def _looked_at(command: Color, plan: _Plan, fitted: FittedColors, status: Status
 
 
 def _compared(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> ColorQuality:
-    from gsvis.visibility.color_quality import ColorQualityConfig, has_flip, measure_colors
-    from gsvis.visibility.colors import ViewSampling
+    from gsvis.prepare.color_quality import ColorQualityConfig, has_flip, measure_colors
+    from gsvis.scene.view_sampling import ViewSampling
 
     (g, colors), epsilon = fitted.drawn, fitted.epsilon
     asked = ColorQualityConfig(flip=has_flip())
@@ -337,7 +338,7 @@ def _compared(command: Color, plan: _Plan, fitted: FittedColors, status: Status)
 def _write_staircase(command: Color, plan: _Plan, colors: SrbfColors, status: Status) -> None:
     from gsvis.report.approximations import Approximations
     from gsvis.report.staircase import PERSON_RULE, write_staircase_page
-    from gsvis.visibility.colors import ViewSampling
+    from gsvis.scene.view_sampling import ViewSampling
 
     source, space = plan.source, plan.space
     assert command.staircase is not None

@@ -10,7 +10,7 @@ from gsvis.cli.source import Source, levels_spelled, levels_told
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
 
 if TYPE_CHECKING:
-    from gsvis.visibility.fitted_colors import FittedColors
+    from gsvis.prepare.fitted_colors import FittedColors
 
 __all__ = ["tell_result"]
 

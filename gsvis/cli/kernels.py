@@ -12,9 +12,9 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
 if TYPE_CHECKING:
+    from gsvis.prepare.colors import ColorConfig
+    from gsvis.pvs.config import PvsConfig
     from gsvis.train.levels import LevelsConfig
-    from gsvis.visibility.colors import ColorConfig
-    from gsvis.visibility.pvs import PvsConfig
 
 __all__ = ["warm_colors", "warm_levels", "warm_sets"]
 
@@ -38,7 +38,7 @@ def warm_levels(config: LevelsConfig, status: Status) -> None:
 def warm_sets(config: PvsConfig, status: Status) -> None:
     """Those that look from cells."""
     if config.method == "hybrid":  # the others need libraries that this process may have no room for
-        from gsvis.visibility.look import Look
+        from gsvis.pvs.look import Look
 
         status("kernels", 0, 1)
         one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
@@ -50,8 +50,9 @@ def warm_colors(config: ColorConfig, status: Status) -> None:
     """Those that fit colours."""
     from gsvis.color.activation import Activation
     from gsvis.color.evaluate import evaluate
-    from gsvis.visibility.colors import ColorConfig, ViewSampling, prepare_colors
-    from gsvis.visibility.fitted_colors import rounded
+    from gsvis.prepare.colors import ColorConfig, prepare_colors
+    from gsvis.prepare.fitted_colors import rounded
+    from gsvis.scene.view_sampling import ViewSampling
 
     status("kernels", 0, 1)
     bands = np.linspace(-0.3, 0.3, 9).reshape(1, 3, 3)

@@ -20,16 +20,16 @@ from gsvis.cli.source import Source, check_folder, check_source, given_up, load_
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.errors import FormatError, OutputError, SceneError
-from gsvis.io.atomic import interrupted_moves
+from gsvis.files.atomic import interrupted_moves
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
+    from gsvis.scene.view_sampling import ViewSampling
     from gsvis.train.images import PosedImages
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
-    from gsvis.visibility.colors import ViewSampling
 
 __all__ = ["check_views", "levels_config", "run_levels", "view_sampling", "work_of"]
 
@@ -253,7 +253,7 @@ def _drawn(command: Levels, source: Source, status: Status) -> LevelViews:
 
 def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:
     """Cameras to train on where there are no photographs."""
-    from gsvis.visibility.colors import ViewSampling
+    from gsvis.scene.view_sampling import ViewSampling
 
     return ViewSampling(views or _VIEWS, *(size or (_WIDTH, _HEIGHT)), _FOV, seed)
 

@@ -20,9 +20,9 @@ from PIL.PngImagePlugin import PngInfo
 
 from gsvis.cli.source import check_folder
 from gsvis.errors import FormatError
-from gsvis.io._limits import open_regular
-from gsvis.io.atomic import atomic_folder, atomic_path
-from gsvis.io.output import TEMPORARY, output_errors
+from gsvis.files.atomic import atomic_folder, atomic_path
+from gsvis.files.limits import open_regular
+from gsvis.files.output import TEMPORARY, output_errors
 
 __all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
 

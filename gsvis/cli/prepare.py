@@ -89,8 +89,9 @@ def _checked(command: Prepare) -> PrepareConfig:
     """Everything about the arguments that can be known before work begins."""
     from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
+    from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.work import WorkFolder
-    from gsvis.visibility.colors import ColorConfig, ViewSampling
+    from gsvis.scene.view_sampling import ViewSampling
 
     check_source(command.scene, command.lod)
     if command.photos is not None and not Path(command.photos).exists():

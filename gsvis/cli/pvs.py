@@ -26,16 +26,16 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
-from gsvis.io._limits import open_regular
+from gsvis.files.limits import open_regular
 from gsvis.io.poses import load_path
+from gsvis.pvs.build import Estimate, Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
+from gsvis.scene.corridor import corridor
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
-from gsvis.visibility._corridor import corridor
-from gsvis.visibility.build import Estimate, Workers, build_pvs, estimate_pvs, journal_of
-from gsvis.visibility.cells import MAX_CELLS, CellGrid
-from gsvis.visibility.pvs import PvsConfig
-from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["local_workers", "run_pvs", "sets_config"]
 
@@ -97,7 +97,7 @@ def _checked(command: Pvs) -> PvsConfig:
             raise ValueError(f"--{spelled}: expected none with --{name}, got {getattr(command, other)}; leave one out")
     given_up(command.up)
     if command.scheduler is not None:
-        from gsvis.visibility.cluster import check_address
+        from gsvis.pvs.cluster import check_address
 
         check_address(command.scheduler)
     more = {} if command.growth is None else {"growth": command.growth}
@@ -148,7 +148,7 @@ def _check_replaced(command: Pvs, source: Source) -> None:
 @contextmanager
 def _workers(command: Pvs) -> Iterator[Workers]:
     if command.scheduler is not None:
-        from gsvis.visibility.cluster import connect
+        from gsvis.pvs.cluster import connect
 
         with connect(command.scheduler) as workers:
             yield workers

@@ -12,9 +12,9 @@ from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
 from gsvis.cli.source import Source, check_report, check_source, inspected, load_source, navigable_space
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.scene.content import space_hash
-from gsvis.visibility.store import VisibilityStore
-from gsvis.visibility.viewpoints import CellViewpoints
 
 __all__ = ["run_pvs_report"]
 
@@ -52,9 +52,9 @@ def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dic
     status("space", 0, 1)
     viewpoints, told = _viewpoints(store, source)
     status("space", 1, 1)
+    from gsvis.pvs.quality import QualityConfig, measure_quality  # imports torch
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.pvs_document import write_pvs_report
-    from gsvis.visibility.quality import QualityConfig, measure_quality  # imports torch
 
     names = ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed")
     config = QualityConfig(**{name: getattr(command, name) for name in names})
@@ -75,7 +75,7 @@ def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dic
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:
     """Where fresh viewpoints are drawn, and in words: in the space of the build if it can be found again."""
-    from gsvis.visibility.quality import box_space
+    from gsvis.pvs.quality import box_space
 
     space, _ = navigable_space(source, up=store.grid.up)
     if space is not None:

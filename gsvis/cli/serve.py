@@ -10,7 +10,7 @@ from contextlib import suppress
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
-from gsvis.io._limits import open_regular
+from gsvis.files.limits import open_regular
 
 __all__ = ["run_serve"]
 

@@ -16,7 +16,7 @@ from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.source import check_report, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import SceneError
-from gsvis.io.output import TEMPORARY, output_errors
+from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.io.poses import load_path
 from gsvis.package.package import Package
 from gsvis.scene.gaussians import Gaussians

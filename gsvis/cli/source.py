@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
-from gsvis.io._limits import open_regular
-from gsvis.io.atomic import interrupted_moves
-from gsvis.io.output import check_writable, output_errors
+from gsvis.files.atomic import interrupted_moves
+from gsvis.files.limits import open_regular
+from gsvis.files.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, inspect_scene

@@ -17,8 +17,8 @@ from gsvis.cli.source import check_file, check_new
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import OutputError
-from gsvis.io._limits import open_regular
-from gsvis.io.atomic import atomic_path, remove_partials
+from gsvis.files.atomic import atomic_path, remove_partials
+from gsvis.files.limits import open_regular
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.color._kernels_order import order_lobes, shown_errors
-from gsvis.color._kernels_rgb import SPACES
+from gsvis.color._kernels.order import order_lobes, shown_errors
+from gsvis.color._kernels.rgb import SPACES
 from gsvis.color._pursuit import LobeFit, SplitFit
 from gsvis.color.srbf import spherical_coordinates
 from gsvis.color.variants import VARIANTS, Variant

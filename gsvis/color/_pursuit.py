@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.color import _kernels_fit as kernels
+from gsvis.color._kernels import fit as kernels
 from gsvis.color._split import Function, Split, split_colours
 from gsvis.color.omp import orthogonal_matching_pursuit
 from gsvis.color.variants import VARIANTS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.color import _kernels_split as kernels
+from gsvis.color._kernels import split as kernels
 from gsvis.color.spaces import rgb_to_yuv
 from gsvis.color.variants import Variant
 

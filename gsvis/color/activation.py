@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color import _kernels_activation as kernels
-from gsvis.color._kernels_rgb import SPACES
+from gsvis.color._kernels import activation as kernels
+from gsvis.color._kernels.rgb import SPACES
 from gsvis.color.srbf import SrbfColors, unit_vectors
 
 __all__ = ["Activation", "active", "active_in_box", "contributions"]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color import _kernels_rgb, _kernels_srbf
+from gsvis.color._kernels import rgb as _kernels_rgb
+from gsvis.color._kernels import srbf as _kernels_srbf
 from gsvis.color._kinds import is_tensor
 from gsvis.color.srbf import SrbfColors
 

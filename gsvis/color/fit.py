@@ -1,6 +1,6 @@
 """SRBF colours of a scene: SH colours over the directions from which each Gaussian is seen, fitted by few terms.
 
-Directions are given as the direction sets of `gsvis.raycast` or `gsvis.visibility` have them: from the Gaussian to the
+Directions are given as the direction sets of `gsvis.raycast` or `gsvis.pvs` have them: from the Gaussian to the
 eye, by the 80 faces. Terms are chosen from a dictionary and then moved to where they serve best; how many a Gaussian
 gets depends on what its error counts. Nothing here renders.
 """

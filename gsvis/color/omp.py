@@ -15,8 +15,8 @@ from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color import _kernels_omp as kernels
-from gsvis.color._kernels_products import BLOCK, WIDTH, multiply
+from gsvis.color._kernels import omp as kernels
+from gsvis.color._kernels.products import BLOCK, WIDTH, multiply
 from gsvis.progress import Progress, silent
 
 __all__ = ["SparseCodes", "orthogonal_matching_pursuit"]

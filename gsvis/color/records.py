@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.color import _grids
-from gsvis.color import _kernels_records as kernels
+from gsvis.color import grids as _grids
+from gsvis.color._kernels import records as kernels
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
 from gsvis.color.variants import Variant, variant
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color import _kernels_sh
+from gsvis.color._kernels import sh as _kernels_sh
 from gsvis.color._kinds import is_tensor, numbers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import sh_basis, sh_degree_of
@@ -21,7 +21,7 @@ from gsvis.scene.sh import sh_basis, sh_degree_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["sh_colors", "sh_colors_along", "towards_gaussian"]
+__all__ = ["sh_colors", "sh_colors_along", "towards_gaussian", "write_sh_colors", "write_sh_gradients"]
 
 
 class _Tensors(Protocol):
@@ -93,6 +93,47 @@ def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool =
     every = np.arange(len(g.means), dtype=np.int32)
     _kernels_sh.colours_from_sh(every, *_check.read_only(g.means, g.sh0, g.shN), degree, viewpoint, lowest, colours)
     return colours
+
+
+def write_sh_colors(
+    ids: NDArray[np.int32],
+    coefficients: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    degree: int,
+    eye: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the colors of some Gaussians from one eye; for renderers, which have checked their arrays.
+
+    Args:
+        ids: (M,) Gaussians.
+        coefficients: means (N, 3), sh0 (N, 1, 3) and shN (N, K - 1, 3), C-contiguous.
+        degree: Degree to evaluate.
+        eye: (3,) viewpoint, world frame.
+        out: (M, at least 3); the first three columns are written, cut off below at 0.
+    """
+    _kernels_sh.colours_from_sh(ids, *_check.read_only(*coefficients), degree, eye, np.float32(0.0), out)
+
+
+def write_sh_gradients(
+    ids: NDArray[np.int32],
+    coefficients: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    degree: int,
+    eye: NDArray[np.float64],
+    colors: tuple[NDArray[np.float32], NDArray[np.float64]],
+    out: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+) -> None:
+    """Carry gradients back through `write_sh_colors`.
+
+    Args:
+        ids: (M,) Gaussians.
+        coefficients: As for `write_sh_colors`.
+        degree: Degree that was evaluated.
+        eye: (3,) viewpoint, world frame.
+        colors: What was written (M, at least 3), and the gradients by its first three columns (M, at least 3).
+        out: Gradients by sh0, shN and means; those of `ids` are written (means: added).
+    """
+    v_sh0, v_shN, v_means = out
+    _kernels_sh.colours_from_sh_backward(ids, *coefficients, degree, eye, *colors, v_sh0, v_shN, v_means)
 
 
 def sh_colors_along(

@@ -1,7 +1,7 @@
 """Scenes with SRBF colours as one Arrow file: a row a Gaussian, its terms a list in that row.
 
 Any Arrow client reads it. Floats are exact; quantised colours are the integers of `QuantisedColors`, and the header has
-what their tables are made of. Frame and units are the scene's own. `gsvis.io._arrow` is what guards the bytes.
+what their tables are made of. Frame and units are the scene's own. `gsvis.files.arrow` is what guards the bytes.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from gsvis.color.records import Grids, Precision, QuantisedColors, has_scales, q
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import VARIANTS, Variant
 from gsvis.errors import FormatError
-from gsvis.io._arrow import ArrowFile, write_arrow
-from gsvis.io._json import Fields
-from gsvis.io._limits import Budget
+from gsvis.files.arrow import ArrowFile, write_arrow
+from gsvis.files.fields import Fields
+from gsvis.files.limits import Budget
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.hpr import _kernels_spent as _kernels
-from gsvis.hpr._kernels import in_order_of_cells
+from gsvis.hpr._kernels import spent as _kernels
+from gsvis.hpr._kernels.hull import in_order_of_cells
 from gsvis.hpr.hull import Hull
 from gsvis.raycast import MIN_ALPHA, TAU
 from gsvis.scene.gaussians import Gaussians

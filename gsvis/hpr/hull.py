@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.hpr import _kernels
+from gsvis.hpr._kernels import hull as _kernels
 
 __all__ = ["Hull"]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from gsvis import _check
-from gsvis.hpr import _kernels
+from gsvis.hpr._kernels import hull as _kernels
 from gsvis.hpr.hull import Hull
 
 __all__ = ["hidden_point_removal"]

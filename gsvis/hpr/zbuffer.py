@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.hpr import _kernels_sphere as kernels
-from gsvis.hpr._kernels_row import LANES
+from gsvis.hpr._kernels import sphere as kernels
+from gsvis.hpr._kernels.row import LANES
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 

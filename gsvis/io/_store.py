@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import Budget, inside, open_regular, read_whole, safe_name
+from gsvis.files.limits import Budget, inside, open_regular, read_whole, safe_name
 
 __all__ = ["FolderStore", "Store", "ZipStore"]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._limits import Budget, read_whole
+from gsvis.files.limits import Budget, read_whole
 
 __all__ = ["Table", "listed", "read_table"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._limits import read_whole
+from gsvis.files.limits import read_whole
 
 __all__ = ["read_bandwidth_text"]
 

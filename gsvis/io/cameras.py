@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._limits import open_regular
+from gsvis.files.limits import open_regular
 from gsvis.io.colmap import find_colmap, read_colmap
 from gsvis.io.folders import cameras_remedy
 from gsvis.io.inria_cameras import read_inria_cameras

@@ -43,8 +43,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
+from gsvis.files.limits import open_regular
 from gsvis.io._build import exp_scales, format_error, sh0_from_rgb, sigmoid
-from gsvis.io._limits import open_regular
 from gsvis.io._table import listed
 from gsvis.scene.gaussians import Gaussians
 

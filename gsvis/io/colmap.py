@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import check_regular, open_regular
+from gsvis.files.limits import check_regular, open_regular
 from gsvis.io.views import F64, Views, pinhole
 from gsvis.scene.gaussians import rotations_from_quats
 

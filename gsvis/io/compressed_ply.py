@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
 from gsvis.io._build import exp_scales, gaussians_from, sh0_from_rgb
-from gsvis.io._kernels import spread_8888, spread_111011, unpack_quats
+from gsvis.io._kernels.spz import spread_8888, spread_111011, unpack_quats
 from gsvis.io._ply_header import Element, PlyHeader
 from gsvis.scene.gaussians import Gaussians
 

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._arrow import ArrowFile, write_arrow
-from gsvis.io._json import Fields
-from gsvis.io._limits import Budget, digest_of, safe_name
-from gsvis.io.atomic import atomic_folder
+from gsvis.files.arrow import ArrowFile, write_arrow
+from gsvis.files.atomic import atomic_folder
+from gsvis.files.fields import Fields
+from gsvis.files.limits import Budget, digest_of, safe_name
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

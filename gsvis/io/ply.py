@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import open_regular
 from gsvis.io._build import exp_scales, gaussians_from, logits, sigmoid
-from gsvis.io._limits import open_regular
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
 from gsvis.io._ply_rows import CHUNK_BYTES, row_chunks
-from gsvis.io.atomic import atomic_path
 from gsvis.io.compressed_ply import is_compressed, read_compressed
 from gsvis.scene.gaussians import Gaussians
 

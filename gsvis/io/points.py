@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._limits import inside, open_regular, safe_name
+from gsvis.files.limits import inside, open_regular, safe_name
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
 from gsvis.io._ply_rows import row_chunks
 from gsvis.io.colmap import find_colmap, find_colmap_points, read_colmap_points

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
 from gsvis.io._table import Table, listed, read_table
-from gsvis.io.atomic import atomic_path
 from gsvis.io.eyenav import COLUMNS as EYENAV_COLUMNS
 from gsvis.io.eyenav import is_eyenav, path_of_recording
 from gsvis.scene.paths import HeadPath

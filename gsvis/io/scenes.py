@@ -13,8 +13,8 @@ from pathlib import Path
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._json import parse_object
-from gsvis.io._limits import open_regular, read_whole
+from gsvis.files.fields import parse_object
+from gsvis.files.limits import open_regular, read_whole
 from gsvis.io._table import listed
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy

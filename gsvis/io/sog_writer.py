@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.files.atomic import atomic_path
 from gsvis.io._quantise import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
-from gsvis.io.atomic import atomic_path
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["save_sog"]

@@ -11,8 +11,8 @@ import os
 import numpy as np
 
 from gsvis.errors import FormatError
+from gsvis.files.limits import read_whole
 from gsvis.io._build import LEAST_SCALE, gaussians_from, sh0_from_rgb
-from gsvis.io._limits import read_whole
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["load_splat"]

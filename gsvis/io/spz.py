@@ -18,10 +18,10 @@ import zstandard
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import Budget, read_whole
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three
-from gsvis.io._kernels import look_up, unpack_fixed_points, unpack_higher, unpack_quats
-from gsvis.io._limits import Budget, read_whole
-from gsvis.io.atomic import atomic_path
+from gsvis.io._kernels.spz import look_up, unpack_fixed_points, unpack_higher, unpack_quats
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import rotation_of_sh
 

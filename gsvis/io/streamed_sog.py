@@ -15,8 +15,8 @@ import numpy as np
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._json import Fields, parse_object
-from gsvis.io._limits import Budget, inside, read_whole, safe_name
+from gsvis.files.fields import Fields, parse_object
+from gsvis.files.limits import Budget, inside, read_whole, safe_name
 from gsvis.io._store import FolderStore, ZipStore
 from gsvis.io.sog import SogMeta, read_sog
 from gsvis.scene.gaussians import Gaussians

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._json import parse_json
-from gsvis.io._limits import read_whole
+from gsvis.files.fields import parse_json
+from gsvis.files.limits import read_whole
 from gsvis.scene.cameras import Cameras
 
 __all__ = ["Views", "pinhole", "pose_of_camera", "read_json", "to_numbers"]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.package import _kernels as kernels
+from gsvis.package._kernels import records as kernels
 from gsvis.package.layout import RECORD_BYTES, RecordLayout
 from gsvis.scene.gaussians import Gaussians
 

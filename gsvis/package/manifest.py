@@ -19,8 +19,8 @@ from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
-from gsvis.io._json import Fields, parse_object
-from gsvis.io._limits import inside, read_whole
+from gsvis.files.fields import Fields, parse_object
+from gsvis.files.limits import inside, read_whole
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.parts import Part
 

@@ -12,12 +12,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.package import _kernels as kernels
+from gsvis.package._kernels import records as kernels
 from gsvis.package.codec import chunk_starts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["MOST_GAUSSIANS", "PackageOrder", "in_package_order"]
+__all__ = ["MOST_GAUSSIANS", "PackageOrder", "in_package_order", "morton_codes"]
 
 I64 = NDArray[np.int64]
 U64 = NDArray[np.uint64]
@@ -47,8 +47,7 @@ class PackageOrder:
     def of(cls, levels: Levels) -> PackageOrder:
         """The order for levels."""
         union = levels.union
-        codes = np.empty(len(union), np.uint64)
-        kernels.morton(union.means, *_frame(union), codes)
+        codes = morton_codes(union.means, *_frame(union))
         keys = levels.first.astype(np.int64) * 16 + (15 - levels.last)
         order = np.lexsort((codes, keys))
         order = _by_content(union, codes, keys, order)
@@ -73,6 +72,19 @@ def in_package_order(levels: Levels) -> Levels:
     """
     order = PackageOrder.of(levels).permutation
     return Levels(levels.union[order], levels.first[order], levels.last[order], levels.names)
+
+
+def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: float) -> U64:
+    """Return (N,) places along a Morton curve of 2^63 cells, evenly spaced within `half` of `center` (3,).
+
+    Args:
+        means: (N, 3) positions in the frame and units of `center`.
+        center: (3,) middle of the even part of the curve.
+        half: Half the width of the even part, > 0; cells grow outside of it.
+    """
+    codes = np.empty(len(means), np.uint64)
+    kernels.morton(means, center, half, codes)
+    return codes
 
 
 def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:

@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
-from gsvis.io._limits import Budget
-from gsvis.io.output import TEMPORARY, output_errors
+from gsvis.files.limits import Budget
+from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.package.active_terms import ActiveTerms
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest
 from gsvis.package.parts import PartFolder
 from gsvis.progress import Progress, silent
-from gsvis.visibility.active_terms import ActiveTerms
-from gsvis.visibility.store import VisibilityStore
+from gsvis.pvs.store import VisibilityStore
 
 __all__ = ["PARTS", "Package", "Verified", "columns_of"]
 

@@ -18,10 +18,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._arrow import ArrowFile, write_arrow
-from gsvis.io._json import Fields
-from gsvis.io._limits import Budget, check_regular, digest_of, read_whole
-from gsvis.io.output import output_errors
+from gsvis.files.arrow import ArrowFile, write_arrow
+from gsvis.files.fields import Fields
+from gsvis.files.limits import Budget, check_regular, digest_of, read_whole
+from gsvis.files.output import output_errors
 
 __all__ = ["MOST_BYTES", "Part", "PartFolder"]
 

@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.color.records import QuantisedColors
 from gsvis.errors import FormatError
-from gsvis.io._limits import open_regular
-from gsvis.io.atomic import atomic_path
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import open_regular
+from gsvis.package.active_terms import ActiveTerms
 from gsvis.package.contents import Contents
 from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest, PackageInfo
 from gsvis.package.package import PARTS, Package, columns_of
 from gsvis.package.parts import MOST_BYTES, Part, PartFolder
 from gsvis.progress import Progress, silent
+from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
 from gsvis.scene.levels import Levels
-from gsvis.visibility.active_terms import ActiveTerms
-from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["check_target", "write_package"]
 

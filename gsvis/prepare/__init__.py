@@ -1,22 +1,85 @@
-"""A scene made into a package that can be served, step by step, each step kept for the next time.
+"""The stages from a scene to a package that can be served: colors, active terms and their quality among them.
 
-prepared = prepare_package(load_scene("scene.ply"), "scene.gsvis", space)
+    prepared = prepare_package(load_scene("scene.ply"), "scene.gsvis", space)
+
+Names are imported on first use.
 """
 
-from gsvis.prepare.config import PrepareConfig
-from gsvis.prepare.estimate import PreparationEstimate, StageEstimate, estimate_preparation
-from gsvis.prepare.prepare import Prepared, prepare_package
-from gsvis.prepare.stages import StageRecord
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gsvis.prepare.active_terms import build_active_terms
+    from gsvis.prepare.color_quality import ColorQuality, ColorQualityConfig, measure_colors
+    from gsvis.prepare.colors import ColorConfig, ColorPreparation, prepare_colors
+    from gsvis.prepare.config import PrepareConfig
+    from gsvis.prepare.estimate import PreparationEstimate, StageEstimate, estimate_preparation
+    from gsvis.prepare.fitted_colors import FittedColors
+    from gsvis.prepare.prepare import Prepared, prepare_package
+    from gsvis.prepare.stages import StageRecord
+    from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
 __all__ = [
+    "PAPER_TERMS",
+    "ColorConfig",
+    "ColorPreparation",
+    "ColorQuality",
+    "ColorQualityConfig",
+    "FittedColors",
     "PreparationEstimate",
     "PrepareConfig",
     "Prepared",
     "StageEstimate",
     "StageRecord",
+    "WalkTerms",
+    "build_active_terms",
     "estimate_preparation",
+    "measure_colors",
+    "prepare_colors",
     "prepare_package",
+    "terms_over_walk",
 ]
+
+_HOMES = {
+    "active_terms": ("build_active_terms",),
+    "color_quality": (
+        "ColorQuality",
+        "ColorQualityConfig",
+        "measure_colors",
+    ),
+    "colors": (
+        "ColorConfig",
+        "ColorPreparation",
+        "prepare_colors",
+    ),
+    "config": ("PrepareConfig",),
+    "estimate": (
+        "PreparationEstimate",
+        "StageEstimate",
+        "estimate_preparation",
+    ),
+    "fitted_colors": ("FittedColors",),
+    "prepare": (
+        "Prepared",
+        "prepare_package",
+    ),
+    "stages": ("StageRecord",),
+    "walk_terms": (
+        "PAPER_TERMS",
+        "WalkTerms",
+        "terms_over_walk",
+    ),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

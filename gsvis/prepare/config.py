@@ -10,10 +10,11 @@ import numpy as np
 
 from gsvis import _check
 from gsvis.color.epsilon import DEFAULT_EPSILON
+from gsvis.prepare.colors import ColorConfig
+from gsvis.pvs.cells import MAX_CELLS
+from gsvis.pvs.config import PvsConfig
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
-from gsvis.visibility.cells import MAX_CELLS
-from gsvis.visibility.colors import ColorConfig, ViewSampling
-from gsvis.visibility.pvs import PvsConfig
 
 __all__ = ["PrepareConfig"]
 

@@ -21,13 +21,13 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import stages_of
 from gsvis.prepare.stages import Stages
 from gsvis.progress import Progress, silent
+from gsvis.pvs.build import Workers, estimate_pvs
+from gsvis.pvs.store import VisibilityStore
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.build import Workers, estimate_pvs
-from gsvis.visibility.colors import ViewSampling
-from gsvis.visibility.store import VisibilityStore
+from gsvis.scene.view_sampling import ViewSampling
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 

@@ -24,12 +24,12 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages
 from gsvis.prepare.work import WorkFolder
 from gsvis.progress import Progress, silent
+from gsvis.pvs.build import Workers
+from gsvis.pvs.store import VisibilityStore
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.visibility.build import Workers
-from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["Prepared", "check_scene", "prepare_package", "stages_of"]
 

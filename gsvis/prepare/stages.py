@@ -24,14 +24,20 @@ from gsvis.color.records import QuantisedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
-from gsvis.io._json import parse_object
-from gsvis.io._limits import read_whole
-from gsvis.io.atomic import atomic_path
+from gsvis.files.atomic import atomic_path
+from gsvis.files.fields import parse_object
+from gsvis.files.limits import read_whole
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package import Cost, in_package_order, measure_cost
+from gsvis.package.active_terms import colors_hash
+from gsvis.prepare.active_terms import build_active_terms
+from gsvis.prepare.colors import kept_beside, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.work import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
+from gsvis.pvs.build import Workers, build_pvs
+from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -39,11 +45,6 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.level_quality import measure_levels
 from gsvis.train.level_views import LevelViews, drawn_views, photograph_views
 from gsvis.train.levels import train_levels
-from gsvis.visibility.active_terms import build_active_terms, colors_hash
-from gsvis.visibility.build import Workers, build_pvs
-from gsvis.visibility.cells import MAX_CELLS, CellGrid
-from gsvis.visibility.colors import kept_beside, prepare_colors
-from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["StageRecord", "Stages"]
 

@@ -17,10 +17,10 @@ from typing import Any
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io._limits import digest_of, read_whole
-from gsvis.io.atomic import atomic_path
-from gsvis.io.locks import locked
-from gsvis.io.output import keeping, output_errors
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import digest_of, read_whole
+from gsvis.files.locks import locked
+from gsvis.files.output import keeping, output_errors
 
 __all__ = ["WorkFolder", "digest_of_folder"]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
-from gsvis.raycast import _kernels_directions
+from gsvis.raycast._kernels import directions as _kernels_directions
 from gsvis.raycast.tracer import TAU, Tracer
 from gsvis.raycast.visible import visible_in
 from gsvis.scene.cameras import Cameras

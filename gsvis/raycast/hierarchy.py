@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.raycast import _kernels_bvh
+from gsvis.raycast._kernels import bvh as _kernels_bvh
 from gsvis.raycast.proxies import EllipsoidProxies
 
 __all__ = ["Hierarchy"]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.raycast import _kernels
+from gsvis.raycast._kernels import trace as _kernels
 from gsvis.raycast.engines import ENGINES, Engine
 from gsvis.raycast.hierarchy import Hierarchy
 from gsvis.raycast.proxies import EllipsoidProxies

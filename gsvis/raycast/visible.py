@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
-from gsvis.raycast import _kernels
+from gsvis.raycast._kernels import trace as _kernels
 from gsvis.raycast.tracer import TAU, Tracer
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import rotations_from_quats

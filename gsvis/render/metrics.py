@@ -22,7 +22,7 @@ from torch.nn.functional import conv2d
 
 from gsvis import _check
 from gsvis.errors import BackendError
-from gsvis.render._kernels_blur import blur
+from gsvis.render._kernels.blur import blur
 
 __all__ = ["flip", "flip_map", "lpips", "psnr", "ssim"]
 

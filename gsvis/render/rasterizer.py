@@ -18,9 +18,10 @@ from torch import Tensor
 from gsvis import _check
 from gsvis.errors import BackendError
 from gsvis.render.colours import Colours, camera_colours
-from gsvis.render.cpu import View, rasterize_cpu
+from gsvis.render.cpu import rasterize_cpu
 from gsvis.render.cuda import is_available, rasterize_cuda
 from gsvis.render.reference import rasterize_reference
+from gsvis.render.splats import View
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians

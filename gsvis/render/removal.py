@@ -7,7 +7,7 @@ removing one Gaussian while all others stay; they do not add up where Gaussians 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color import _kernels_sh
+from gsvis.color.sh import write_sh_colors
 from gsvis.progress import Progress, silent
-from gsvis.render import _kernels_removal, _kernels_tiles
+from gsvis.render._kernels import removal as _kernels_removal
 from gsvis.render.colours import CameraColours, Colours, camera_colours
-from gsvis.render.cpu import Projected, View, project
+from gsvis.render.splats import Projected, View, blend, project
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -130,9 +130,7 @@ def _features(g: Gaussians, view: View, projected: Projected, colours: CameraCol
     features = np.ones((len(projected.ids), 4), np.float32)
     given = None if colours is None else colours.of(c)
     if given is None:
-        _kernels_sh.colours_from_sh(
-            projected.ids, *_check.read_only(g.means, g.sh0, g.shN), g.sh_degree, view.eye, np.float32(0.0), features
-        )
+        write_sh_colors(projected.ids, (g.means, g.sh0, g.shN), g.sh_degree, view.eye, features)
     else:
         features[:, :3] = given.detach().to(torch.float32).numpy()[projected.ids]
     return features
@@ -144,13 +142,7 @@ def _blended(view: View, projected: Projected, features: F32, background: F32) -
     if (features[:, 3] != 1.0).any():
         splats = splats.copy()
         splats[:, 5] += np.log2(np.maximum(features[:, 3], 1e-30))  # log2 of the opacity
-    shape = (view.height, view.width)
-    image = np.empty((*shape, 3), np.float32)
-    others = (np.empty(shape, np.float32) for _ in range(4))
-    _kernels_tiles.blend_tiles(
-        splats, features, projected.offsets, projected.members, view.tiles[0], background, image, *others
-    )
-    return image
+    return blend(replace(projected, splats=splats), view, features, background)[0]
 
 
 def _target(image: NDArray[Any]) -> F32:

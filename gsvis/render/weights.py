@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.progress import Progress, silent
-from gsvis.render import _kernels_tiles
-from gsvis.render.cpu import Projected, View, project
+from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.render.splats import Projected, View, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.io.atomic import atomic_folder
+from gsvis.files.atomic import atomic_folder
+from gsvis.prepare.color_quality import ColorQuality
+from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
 from gsvis.report.color_page import DIFFERENCE, color_page
@@ -21,8 +23,6 @@ from gsvis.report.files import write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.theme import DARK, LIGHT, drawn
-from gsvis.visibility.color_quality import ColorQuality
-from gsvis.visibility.fitted_colors import FittedColors
 
 __all__ = ["color_document", "write_color_report"]
 

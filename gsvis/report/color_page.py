@@ -5,10 +5,10 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
+from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
 from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
 from gsvis.report.spheres import COUNTS
-from gsvis.visibility.fitted_colors import FittedColors
 
 __all__ = ["DIFFERENCE", "color_page"]
 

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
+from gsvis.prepare.color_quality import ColorQuality
+from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.theme import Theme
-from gsvis.visibility.color_quality import ColorQuality
-from gsvis.visibility.fitted_colors import FittedColors
 
 __all__ = [
     "ACTIVE_TARGET",

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from gsvis.color.evaluate import evaluate_along
 from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.sh import sh_colors_along, towards_gaussian
+from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.spheres import COUNTS, sphere_directions
 from gsvis.report.theme import Theme
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares
-from gsvis.visibility.fitted_colors import FittedColors
 
 __all__ = ["Spheres", "draw_spheres", "fit_spheres"]
 

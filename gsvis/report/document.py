@@ -10,9 +10,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.io.atomic import atomic_folder
+from gsvis.files.atomic import atomic_folder
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
+from gsvis.raycast.analysis import FACE_LIMITS, PAPER, Analysis
 from gsvis.report.files import write_files
 from gsvis.report.html import Figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
@@ -21,7 +22,6 @@ from gsvis.report.pictures import ViewPicture, png_of
 from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
 from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.scene.gaussians import Gaussians
-from gsvis.visibility import FACE_LIMITS, PAPER, Analysis
 
 __all__ = ["Subject", "report_document", "write_report"]
 

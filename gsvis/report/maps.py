@@ -17,12 +17,12 @@ from matplotlib.ticker import Formatter, MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.pvs.cells import CellGrid
 from gsvis.raycast import directions
+from gsvis.raycast.analysis import Analysis
 from gsvis.report.theme import Theme
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.visibility import Analysis
-from gsvis.visibility.cells import CellGrid
 
 __all__ = ["CellMap", "Ground", "draw_cells", "draw_directions", "draw_seen_map"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
+from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
 from gsvis.report.html import Figure, described, figure, filled, table
 from gsvis.report.html import tiles as listed
-from gsvis.visibility import PAPER, Analysis, DirectionCdf
 
 __all__ = ["page"]
 

@@ -12,7 +12,7 @@ from PIL import Image
 from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.raycast import Tracer, ray_image, visible_in
-from gsvis.visibility import Analysis
+from gsvis.raycast.analysis import Analysis
 
 __all__ = ["ViewPicture", "picture_views", "png_of"]
 

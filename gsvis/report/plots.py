@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
+from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
 from gsvis.report.theme import Theme
-from gsvis.visibility import PAPER, Analysis, DirectionCdf
 
 __all__ = ["draw_cdf", "draw_settling", "draw_visible"]
 

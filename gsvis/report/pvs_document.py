@@ -10,8 +10,10 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 from numpy.typing import NDArray
 
-from gsvis.io.atomic import atomic_folder
+from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
+from gsvis.pvs.quality import Quality
+from gsvis.pvs.store import VisibilityStore
 from gsvis.render import rasterize
 from gsvis.report.document import Subject
 from gsvis.report.files import write_files
@@ -29,8 +31,6 @@ from gsvis.report.pvs_plots import (
 )
 from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.scene.gaussians import Gaussians
-from gsvis.visibility.quality import Quality
-from gsvis.visibility.store import VisibilityStore
 
 __all__ = ["pvs_document", "write_pvs_report"]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
+from gsvis.pvs.quality import Figure as Measure
 from gsvis.report.html import Figure, described, figure, filled, table, tiles
-from gsvis.visibility.quality import PSNR_CAP, TARGETS, Quality
-from gsvis.visibility.quality import Figure as Measure
 
 __all__ = ["pvs_page", "spelled", "spelled_target"]
 

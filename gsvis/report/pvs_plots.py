@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis.pvs.quality import TARGETS, Quality
 from gsvis.report.theme import Theme
-from gsvis.visibility.quality import TARGETS, Quality
 
 __all__ = ["LEAST_MISSING", "draw_growth", "draw_missing", "draw_shares", "draw_trades", "draw_viewpoints"]
 

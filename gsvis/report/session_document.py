@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.io.atomic import atomic_folder
+from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.report.files import write_files
 from gsvis.report.html import Figure

@@ -23,9 +23,9 @@ from PIL import Image
 from gsvis import _check
 from gsvis.color.epsilon import MOST_AT_BOUND, STUCK, UP_STEPS, EpsilonCalibration, StaircaseRule, replay
 from gsvis.errors import FormatError
-from gsvis.io._json import parse_json
-from gsvis.io._limits import read_whole
-from gsvis.io.atomic import atomic_path
+from gsvis.files.atomic import atomic_path
+from gsvis.files.fields import parse_json
+from gsvis.files.limits import read_whole
 from gsvis.progress import Progress, silent
 from gsvis.report.html import filled, plain, table
 

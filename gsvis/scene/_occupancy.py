@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gsvis.errors import SceneError
-from gsvis.scene._kernels import splat_depth
+from gsvis.scene._kernels.voxels import splat_depth
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["MIN_ALPHA", "Occupancy", "robust_box"]

@@ -6,7 +6,10 @@ module knows no file, no camera and no training.
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["Levels"]
+__all__ = ["Levels", "as_levels", "level_scenes", "levels_record", "union_of"]
+
+I64 = NDArray[np.int64]
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -102,3 +107,32 @@ class Levels:
     def overhead(self) -> float:
         """What going up level by level sends beyond the highest alone, as a share of that."""
         return len(self.union) / self.counts[-1] - 1.0
+
+
+def union_of(scene: Gaussians | Levels) -> Gaussians:
+    """The Gaussians that ids are of."""
+    return scene.union if isinstance(scene, Levels) else scene
+
+
+def as_levels(scene: Gaussians | Levels) -> Levels:
+    """A scene without levels is one level.
+
+    Raises:
+        ValueError: If it is empty.
+    """
+    return scene if isinstance(scene, Levels) else Levels.single(scene)
+
+
+def level_scenes(levels: Levels) -> Iterator[tuple[Gaussians, I64]]:
+    """Each level as a scene of its own, lowest first, and the (n,) rising ids of its Gaussians in the union."""
+    for k in range(len(levels)):
+        ids = np.flatnonzero(levels.member(k))
+        yield (levels.union if len(ids) == len(levels.union) else levels.union[ids]), ids
+
+
+def levels_record(scene: Gaussians | Levels) -> dict[str, Any] | None:
+    """Names, counts and a hash of who belongs where, as JSON keeps them; None for a scene or a single level."""
+    if not isinstance(scene, Levels) or len(scene) == 1:
+        return None
+    membership = hashlib.sha256(b"gsvis levels 1\n" + scene.first.tobytes() + scene.last.tobytes()).hexdigest()
+    return {"names": list(scene.names), "counts": list(scene.counts), "membership": membership}

@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import read_whole
+from gsvis.files.limits import read_whole
 from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import PARTS
 from gsvis.package.parts import MOST_BYTES

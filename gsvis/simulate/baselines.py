@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.package import _kernels as kernels
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
+from gsvis.package.order import morton_codes
 from gsvis.simulate.delivery import Parcel
 
 __all__ = ["MortonProgressive", "WholeFile", "morton_order"]
@@ -128,10 +128,8 @@ def morton_order(means: ArrayLike) -> I64:
     if len(points) == 0:
         return np.zeros(0, np.int64)
     low, high = np.quantile(points.astype(np.float64), [0.01, 0.99], axis=0)
-    codes = np.empty(len(points), np.uint64)
     half = max(float((high - low).max()) / 2.0, 1e-9)
-    kernels.morton(points, (low + high) / 2.0, half, codes)
-    return np.argsort(codes, kind="stable")
+    return np.argsort(morton_codes(points, (low + high) / 2.0, half), kind="stable")
 
 
 def _terms_of(contents: Contents, ids: I64) -> I64:

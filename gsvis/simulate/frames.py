@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.color.evaluate import Evaluator
 from gsvis.package.contents import Contents
-from gsvis.render import _kernels_tiles as tiles
 from gsvis.render import rasterize
-from gsvis.render.cpu import View, project
+from gsvis.render.splats import View, blend, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
-from gsvis.simulate import _kernels as kernels
+from gsvis.simulate._kernels import thin as kernels
 
 __all__ = ["CONTENT_DB", "Frame", "Stage", "psnr_of"]
 
@@ -119,11 +118,7 @@ class Frame:
             some = np.flatnonzero(shown)
             means = self._stage.drawn.means
             features[some, :3] = evaluator.colors(means, v.eye, active=terms, ids=self.ids[some])
-        image = np.empty((v.height, v.width, 3), np.float32)
-        planes = (np.empty((v.height, v.width), np.float32) for _ in range(4))
-        tiles.blend_tiles(
-            p.splats, features, offsets, members[:count], v.tiles[0], np.zeros(3, np.float32), image, *planes
-        )
+        image = blend(p, v, features, np.zeros(3, np.float32), (offsets, members[:count]))[0]
         self.drawings += 1
         return np.clip(image, 0.0, 1.0)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gsvis.errors import ProtocolError
 from gsvis.package.layout import RECORD_BYTES
-from gsvis.stream import _kernels as kernels
+from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.header import HEAD, SceneHeader
 from gsvis.stream.wire import BATCH, FAULTS
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.color import _grids
+from gsvis.color.grids import unoctahedral
 from gsvis.color.records import has_scales
 from gsvis.color.srbf import SrbfColors
 from gsvis.package.codec import ChunkTable, decode_records
@@ -20,7 +20,7 @@ from gsvis.package.layout import RecordLayout
 from gsvis.package.terms import decode_terms
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
-from gsvis.stream import _kernels as kernels
+from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import Sections
 from gsvis.stream.header import SceneHeader
 
@@ -106,7 +106,7 @@ class Drawn:
         )  # fmt: skip
         self._slots = np.zeros(about.gaussians, np.int32)  # of each Gaussian, from 1; zeros take no memory
         self._axes = Rows(1, axes=none(kind.num_axes, 3))  # the first is of those whose axes have not come
-        self._axes.append(axes=_grids.unoctahedral(np.zeros((1, kind.num_axes, 2), np.uint16), grids.precision.axis))
+        self._axes.append(axes=unoctahedral(np.zeros((1, kind.num_axes, 2), np.uint16), grids.precision.axis))
         self._axis_rows = np.zeros(about.gaussians if kind.num_axes else 0, np.int32)
         self._made: tuple[Gaussians, SrbfColors] | None = None
 
@@ -140,7 +140,7 @@ class Drawn:
         if len(fresh):
             self._axis_rows[fresh] = len(self._axes) + np.arange(len(fresh), dtype=np.int32)
             cells = s.axes.reshape(len(fresh), -1, 2).astype(np.uint16)
-            self._axes.append(axes=_grids.unoctahedral(cells, self._grids.precision.axis))
+            self._axes.append(axes=unoctahedral(cells, self._grids.precision.axis))
         if len(s.terms):
             found, (theta, phi, decay, intensity) = decode_terms(s.term_records, self._grids), self._term_tables
             centers = np.stack([theta[found.centers[:, 0]], phi[found.centers[:, 1]]], axis=1)

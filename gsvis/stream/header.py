@@ -19,7 +19,7 @@ from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError, ProtocolError, SceneError
-from gsvis.io._json import Fields, parse_object
+from gsvis.files.fields import Fields, parse_object
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.manifest import Manifest, PackageInfo
 from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME

@@ -14,9 +14,9 @@ from gsvis.abr.index import CellMembers, CellSets, SceneIndex
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
 from gsvis.package.package import Package
+from gsvis.pvs.cells import CellGrid
 from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.header import SceneHeader
-from gsvis.visibility.cells import CellGrid
 
 __all__ = ["StreamedScene"]
 

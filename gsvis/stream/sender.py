@@ -17,7 +17,7 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch
 from gsvis.abr.scheduler import Scheduler, SchedulerConfig
-from gsvis.stream import _kernels as kernels
+from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import FIXED_BYTES, Sections
 from gsvis.stream.meter import LinkMeter
 from gsvis.stream.scene import StreamedScene

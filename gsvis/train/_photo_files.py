@@ -17,7 +17,7 @@ from typing import Any
 from PIL import Image
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import Budget, open_regular, safe_name
+from gsvis.files.limits import Budget, open_regular, safe_name
 from gsvis.io.colmap import find_colmap, read_colmap
 from gsvis.io.folders import cameras_remedy
 from gsvis.io.transforms_json import read_transforms

@@ -17,8 +17,8 @@ import torch
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._json import parse_object
-from gsvis.io.archive import load_arrays, save_arrays
+from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.files.fields import parse_object
 from gsvis.train.history import Record
 from gsvis.train.parameters import NAMES
 

@@ -15,10 +15,10 @@ from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.photos import load_photos
 from gsvis.train.trainer import mean_psnr
-from gsvis.visibility.colors import ViewSampling
 
 __all__ = ["LevelViews", "drawn_views", "photograph_views"]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.io.archive import load_arrays, save_arrays
+from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gsvis.render.metrics import ssim
-from gsvis.train import _kernels_loss
+from gsvis.train._kernels import loss as _kernels_loss
 
 __all__ = ["photometric_loss"]
 

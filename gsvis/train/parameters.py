@@ -15,7 +15,7 @@ from torch import Tensor
 
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train._kernels_adam import adam_step
+from gsvis.train._kernels.adam import adam_step
 
 __all__ = ["NAMES", "Parameters"]
 

@@ -18,7 +18,7 @@ from PIL import Image
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
-from gsvis.io._limits import open_regular
+from gsvis.files.limits import open_regular
 from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent

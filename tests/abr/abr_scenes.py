@@ -6,9 +6,9 @@ import numpy as np
 
 from gsvis.abr.index import CellMembers, SceneIndex, nearest_replacements
 from gsvis.package.order import in_package_order
+from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from gsvis.visibility.cells import CellGrid
 
 
 class ArrayCells:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gsvis.abr.cells import StoreCells, class_weights, term_places
-from gsvis.visibility import CellGrid, VisibilityStore
-from gsvis.visibility._codec import ids_of
-from gsvis.visibility.store import CellSet, StoreInfo, write_store
+from gsvis.pvs import CellGrid, VisibilityStore
+from gsvis.pvs.codec import ids_of
+from gsvis.pvs.store import CellSet, StoreInfo, write_store
 
 
 def test_members_are_those_of_the_store_in_any_order(tmp_path: Path) -> None:

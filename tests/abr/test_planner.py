@@ -13,8 +13,8 @@ from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch, Planner
 from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig
 from gsvis.abr.reference import View, order_records
+from gsvis.pvs.codec import ids_of
 from gsvis.scene.gaussians import rotations_from_quats
-from gsvis.visibility._codec import ids_of
 from tests.abr import abr_scenes as scenes
 
 FEW = settings(max_examples=15)

@@ -15,11 +15,12 @@ from gsvis.color import load_srbf, srbf_info
 from gsvis.color.fit import FitConfig
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS
 from gsvis.io import load_scene, save_scene
+from gsvis.package.active_terms import ActiveTerms
+from gsvis.prepare.fitted_colors import PRECISION_NAMES
+from gsvis.pvs import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility import ActiveTerms, VisibilityStore
-from gsvis.visibility.colors import ViewSampling
-from gsvis.visibility.fitted_colors import PRECISION_NAMES
+from gsvis.scene.view_sampling import ViewSampling
 from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]

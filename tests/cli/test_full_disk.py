@@ -148,7 +148,7 @@ def test_each_fault_has_its_remedy(
         raise OSError(code, os.strerror(code), str(source))
 
     with monkeypatch.context() as patched:
-        patched.setattr("gsvis.io.atomic.os.replace", full)
+        patched.setattr("gsvis.files.atomic.os.replace", full)
         assert main(["convert", str(world["ply"]), str(out), "--overwrite"]) == 1
     line = told(capsys)
     assert line.startswith(f"gsvis: error: {out}: cannot be written: {os.strerror(code).lower()}; ")

@@ -318,7 +318,7 @@ def test_a_run_that_ends_between_its_files_is_resumed_by_the_same_command(
         replace(source, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr("gsvis.io.atomic.os.replace", ends)
+        patch.setattr("gsvis.files.atomic.os.replace", ends)
         assert main(["levels", *map(str, words)]) == 130
     assert names(tmp_path / "levels") == PLYS[:moved]
     (mine := tmp_path / "levels" / "high.ply").write_bytes(mine.read_bytes() + b"\n")  # no longer what the run wrote

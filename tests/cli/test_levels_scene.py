@@ -12,9 +12,9 @@ from gsvis.cli import main
 from gsvis.cli.source import load_source
 from gsvis.color import load_srbf, srbf_info
 from gsvis.io.levels import MAP, load_levels, save_levels
+from gsvis.pvs import VisibilityStore
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility import VisibilityStore
 
 Capture = pytest.CaptureFixture[str]
 CELLS = ["--cells", "4", "--size", "16", "--workers", "1", "--max-viewpoints", "3"]

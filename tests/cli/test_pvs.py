@@ -14,10 +14,10 @@ import pytest
 from gsvis.cli import main
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
+from gsvis.pvs import PvsConfig, VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility import PvsConfig, VisibilityStore
 from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]

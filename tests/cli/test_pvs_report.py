@@ -14,13 +14,13 @@ from gsvis.cli.arguments import PvsReport
 from gsvis.cli.pvs_report import _viewpoints
 from gsvis.cli.source import load_source
 from gsvis.io import save_scene
+from gsvis.pvs.build import build_pvs
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.store import VisibilityStore
+from gsvis.scene import corridor
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility import corridor
-from gsvis.visibility.build import build_pvs
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.pvs import PvsConfig
-from gsvis.visibility.store import VisibilityStore
 
 Capture = pytest.CaptureFixture[str]
 QUICK = ["--cells", "2", "--viewpoints", "1", "--dense", "2", "--width", "24", "--height", "18"]
@@ -77,7 +77,7 @@ def test_json_is_the_document_and_its_command_makes_it_again(
 
 
 def test_defaults_are_those_of_the_library() -> None:
-    from gsvis.visibility.quality import QualityConfig
+    from gsvis.pvs.quality import QualityConfig
 
     command = parse(["pvs-report", "a.pvs", "b.ply", "-o", "c"])
     assert isinstance(command, PvsReport)

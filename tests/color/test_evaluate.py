@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsvis.color import _kernels_rgb, reference
+from gsvis.color import reference
+from gsvis.color._kernels import rgb as _kernels_rgb
 from gsvis.color.evaluate import Evaluator, evaluate, evaluate_along
 from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf
-from gsvis.color._kernels_fit import fit_lobes
-from gsvis.color._kernels_refine import refine, work
+from gsvis.color._kernels.fit import fit_lobes
+from gsvis.color._kernels.refine import refine, work
 from gsvis.color.fit import sampled_colours
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares, icosphere

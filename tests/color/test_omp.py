@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numba import get_num_threads, set_num_threads
 
 from gsvis.color import SparseCodes, orthogonal_matching_pursuit, reference, srbf_dictionary
-from gsvis.color._kernels_products import BLOCK
+from gsvis.color._kernels.products import BLOCK
 from gsvis.scene.icosphere import icosphere
 
 

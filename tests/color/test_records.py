@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsvis.color import _grids
+from gsvis.color import grids as _grids
 from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.records import (
     INTENSITY_FLOOR,

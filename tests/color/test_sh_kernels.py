@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gsvis.color import _kernels_sh
+from gsvis.color._kernels import sh as _kernels_sh
 from gsvis.scene.sh import sh_basis
 
 

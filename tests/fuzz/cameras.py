@@ -158,8 +158,8 @@ def in_trace(folder: Path, case: Case) -> None:
     assert found.time_to_send(1e6, 0.0) >= 0
 
 
-IO = "gsvis.io."
-_TABLE = (IO + "_table", IO + "_limits")
+FILES, IO = "gsvis.files.", "gsvis.io."
+_TABLE = (IO + "_table", FILES + "limits")
 
 TARGETS = [
     Target(

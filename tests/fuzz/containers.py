@@ -14,10 +14,10 @@ import numpy as np
 import pyarrow as pa
 
 from gsvis.errors import FormatError
-from gsvis.io import _arrow
-from gsvis.visibility._container import HEAD_BYTES, ContainerWriter
-from gsvis.visibility._writer import CELL_ROW
-from gsvis.visibility.active_terms import _CRC
+from gsvis.files import arrow as _arrow
+from gsvis.package.active_terms import _CRC
+from gsvis.pvs._container import HEAD_BYTES, ContainerWriter
+from gsvis.pvs._writer import CELL_ROW
 from tests.fuzz.mutators import KINDS, change_bytes, change_json, change_zstd
 
 __all__ = ["change_manifest", "sealed_manifest"]

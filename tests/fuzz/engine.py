@@ -25,7 +25,7 @@ SLOW_S = 20.0
 """Processor seconds that one input may take."""
 
 FREE_BYTES, BYTES_A_BYTE = 160 << 20, 512
-"""Memory that an input may take: what `gsvis.io._limits` grants a file, doubled for what is held on the way."""
+"""Memory that an input may take: what `gsvis.files.limits` grants a file, doubled for what is held on the way."""
 
 _TRIALS, _SECONDS = 120, 20.0
 

@@ -163,9 +163,9 @@ def in_points(folder: Path, case: Case) -> None:
     assert ((cloud.colors >= 0) & (cloud.colors <= 1)).all()
 
 
-IO = "gsvis.io."
-_PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", IO + "_limits", IO + "scenes")
-_SOG = (IO + "sog", IO + "_store", IO + "_webp", IO + "_json", IO + "_limits")
+FILES, IO = "gsvis.files.", "gsvis.io."
+_PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", FILES + "limits", IO + "scenes")
+_SOG = (IO + "sog", IO + "_store", IO + "_webp", FILES + "fields", FILES + "limits")
 
 TARGETS = [
     Target("ply", plain_plys, in_one_file, modules=_PLY),

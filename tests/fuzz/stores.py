@@ -11,7 +11,12 @@ import numpy as np
 
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
+from gsvis.files.kept import Kept
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
+from gsvis.package.active_terms import ActiveTerms
+from gsvis.pvs._journal import Journal, pack_view
+from gsvis.pvs.config import CellView
+from gsvis.pvs.store import VisibilityStore
 from gsvis.report import load_staircase_result
 from gsvis.scene.procedural import random_scene
 from gsvis.train.checkpoint import load_checkpoint, save_checkpoint
@@ -19,11 +24,6 @@ from gsvis.train.densify import DensifyConfig
 from gsvis.train.images import PosedImages
 from gsvis.train.initial import gaussians_from_points
 from gsvis.train.trainer import TrainConfig, Trainer
-from gsvis.visibility._journal import Journal, pack_view
-from gsvis.visibility._kept import Kept
-from gsvis.visibility.active_terms import ActiveTerms
-from gsvis.visibility.pvs import CellView
-from gsvis.visibility.store import VisibilityStore
 from tests.fuzz.cameras import files_in
 from tests.fuzz.targets import Case, Target, change_files
 from tests.package.worlds import colors_of, levels_of, stores_of
@@ -195,7 +195,7 @@ def in_staircase(folder: Path, case: Case) -> None:
     assert load_staircase_result(folder / name).epsilon > 0
 
 
-VIS, TRAIN, IO = "gsvis.visibility.", "gsvis.train.", "gsvis.io."
+PVS, FILES, TRAIN, IO = "gsvis.pvs.", "gsvis.files.", "gsvis.train.", "gsvis.io."
 
 TARGETS = [
     Target(
@@ -205,21 +205,21 @@ TARGETS = [
         (FormatError, FileNotFoundError),
         {MAP: "arrow"},
         change_levels,
-        (IO + "levels", IO + "_arrow"),
+        (IO + "levels", FILES + "arrow"),
     ),
     Target(
         "color",
         color_files,
         in_colors,
         kinds={"a.arrow": "arrow"},
-        modules=("gsvis.color.storage", IO + "_arrow", IO + "_json"),
+        modules=("gsvis.color.storage", FILES + "arrow", FILES + "fields"),
     ),
     Target(
         "visibility",
         lambda: [{"a.pvs": both_stores()[0]}],
         in_visibility,
         kinds={"a.pvs": "pvs"},
-        modules=(VIS + "store", VIS + "_container", VIS + "_codec"),
+        modules=(PVS + "store", PVS + "_container", PVS + "codec"),
         weight=1.5,
     ),
     Target(
@@ -227,23 +227,23 @@ TARGETS = [
         lambda: [{"a.arrow": both_stores()[1]}],
         in_terms,
         kinds={"a.arrow": "active"},
-        modules=(VIS + "active_terms",),
+        modules=("gsvis.package.active_terms",),
     ),
-    Target("kept", kept_files, in_kept, (), modules=(VIS + "_kept", IO + "archive"), refuses=False),
+    Target("kept", kept_files, in_kept, (), modules=(FILES + "kept", FILES + "archive"), refuses=False),
     Target(
         "journal",
         journals,
         in_journal,
         (),
         {f"cell-{k:06d}.bin": "journal" for k in range(3)},
-        modules=(VIS + "_journal",),
+        modules=(PVS + "_journal",),
         refuses=False,
     ),
     Target(
         "checkpoint",
         checkpoints,
         in_checkpoint,
-        modules=(TRAIN + "checkpoint", IO + "archive"),
+        modules=(TRAIN + "checkpoint", FILES + "archive"),
         weight=0.5,
         beginnings=("checkpoint: expected ",),  # another run's
     ),

@@ -91,7 +91,7 @@ def test_of_value_errors_a_target_allows_those_it_names_alone(told: str, verdict
 def test_readers_of_training_and_archives_are_among_the_targets() -> None:
     modules = {module for target in TARGETS.values() for module in target.modules}
     assert modules >= {
-        "gsvis.io.archive",
+        "gsvis.files.archive",
         "gsvis.train._photo_files",
         "gsvis.train.checkpoint",
         "gsvis.train.levels",

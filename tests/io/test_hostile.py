@@ -20,9 +20,10 @@ import pytest
 from gsvis.abr.traces import load_trace
 from gsvis.color.storage import load_srbf
 from gsvis.errors import FormatError
-from gsvis.io._json import parse_json, parsed_bytes
-from gsvis.io._limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
-from gsvis.io.archive import load_arrays
+from gsvis.files.archive import load_arrays
+from gsvis.files.fields import parse_json, parsed_bytes
+from gsvis.files.kept import Kept
+from gsvis.files.limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
 from gsvis.io.cameras import load_cameras
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.levels import load_levels
@@ -30,15 +31,14 @@ from gsvis.io.points import load_points
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import load_scene
 from gsvis.package import Package
+from gsvis.package.active_terms import ActiveTerms
+from gsvis.pvs._container import HEAD_BYTES, ContainerWriter
+from gsvis.pvs._journal import Journal
+from gsvis.pvs._writer import FORMAT
+from gsvis.pvs.store import VisibilityStore
 from gsvis.report.staircase import load_staircase_result
 from gsvis.serve.parts import read_part
 from gsvis.train.photos import load_photos
-from gsvis.visibility._container import HEAD_BYTES, ContainerWriter
-from gsvis.visibility._journal import Journal
-from gsvis.visibility._kept import Kept
-from gsvis.visibility._writer import FORMAT
-from gsvis.visibility.active_terms import ActiveTerms
-from gsvis.visibility.store import VisibilityStore
 from tests.io.scene_files import random_scene, sog_files, streamed_files, write_files, zip_bytes
 
 PACKAGE = Path(__file__).parents[2] / "gsvis"
@@ -386,7 +386,7 @@ def test_counts_of_a_store_are_bounded_by_its_size(tmp_path: Path) -> None:
 
 
 def test_a_group_of_terms_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> None:
-    from gsvis.visibility import active_terms as module
+    from gsvis.prepare import active_terms as module
 
     said = {"format": module.FORMAT, "version": module.VERSION, "cells": 1, "terms": 1, "gaussians": 1}
     said |= {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.io._limits import inside
+from gsvis.files.limits import inside
 from gsvis.io.levels import load_levels, save_levels
 from gsvis.io.scenes import load_scene
 from tests.io.scene_files import random_scene, sog_files, streamed_files, write_files, zip_bytes

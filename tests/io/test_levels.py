@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.errors import FormatError
-from gsvis.io._arrow import ArrowFile, write_arrow
-from gsvis.io._limits import Budget
+from gsvis.files.arrow import ArrowFile, write_arrow
+from gsvis.files.limits import Budget
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.scene.content import scene_hash
@@ -109,7 +109,7 @@ def test_a_write_cut_short_leaves_no_map_that_lies(tmp_path: Path, monkeypatch: 
                 raise OSError("pulled the plug")
         replace(source, target)
 
-    monkeypatch.setattr("gsvis.io.atomic.os.replace", cut)
+    monkeypatch.setattr("gsvis.files.atomic.os.replace", cut)
     with pytest.raises(OSError, match="plug"):
         save_levels(levels_of(seed=1), tmp_path / "out")
     with pytest.raises((FileNotFoundError, FormatError)):

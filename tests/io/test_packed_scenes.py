@@ -12,8 +12,8 @@ import pytest
 import zstandard
 
 from gsvis.errors import FormatError
-from gsvis.io import _kernels as kernels
 from gsvis.io._build import largest_from_three
+from gsvis.io._kernels import spz as kernels
 from gsvis.io.ply import load_ply
 from gsvis.io.splat import load_splat
 from gsvis.io.spz import load_spz, save_spz

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError, SceneError
-from gsvis.io._limits import Budget
+from gsvis.files.limits import Budget
 from gsvis.io.levels import load_levels
 from gsvis.package import (
     Contents,

@@ -9,12 +9,12 @@ import numpy as np
 from gsvis.color.records import QuantisedColors, quantise
 from gsvis.color.srbf import SrbfColors
 from gsvis.package import in_package_order
+from gsvis.prepare.active_terms import build_active_terms
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
 from gsvis.scene.content import scene_hash
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
-from gsvis.visibility.active_terms import build_active_terms
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
 from tests.color.samples import random_colors
 
 NAMES = ("low", "medium", "high")

@@ -17,16 +17,17 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package, in_package_order
 from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare_package
 from gsvis.prepare import estimate as estimates
+from gsvis.prepare.colors import ColorConfig
+from gsvis.pvs import build
+from gsvis.pvs.build import Workers
+from gsvis.pvs.config import PvsConfig
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import OccluderScene, two_rooms
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
-from gsvis.visibility import build
-from gsvis.visibility.build import Workers
-from gsvis.visibility.colors import ColorConfig, ViewSampling
-from gsvis.visibility.pvs import PvsConfig
 from tests.train.photo_files import write_transforms
 
 FEW = ViewSampling(2, 24, 20)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_in
 from gsvis.raycast import directions as dirs
-from gsvis.raycast._kernels_directions import first_free
+from gsvis.raycast._kernels.directions import first_free
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace

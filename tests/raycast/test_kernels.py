@@ -7,9 +7,9 @@ import pytest
 from numba import njit
 
 from gsvis.raycast import EllipsoidProxies, Tracer
-from gsvis.raycast._kernels import STACK
-from gsvis.raycast._kernels_bvh import MOST_LEVELS, WIDTH, build
-from gsvis.raycast._kernels_simd import meets_eight
+from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH, build
+from gsvis.raycast._kernels.simd import meets_eight
+from gsvis.raycast._kernels.trace import STACK
 from tests.raycast.scenes import KINDS, scene
 
 

@@ -13,14 +13,15 @@ from PIL import Image
 
 from gsvis.color.epsilon import MetricObserver, calibrate_epsilon
 from gsvis.color.fit import FitConfig
+from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors
+from gsvis.prepare.colors import ColorConfig, prepare_colors
+from gsvis.prepare.fitted_colors import FittedColors, rounded
 from gsvis.report import Subject
 from gsvis.report.color_document import color_document, write_color_report
 from gsvis.report.color_spheres import fit_spheres
 from gsvis.report.spheres import COUNTS
 from gsvis.scene.procedural import OccluderScene, two_rooms
-from gsvis.visibility.color_quality import ColorQualityConfig, measure_colors
-from gsvis.visibility.colors import ColorConfig, ViewSampling, prepare_colors
-from gsvis.visibility.fitted_colors import FittedColors, rounded
+from gsvis.scene.view_sampling import ViewSampling
 
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 PLOTS = {"bytes", "term_counts", "first_terms", "active", "active_psnr", "spheres"}

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
+from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
+from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.report import Subject
 from gsvis.report.maps import CellMap
 from gsvis.report.pvs_document import pvs_document, still_growing, write_pvs_report
 from gsvis.scene.content import scene_hash
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.quality import Quality, QualityConfig, measure_quality
-from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
-from gsvis.visibility.viewpoints import CellViewpoints
 
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 PICTURES = {"map_visible", "visible", "viewpoints", "growth", "missing", "map_missing", "classes"}

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsvis.raycast import EllipsoidProxies, Tracer
+from gsvis.raycast import Analysis, AnalysisConfig, EllipsoidProxies, Tracer, analyze
 from gsvis.report import Subject, ViewPicture, picture_views, report_document, write_report
 from gsvis.report.maps import Ground
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.procedural import two_rooms
-from gsvis.visibility import Analysis, AnalysisConfig, analyze
 
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 

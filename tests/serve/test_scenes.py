@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.io import _arrow
+from gsvis.files import arrow as _arrow
 from gsvis.package import manifest as manifests
 from gsvis.serve import open_scenes, scenes
 from tests.damage import replaced

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.stream import Sender, StreamedScene
-from gsvis.stream import _kernels as kernels
+from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import CHUNK_ROW, FIXED_BYTES, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.reference import decode_values, encode_values

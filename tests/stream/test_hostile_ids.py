@@ -16,12 +16,12 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import CellMembers, SceneIndex
 from gsvis.errors import ProtocolError
+from gsvis.pvs.codec import pack, word_count
+from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter
 from gsvis.stream import Receiver, Sender, StreamedScene
 from gsvis.stream.batch import Sections
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import Hello, parse_client
-from gsvis.visibility._codec import pack, word_count
-from gsvis.visibility.store import CellSet, StoreInfo, StoreWriter
 from tests.abr.abr_scenes import ArrayCells, random_index
 from tests.stream.worlds import package_of
 
@@ -49,7 +49,7 @@ def test_sets_refuse_ids_beyond_the_range(ids: list[int]) -> None:
 
 @pytest.mark.parametrize("ids", BEYOND)
 def test_the_writer_of_a_store_refuses_ids_beyond_the_range(tmp_path: Path, ids: list[int]) -> None:
-    from tests.visibility.test_store import grid_of
+    from tests.pvs.test_store import grid_of
 
     info = StoreInfo(100, "scene", 0.1, np.array([0.1]))
     grid = grid_of(2, np.random.default_rng(0))

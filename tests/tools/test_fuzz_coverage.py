@@ -39,18 +39,18 @@ def test_what_is_set_apart_is_named_in_full_and_is_there(tool: ModuleType) -> No
 @pytest.mark.parametrize(
     ("module", "owner", "apart"),
     [
-        ("gsvis.io.archive", "save_arrays", True),
-        ("gsvis.io.archive", "load_arrays", False),
-        ("gsvis.visibility._container", "ContainerWriter.append", True),  # of a class that writes
+        ("gsvis.files.archive", "save_arrays", True),
+        ("gsvis.files.archive", "load_arrays", False),
+        ("gsvis.pvs._container", "ContainerWriter.append", True),  # of a class that writes
         ("gsvis.stream.drawn", "Rows.append", False),  # rows that a server sent
         ("gsvis.io.checkpoint", "_Ignored.append", False),
         ("gsvis.package.contents", "Contents.of", True),
         ("gsvis.package.manifest", "Manifest._of", False),
-        ("gsvis.visibility.active_terms", "ActiveTerms.check", True),
+        ("gsvis.prepare.active_terms", "ActiveTerms.check", True),
         ("gsvis.io.levels", "check", False),
-        ("gsvis.visibility.store", "VisibilityStore.union", True),
-        ("gsvis.visibility._levels", "union", False),
-        ("gsvis.visibility._journal", "Journal.opened", False),
+        ("gsvis.pvs.store", "VisibilityStore.union", True),
+        ("gsvis.pvs.levels", "union", False),
+        ("gsvis.pvs._journal", "Journal.opened", False),
         ("gsvis.io._ply_rows", "unpack.compiled", True),
         ("gsvis.io.levels", "save_levels.inner", True),
         ("gsvis.io.levels", "save_levels_of", False),

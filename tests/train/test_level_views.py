@@ -6,8 +6,8 @@ import numpy as np
 
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import random_scene
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.level_views import drawn_views
-from gsvis.visibility.colors import ViewSampling
 
 
 def test_cameras_that_choose_are_many_small_and_others() -> None:

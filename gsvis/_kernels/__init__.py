@@ -1,0 +1,1 @@
+"""Kernels that several rooms call: bits of packed words, vector instructions, faces of the direction set."""

@@ -1,0 +1,42 @@
+"""Bits of packed words, for kernels: a set is words of uint64, bit i % 64 of word i // 64 stands for i."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit
+from numba.core import types
+from numba.extending import intrinsic
+
+__all__ = ["count", "lowest", "ones"]
+
+
+@intrinsic
+def ones(typing_context: Any, word: Any) -> Any:
+    """Set bits of a uint64."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.ctpop(args[0])
+
+    return types.uint64(types.uint64), build
+
+
+@intrinsic
+def lowest(typing_context: Any, word: Any) -> Any:
+    """Place of the lowest set bit of a uint64 that is not 0."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.uint64(types.uint64), build
+
+
+@njit(cache=True, nogil=True)
+def count(words):
+    """Set bits of all words."""
+    total = 0
+    for w in range(len(words)):
+        total += np.int64(ones(words[w]))
+    return total

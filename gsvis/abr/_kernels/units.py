@@ -1,0 +1,182 @@
+"""Kernels that make the units of a cell: sets of up to 64 Gaussians that are ranked together.
+
+Sets are packed words (see `gsvis._kernels.bits`). A unit is a word with a mask: members of one weight class
+and one code, (ring L + first level) L + last level. A bucket is a gain rounded to 32 steps for each halving, 0 is the
+largest.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from gsvis._kernels.bits import lowest, ones
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+BUCKETS = 1024
+LEAST = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits
+GEOMETRY, TERMS = 0, 1
+INSIDE, OUTSIDE = 0, 1
+
+
+@njit(inline="always")
+def bucket_of(gain):
+    """Bucket of a gain >= 0: weighted solid angle for each byte."""
+    place = np.int64(np.float32(gain).view(np.int32) >> 18) - LEAST
+    return BUCKETS - 1 - min(max(place, 0), BUCKETS - 1)
+
+
+@njit(**_OPTIONS)
+def word_spheres(means, radii, areas, spheres, spreads):
+    """A sphere around the Gaussians of each word, and the mean square of their distance from its middle.
+
+    Args:
+        means: (N, 3).
+        radii: (N,).
+        areas: (N,), by which the middle is weighted.
+        spheres: (W, 4) receives middle and radius.
+        spreads: (W,) receives the squares.
+    """
+    n = len(means)
+    for w in range(-(-n // 64)):
+        low, high = 64 * w, min(64 * w + 64, n)
+        x, y, z, total = 0.0, 0.0, 0.0, 0.0
+        for g in range(low, high):
+            share = min(np.float64(areas[g]), 1e12) + 1e-12
+            x, y, z = x + share * means[g, 0], y + share * means[g, 1], z + share * means[g, 2]
+            total += share
+        x, y, z = x / total, y / total, z / total
+        reach, spread = 0.0, 0.0
+        for g in range(low, high):
+            a, b, c = means[g, 0] - x, means[g, 1] - y, means[g, 2] - z
+            square = a * a + b * b + c * c
+            share = min(np.float64(areas[g]), 1e12) + 1e-12
+            spread += share * square
+            reach = max(reach, np.sqrt(square) + radii[g])
+        spheres[w, 0], spheres[w, 1], spheres[w, 2] = x, y, z
+        slack = 1e-6 * (reach + abs(x) + abs(y) + abs(z)) + 1e-30  # for what is rounded when depths are computed
+        spheres[w, 3] = min(reach + slack, 1e30)
+        spreads[w] = min(spread / total, 1e30)
+
+
+@njit(**_OPTIONS)
+def cell_units(members, scene, class_weights, found):
+    """Split the members of a cell into units of ring 0.
+
+    Args:
+        members: (words, classes), classes of the members in rising order.
+        scene: (strengths (N, 2), pairs (N,) of levels, mixed (W,): whether a word has more than one of them).
+        class_weights: (K,).
+        found: (words, masks, areas, pixels, codes) receive the units.
+
+    Returns:
+        How many there are.
+    """
+    words, classes = members
+    strengths, pairs, mixed = scene
+    out_words, out_masks, out_areas, out_pixels, out_codes = found
+    one = np.uint64(1)
+    masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
+    rank, filled = 0, 0
+    for w in range(len(words)):
+        rest = words[w]
+        if not rest:
+            continue
+        low_class, high_class = 255, 0
+        while rest:
+            low = lowest(rest)
+            rest &= rest - one
+            kind, g = np.int64(classes[rank]), 64 * w + np.int64(low)
+            rank += 1
+            masks[kind] |= one << low
+            sums[kind, 0] += strengths[g, 0]
+            sums[kind, 1] += strengths[g, 1]
+            low_class, high_class = min(low_class, kind), max(high_class, kind)
+        for kind in range(low_class, high_class + 1):
+            whole, area, pixel = masks[kind], sums[kind, 0], sums[kind, 1]
+            masks[kind], sums[kind, 0], sums[kind, 1] = 0, 0.0, 0.0
+            while whole:
+                lead, mask = 64 * w + np.int64(lowest(whole)), whole
+                if mixed[w]:
+                    rest, mask, area, pixel = whole, np.uint64(0), 0.0, 0.0
+                    while rest:
+                        low = lowest(rest)
+                        rest &= rest - one
+                        g = 64 * w + np.int64(low)
+                        if pairs[g] == pairs[lead]:
+                            mask |= one << low
+                            area += strengths[g, 0]
+                            pixel += strengths[g, 1]
+                whole &= ~mask
+                count = np.float64(ones(mask))
+                out_words[filled], out_masks[filled], out_codes[filled] = w, mask, pairs[lead]
+                out_areas[filled] = class_weights[kind] * area / count
+                out_pixels[filled] = class_weights[kind] * pixel / count
+                filled += 1
+    return filled
+
+
+@njit(**_OPTIONS)
+def add_words(words, seen, fresh):
+    """Add to `fresh` what `words` have and `seen` has not."""
+    for w in range(len(words)):
+        fresh[w] |= words[w] & ~seen[w]
+
+
+@njit(**_OPTIONS)
+def ring_units(fresh, every, found):
+    """The units of neighbours: of those of all Gaussians (`every`) what is `fresh`. Gives what `cell_units` gives."""
+    words, masks, areas, pixels, codes = every
+    out_words, out_masks, out_areas, out_pixels, out_codes = found
+    filled = 0
+    for u in range(len(words)):
+        mask = masks[u] & fresh[words[u]]
+        if mask:
+            out_words[filled], out_masks[filled], out_codes[filled] = words[u], mask, codes[u]
+            out_areas[filled], out_pixels[filled] = areas[u], pixels[u]
+            filled += 1
+    return filled
+
+
+@njit(**_OPTIONS)
+def pair_bytes(words, masks, codes, word_bytes, sums):
+    """Add to sums (L * L,) the bytes of units by pair of levels."""
+    for u in range(len(words)):
+        sums[codes[u]] += np.float64(ones(masks[u])) * word_bytes[words[u]]
+
+
+@njit(inline="always")
+def _touches(planes, x, y, z, radius):
+    """2 where a sphere is inside one of the frusta, 1 where it touches one, else 0."""
+    best = 0
+    for f in range(planes.shape[0]):
+        whole, part = True, True
+        for k in range(planes.shape[1]):
+            far = planes[f, k, 0] * x + planes[f, k, 1] * y + planes[f, k, 2] * z + planes[f, k, 3]
+            if far + radius < 0.0:
+                part = False
+                break
+            whole &= far >= radius
+        if part:
+            best = max(best, 2 if whole else 1)
+    return best
+
+
+@njit(**_OPTIONS)
+def in_view(planes, means, radii, out):
+    """Which spheres (N,) touch one of the frusta (F, 5, 4)."""
+    for g in range(len(means)):
+        out[g] = _touches(planes, means[g, 0], means[g, 1], means[g, 2], radii[g]) > 0
+
+
+@njit(**_OPTIONS)
+def active_words(ids, owners, active, owing):
+    """Mark active terms (ids), and the Gaussians that have them (owners: (T,))."""
+    one = np.uint64(1)
+    for k in range(len(ids)):
+        t = ids[k]
+        active[t >> 6] |= one << np.uint64(t & 63)
+        g = owners[t]
+        owing[g >> 6] |= one << np.uint64(g & 63)

@@ -1,0 +1,136 @@
+"""Kernels that tell what each term adds from an eye, and which terms can matter from anywhere in a box.
+
+A term matters within a cap around its centre, so a box needs no exponential: the directions from a box to a Gaussian
+lie in a cone, and the term can matter if cone and cap meet. Directions run from the eye to the Gaussian.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from gsvis.color._kernels.rgb import to_rgb
+
+__all__ = ["changes", "mark_terms", "responses"]
+
+_SLACK = 2e-6  # in cosines: centres are float32
+
+
+@njit(cache=True, nogil=True)
+def responses(means, offsets, centers, decays, factors, eye, out):
+    """`factors` (T,) times the value of each term's lobe as the eye (3,) sees it, into out (T,)."""
+    for i in range(len(offsets) - 1):
+        first, last = offsets[i], offsets[i + 1]
+        if first == last:
+            continue
+        x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length == 0.0:  # an eye at the very centre looks along +z
+            z, length = 1.0, 1.0
+        x, y, z = x / length, y / length, z / length
+        for t in range(first, last):
+            a, b, c = x - centers[t, 0], y - centers[t, 1], z - centers[t, 2]
+            out[t] = factors[t] * np.exp(-0.5 * decays[t] * (a * a + b * b + c * c))
+
+
+@njit(cache=True, nogil=True)
+def changes(space, base, scales, offsets, amplitudes, lobes, out):
+    """What leaving out each term changes in the colour of its Gaussian, largest of the channels, into out (T,).
+
+    Args:
+        space: Code of `_kernels_rgb.SPACES`.
+        base: (N, 3) base colours in that space.
+        scales: (N,) what brings RGB back to scale.
+        offsets: (N + 1,) terms of each Gaussian.
+        amplitudes: (T, 3) what a term adds where its lobe is 1.
+        lobes: (T,) values of the lobes.
+        out: (T,) written.
+    """
+    most = 0
+    for i in range(len(base)):
+        most = max(most, offsets[i + 1] - offsets[i])
+    colours, factors = np.empty((3, most + 1), np.float32), np.empty(most + 1, np.float32)
+    for i in range(len(base)):
+        first, count = offsets[i], offsets[i + 1] - offsets[i]
+        if count == 0:
+            continue
+        factors[: count + 1] = scales[i]
+        for c in range(3):
+            total = np.float64(base[i, c])
+            for k in range(count):
+                total += amplitudes[first + k, c] * lobes[first + k]
+            colours[c, count] = total
+            for k in range(count):
+                colours[c, k] = total - amplitudes[first + k, c] * lobes[first + k]
+        to_rgb(space, colours[:, : count + 1], factors[: count + 1])
+        for k in range(count):
+            largest = np.float32(0.0)
+            for c in range(3):
+                largest = max(largest, abs(colours[c, k] - colours[c, count]))
+            out[first + k] = largest
+
+
+@njit(cache=True, nogil=True)
+def _cone(x, y, z, half_x, half_y, half_z):
+    """Cosine of half the angle of a cone around (x, y, z) that holds the directions from a box to a point.
+
+    The point lies at (x, y, z), of length > 0, from the middle of a box of these half sides. Cones below 90 degrees are
+    convex, so one with the directions from all corners has those from the whole box. At most 0: any direction.
+    """
+    length = x * x + y * y + z * z
+    part, whole = length, 1.0  # squared cosine times squared length as a fraction: corners cost no root, no division
+    for corner in range(8):
+        dx = x - half_x if corner & 1 else x + half_x
+        dy = y - half_y if corner & 2 else y + half_y
+        dz = z - half_z if corner & 4 else z + half_z
+        along = x * dx + y * dy + z * dz
+        if along <= 0.0:
+            return 0.0
+        square = dx * dx + dy * dy + dz * dz
+        if along * along * whole < part * square:
+            part, whole = along * along, square
+    return min(1.0, np.sqrt(part / (whole * length)))
+
+
+@njit(cache=True, nogil=True)
+def mark_terms(ids, faint, means, offsets, centers, logs, widths, low, high, out):
+    """Set out (T,) where a term of the Gaussians ids (V,) matters from somewhere in the box from low to high (3,).
+
+    Args:
+        ids: (V,) Gaussians.
+        faint: (V,) minus the logarithm of the factor of each Gaussian's terms, or (0,) for none.
+        means: (N, 3) centres.
+        offsets: (N + 1,) terms of each Gaussian.
+        centers: (T, 3) unit vectors.
+        logs: (T,) logarithm of the largest contribution over the least that matters.
+        widths: (T,) one over the decay.
+        low: (3,) lowest corner.
+        high: (3,) highest corner.
+        out: (T,) bool, only ever set.
+    """
+    middle_x, middle_y, middle_z = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
+    half_x, half_y, half_z = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
+    for j in range(len(ids)):
+        i = ids[j]
+        first, last = offsets[i], offsets[i + 1]
+        if first == last:
+            continue
+        x, y, z = means[i, 0] - middle_x, means[i, 1] - middle_y, means[i, 2] - middle_z
+        length = np.sqrt(x * x + y * y + z * z)
+        cos_cone = _cone(x, y, z, half_x, half_y, half_z) if length > 0.0 else 0.0
+        sin_cone = np.sqrt(max(0.0, 1.0 - cos_cone * cos_cone))
+        if length > 0.0:
+            x, y, z = x / length, y / length, z / length
+        less = faint[j] if len(faint) else 0.0
+        for t in range(first, last):
+            left = logs[t] - less
+            if not left > 0.0:
+                continue
+            cos_cap = 1.0 - left * widths[t]
+            if cos_cone <= 0.0 or cos_cap <= -cos_cone + _SLACK:  # cone and cap together reach every direction
+                out[t] = True
+                continue
+            sin_cap = np.sqrt(max(0.0, 1.0 - cos_cap * cos_cap))
+            cosine = x * centers[t, 0] + y * centers[t, 1] + z * centers[t, 2]
+            if cosine >= cos_cap * cos_cone - sin_cap * sin_cone - _SLACK:
+                out[t] = True

@@ -1,0 +1,208 @@
+"""Kernel that finds the lobes of many Gaussians: greedy choice from a dictionary, all lobes refined after each choice.
+
+One Gaussian after the other within a block, blocks in parallel; what one Gaussian gets depends on no other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from gsvis.color._kernels.lobes import LANES, dots, gram, lobes
+from gsvis.color._kernels.refine import copy, falls_along, refine, settle, work
+
+__all__ = ["fit_lobes", "settle_lobes"]
+
+_BLOCK = 64
+_PATIENCE = 4
+"""Refinements after one choice, each with more emphasis on shorter prefixes, until the error falls along them."""
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _gather(directions, weights, targets, points, seen, rows):
+    """Directions of weight > 0 next to each other, padded with weight 0; their number, and the sum of the weights."""
+    count, total = 0, 0.0
+    channels = targets.shape[0]
+    for d in range(len(weights)):
+        if weights[d] > 0.0:
+            root = np.sqrt(weights[d])
+            for i in range(3):
+                points[i, count] = directions[i, d]
+            points[3, count] = root
+            for c in range(channels):
+                rows[c, count] = targets[c, d] * root
+            seen[count] = d
+            total += weights[d]
+            count += 1
+    padded = (count + LANES - 1) // LANES * LANES
+    for d in range(count, padded):
+        points[3, d] = 0.0
+        for c in range(channels):
+            rows[c, d] = 0.0
+    return count, padded, total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _choose(atoms, norms, left, channels, count):
+    """The atom that explains most of what is left."""
+    best, chosen = np.float32(-1.0), 0
+    for a in range(len(norms)):
+        explained = np.float32(0.0)
+        atom = atoms[a]
+        for c in range(channels):
+            row = left[c]
+            s = np.float32(0.0)
+            for d in range(count):
+                s += atom[d] * row[d]
+            explained += s * s
+        explained /= norms[a]
+        if explained > best:
+            best, chosen = explained, a
+    return chosen
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _take_away(rows, targets, intensities, terms, channels, count, left):
+    for c in range(channels):
+        row = left[c]
+        for d in range(count):
+            row[d] = targets[c, d]
+        for k in range(terms):
+            lobe, factor = rows[k], np.float32(intensities[k, c])
+            for d in range(count):
+                row[d] -= factor * lobe[d]
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # as in a parallel loop
+def _fit_block(
+    block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves
+):
+    """One block of `fit_lobes`: a function of its own, as numba takes long over the body of a parallel loop."""
+    n, channels, size = targets.shape
+    width = (size + LANES - 1) // LANES * LANES
+    terms_at_most = v.shape[1]
+    w = work(terms_at_most, width, channels)
+    points, rows = np.zeros((4, width), np.float32), np.zeros((4, width), np.float32)
+    left, seen = np.zeros((channels, width), np.float32), np.zeros(width, np.int64)
+    atoms, norms = np.zeros((len(dictionary), width), np.float32), np.zeros(len(dictionary), np.float32)
+    lobe, intensities = np.zeros((terms_at_most, 3)), np.zeros((terms_at_most, channels))
+    for g in range(_BLOCK * block, min(n, _BLOCK * (block + 1))):
+        counts[g] = 0
+        count, padded, weight = _gather(directions, weights[g], targets[g], points, seen, rows)
+        total = 0.0
+        for c in range(channels):
+            for d in range(count):
+                total += np.float64(rows[c, d]) ** 2
+        mean = total / weight if weight > 0.0 else 0.0
+        curves[g, :] = mean
+        best = importance[g] * mean
+        at_most = min(most[g], terms_at_most, count // 4)
+        if at_most == 0 or best <= price or mean <= 1e-12:
+            continue
+        for k in range(len(dictionary)):
+            atom, s = atoms[k], np.float32(0.0)
+            for d in range(count):
+                atom[d] = dictionary[k, seen[d]] * points[3, d]
+                s += atom[d] * atom[d]
+            norms[k] = s + np.float32(1e-12)
+        copy(rows, channels, count, left)
+        emphasis = limits[5]
+        for k in range(at_most):
+            chosen = _choose(atoms, norms, left, channels, count)
+            for i in range(3):
+                lobe[k, i] = starts[chosen, i]
+            for _ in range(_PATIENCE):
+                scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], emphasis)
+                refine(w, points, rows, padded, total, k + 1, channels, lobe, intensities, scaled)
+                lobes(points, padded, lobe, k + 1, w.rows)
+                gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
+                dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
+                if falls_along(w, total, k + 1, channels, intensities):
+                    break
+                emphasis = min(4.0 * emphasis, 1.0)
+            mean = settle(w, total, k + 1, channels, scaled, intensities, np.bool_(False)) / weight
+            _take_away(w.rows, rows, intensities, k + 1, channels, count, left)
+            curves[g, k + 1 :] = mean
+            cost = importance[g] * mean + price * (k + 1)
+            if cost < best:
+                best = cost
+                counts[g] = k + 1
+                for j in range(k + 1):
+                    for i in range(3):
+                        v[g, j, i] = lobe[j, i]
+                    for c in range(channels):
+                        a[g, j, c] = intensities[j, c]
+            if importance[g] * mean <= price:
+                break
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def fit_lobes(directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves):
+    """Lobes of n Gaussians: as many as are worth their price.
+
+    Args:
+        directions: (3, D) float32 unit vectors.
+        dictionary: (A, D) float32, values of the atoms.
+        starts: (A, 3) decay times centre of each atom.
+        targets: (n, C, D) float32, C at most 4; what is left once the base colour is taken away.
+        weights: (n, D) float32 >= 0; a direction of weight 0 is not looked at.
+        importance: (n,) float64, what a unit of weighted mean squared error costs.
+        most: (n,) int64, most lobes of each.
+        price: What a lobe costs.
+        limits: Of `refine`; the ridge is relative to the sum of the weights.
+        v: (n, K, 3) float32, written: decay times centre, in the order in which to send.
+        a: (n, K, C) float32, written: intensities.
+        counts: (n,) int64, written: lobes worth their price.
+        curves: (n, K + 1) float32, written: weighted mean squared error (summed over channels) with 0, 1, ... lobes.
+    """
+    for block in prange((len(targets) + _BLOCK - 1) // _BLOCK):
+        _fit_block(
+            np.int64(block), directions, dictionary, starts, targets, weights, importance, most, price, limits,
+            v, a, counts, curves,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # as in a parallel loop
+def _settle_block(block, directions, targets, weights, limits, counts, v, a, errors):
+    """One block of `settle_lobes`."""
+    n, channels, size = targets.shape
+    width = (size + LANES - 1) // LANES * LANES
+    most = max(v.shape[1], 1)
+    w = work(most, width, channels)
+    points, rows = np.zeros((4, width), np.float32), np.zeros((4, width), np.float32)
+    seen, lobe, intensities = np.zeros(width, np.int64), np.zeros((most, 3)), np.zeros((most, channels))
+    for g in range(_BLOCK * block, min(n, _BLOCK * (block + 1))):
+        count, padded, weight = _gather(directions, weights[g], targets[g], points, seen, rows)
+        total, terms = 0.0, counts[g]
+        for c in range(channels):
+            for d in range(count):
+                total += np.float64(rows[c, d]) ** 2
+        errors[g] = total / weight if weight > 0.0 else 0.0
+        if terms == 0:
+            continue
+        copy(v[g], terms, 3, lobe)
+        lobes(points, padded, lobe, terms, w.rows)
+        gram(w.rows, 4 * terms, padded, w.scratch, w.inner)
+        dots(w.rows, 4 * terms, rows, channels, padded, w.scratch, w.outer)
+        scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], limits[5])
+        intensities[:] = 0.0
+        errors[g] = settle(w, total, terms, channels, scaled, intensities, np.bool_(True)) / weight
+        copy(intensities, terms, channels, a[g])
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def settle_lobes(directions, targets, weights, limits, counts, v, a, errors):
+    """Intensities of given lobes, best for all of them, and such that the error falls from each to the next.
+
+    Args:
+        directions: (3, D) float32 unit vectors.
+        targets: (n, C, D) float32.
+        weights: (n, D) float32.
+        limits: Of `refine`; the ridge is relative to the sum of the weights.
+        counts: (n,) int64, lobes of each.
+        v: (n, K, 3) float32, decay times centre.
+        a: (n, K, C) float32, written: intensities.
+        errors: (n,) float32, written: weighted mean squared error.
+    """
+    for block in prange((len(targets) + _BLOCK - 1) // _BLOCK):
+        _settle_block(np.int64(block), directions, targets, weights, limits, counts, v, a, errors)

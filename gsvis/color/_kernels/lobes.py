@@ -1,0 +1,134 @@
+"""Lobes over many directions at once and the inner products between them, as explicit vectors of 16 directions.
+
+Rows are float32 over directions, padded to whole vectors; `points` holds x, y, z and the square root of the weight.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+from gsvis._kernels.simd import Builder, Vector
+
+__all__ = ["LANES", "dots", "gram", "lobes"]
+
+LANES = 16
+_LOG2E = 1.4426950408889634
+_I64 = ir.IntType(64)
+
+
+@intrinsic
+def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
+    """Sixteen values of one weighted lobe and of its three slopes.
+
+    Args:
+        typing_context: numba's, unused.
+        points: (4, D) float32.
+        place: First direction.
+        v: Three float32, decay times centre.
+        decay: float32.
+        rows: (P, D) float32, written.
+        row: Row of the values.
+        slopes: First of the three rows of the slopes by v.
+    """
+    del typing_context
+    f32, i64 = types.float32, types.int64
+    signature = types.void(points, i64, types.UniTuple(f32, 3), f32, rows, i64, i64)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = Builder(builder, LANES, "float32")
+        source = context.make_array(sig.args[0])(context, builder, args[0])
+        target = context.make_array(sig.args[4])(context, builder, args[4])
+        length = builder.extract_value(source.shape, 1)
+
+        def at(row: Any, more: int = 0) -> Any:
+            first = builder.mul(builder.add(row, ir.Constant(_I64, more)), length)
+            return builder.add(first, args[1])
+
+        zero = ir.Constant(_I64, 0)
+        position = [lanes.load(source.data, at(zero, k)) for k in range(3)]
+        root = lanes.load(source.data, at(zero, 3))
+        v = [lanes.splat(builder.extract_value(args[2], k)) for k in range(3)]
+        decay = lanes.splat(args[3])
+        exponent = position[0].times_plus(v[0], position[1].times_plus(v[1], position[2] * v[2])) - decay
+        value = (exponent * _LOG2E).exp2() * root
+        lanes.store(value, target.data, at(args[5]))
+        for k in range(3):
+            lanes.store(value * (position[k] - v[k] / decay), target.data, at(args[6], k))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def _block(typing_context, left, i, right, j, count, out):
+    """The 4 x 4 inner products of rows i.. of left and j.. of right over `count` entries, into out (16,)."""
+    del typing_context
+    i64 = types.int64
+    signature = types.void(left, i64, right, i64, i64, out)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = Builder(builder, LANES, "float32")
+        sides = []
+        for array, row in ((0, 1), (2, 3)):
+            view = context.make_array(sig.args[array])(context, builder, args[array])
+            length = builder.extract_value(view.shape, 1)
+            rows = [builder.mul(builder.add(args[row], ir.Constant(_I64, k)), length) for k in range(4)]
+            sides.append((view.data, rows))
+        target = context.make_array(sig.args[5])(context, builder, args[5]).data
+        before, loop, after = builder.block, *(builder.append_basic_block(name) for name in ("dots", "done"))
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        place = builder.phi(_I64)
+        place.add_incoming(ir.Constant(_I64, 0), before)
+        sums = [builder.phi(lanes.type) for _ in range(16)]
+        for each in sums:
+            each.add_incoming(lanes.constant(0.0).value, before)
+        a, b = ([lanes.load(data, builder.add(row, place)) for row in rows] for data, rows in sides)
+        following = builder.add(place, ir.Constant(_I64, LANES))
+        for k, each in enumerate(sums):
+            each.add_incoming(a[k // 4].times_plus(b[k % 4], Vector(lanes, each)).value, builder.block)
+        place.add_incoming(following, builder.block)
+        totals = [Vector(lanes, incoming[0]) for incoming in (each.incomings[1] for each in sums)]
+        builder.cbranch(builder.icmp_signed("<", following, args[4]), loop, after)
+        builder.position_at_end(after)
+        lanes.store(lanes.sums(totals), target, ir.Constant(_I64, 0))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@njit(cache=True, nogil=True)
+def lobes(points, count, v, terms, rows):
+    """Rows 0..terms-1: weighted lobes exp(v.x - |v|); rows terms + 3k..: their slopes by v_k. `count` is padded."""
+    for k in range(terms):
+        decay = np.sqrt(v[k, 0] * v[k, 0] + v[k, 1] * v[k, 1] + v[k, 2] * v[k, 2])
+        vector = (np.float32(v[k, 0]), np.float32(v[k, 1]), np.float32(v[k, 2]))
+        for place in range(0, count, LANES):
+            _lobe(points, place, vector, np.float32(decay), rows, k, terms + 3 * k)
+
+
+@njit(cache=True, nogil=True)
+def gram(rows, number, count, scratch, out):
+    """Inner products of the first `number` rows, a multiple of four, into out (number, number)."""
+    for i in range(0, number, 4):
+        for j in range(0, i + 4, 4):
+            _block(rows, i, rows, j, count, scratch)
+            for p in range(4):
+                for q in range(4):
+                    out[i + p, j + q] = scratch[4 * p + q]
+                    out[j + q, i + p] = scratch[4 * p + q]
+
+
+@njit(cache=True, nogil=True)
+def dots(rows, number, targets, channels, count, scratch, out):
+    """Inner products of the first `number` rows, a multiple of four, with up to four targets, into out (number, .)."""
+    for i in range(0, number, 4):
+        _block(rows, i, targets, 0, count, scratch)
+        for p in range(4):
+            for c in range(channels):
+                out[i + p, c] = scratch[4 * p + c]

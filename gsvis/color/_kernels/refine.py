@@ -1,0 +1,299 @@
+"""Kernels that move the lobes of one Gaussian until their sum fits best: variable projection with damping.
+
+A lobe is exp(v.x - |v|): v is its centre times its decay, free in three dimensions. Intensities are always the best for
+the lobes (ridge added), so that only the v are searched: Levenberg-Marquardt on them with the intensities eliminated.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numpy as np
+from numba import njit
+
+from gsvis.color._kernels.lobes import dots, gram, lobes
+
+__all__ = ["Work", "best_intensities", "copy", "falls_along", "refine", "settle", "work"]
+
+_ATTEMPTS = 4
+_ATTEMPTS_TO_SETTLE = 16
+
+Work = namedtuple(
+    "Work", "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch factors"
+)
+
+
+@njit(cache=True, nogil=True)
+def work(most_terms, directions, channels):
+    """Arrays for fits of at most `most_terms` lobes over `directions`, a multiple of 16."""
+    p, n, k = 4 * most_terms, 3 * most_terms, most_terms
+    z = np.zeros
+    return Work(
+        z((p, directions), np.float32), z((p, p)), z((p, channels)), z((p, p)), z((p, channels)), z((k, k)), z((k, n)),
+        z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32), z(p),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def copy(source, rows, columns, target):
+    """Copy a corner of a matrix.
+
+    An assignment of slices would compile numba's checks of shapes into every kernel, and those take longer than it.
+    """
+    for i in range(rows):
+        for j in range(columns):
+            target[i, j] = source[i, j]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _solve(matrix, size, right, columns):
+    """Cholesky in place of a symmetric matrix, then the solutions in place of `right`; False if it is not definite."""
+    for i in range(size):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not s > 1e-30:
+                    return False
+                matrix[i, i] = np.sqrt(s)
+            else:
+                matrix[i, j] = s / matrix[j, j]
+    for i in range(size):
+        scale = 1.0 / matrix[i, i]
+        for k in range(i):
+            for c in range(columns):
+                right[i, c] -= matrix[i, k] * right[k, c]
+        for c in range(columns):
+            right[i, c] *= scale
+    for i in range(size - 1, -1, -1):
+        scale = 1.0 / matrix[i, i]
+        for k in range(i + 1, size):
+            for c in range(columns):
+                right[i, c] -= matrix[k, i] * right[k, c]
+        for c in range(columns):
+            right[i, c] *= scale
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _count_prefixes(terms, emphasis, factors):
+    """What each row, the lobes and then three slopes of each, counts in the error summed over all prefixes.
+
+    The prefix of all lobes counts 1, each shorter one `emphasis`, and a lobe is part of those that reach it.
+    """
+    for i in range(4 * terms):
+        k = i if i < terms else (i - terms) // 3
+        factors[i] = 1.0 + emphasis * (terms - 1 - k)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _weigh_prefixes(inner, outer, number, channels, factors):
+    """Make inner products those of the error summed over all prefixes.
+
+    The error of a prefix is a quadratic form in the same inner products, so that two lobes matter together in as many
+    prefixes as hold both.
+    """
+    for i in range(number):
+        for c in range(channels):
+            outer[i, c] *= factors[i]
+        row = inner[i]
+        for j in range(number):
+            row[j] *= min(factors[i], factors[j])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
+    """Least-squares intensities, and how much of the squared target (with the ridge's cost) they explain."""
+    for i in range(terms):
+        for j in range(terms):
+            small[i, j] = inner[i, j]
+        small[i, i] += ridge
+        for c in range(channels):
+            intensities[i, c] = outer[i, c]
+    if not _solve(small, terms, intensities, channels):
+        return -1.0
+    explained = 0.0
+    for i in range(terms):
+        for c in range(channels):
+            explained += intensities[i, c] * outer[i, c]
+    return explained
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _normal_equations(w, terms, channels, ridge, intensities):
+    """Slope and curvature of the error by the v, intensities eliminated (Kaufman's approximation); largest diagonal."""
+    n = 3 * terms
+    for i in range(terms):
+        for j in range(terms):
+            w.small[i, j] = w.inner[i, j]
+        w.small[i, i] += ridge
+        for j in range(n):
+            w.wide[i, j] = w.inner[i, terms + j]
+    if not _solve(w.small, terms, w.wide, n):
+        return -1.0
+    largest = 0.0
+    for p in range(n):
+        k = p // 3
+        slope = 0.0
+        for c in range(channels):
+            left = w.outer[terms + p, c]
+            for i in range(terms):
+                left -= w.inner[terms + p, i] * intensities[i, c]
+            slope += intensities[k, c] * left
+        w.slope[p, 0] = slope
+        row, own = w.normal[p], w.inner[terms + p]
+        for q in range(p + 1):
+            row[q] = own[terms + q]
+        for i in range(terms):
+            known, factor = w.wide[i], own[i]
+            for q in range(p + 1):
+                row[q] -= factor * known[q]
+        for q in range(p + 1):
+            shared = 0.0
+            for c in range(channels):
+                shared += intensities[k, c] * intensities[q // 3, c]
+            row[q] *= shared
+        largest = max(largest, w.normal[p, p])
+    return largest
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _moved(w, v, terms, damping, largest, least_decay, most_decay):
+    """Where a damped step leads, into w.trial; False if the step cannot be solved for."""
+    n = 3 * terms
+    for p in range(n):
+        w.step[p, 0] = w.slope[p, 0]
+        for q in range(p + 1):
+            w.damped[p, q] = w.normal[p, q]
+        w.damped[p, p] += damping * w.normal[p, p] + 1e-7 * largest + 1e-30
+    if not _solve(w.damped, n, w.step, np.int64(1)):
+        return False
+    for k in range(terms):
+        squared = 0.0
+        for i in range(3):
+            w.trial[k, i] = v[k, i] + w.step[3 * k + i, 0]
+            squared += w.trial[k, i] ** 2
+        decay = np.sqrt(squared)
+        kept = min(max(decay, least_decay), most_decay)
+        for i in range(3):
+            w.trial[k, i] = w.trial[k, i] * kept / decay if decay > 1e-9 else v[k, i]
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def refine(w, points, targets, count, total, terms, channels, v, intensities, limits):
+    """Move `terms` lobes (v, intensities, in place) to a nearby optimum; rows, inner and outer in w are left valid.
+
+    Args:
+        w: Work space.
+        points: (4, D) x, y, z, root of the weight.
+        targets: (4, D) weighted targets; rows beyond `channels` are 0.
+        count: Directions, a multiple of 16.
+        total: Sum of the squared targets.
+        terms: Number of lobes.
+        channels: Number of targets.
+        v: (K, 3).
+        intensities: (K, channels).
+        limits: ridge, least decay, most decay, relative gain below which it stops, most steps.
+    """
+    ridge, least_decay, most_decay, tolerance, steps, emphasis = limits
+    total *= 1.0 + emphasis * (terms - 1)
+    size = 4 * terms
+    lobes(points, count, v, terms, w.rows)
+    gram(w.rows, size, count, w.scratch, w.inner)
+    dots(w.rows, size, targets, channels, count, w.scratch, w.outer)
+    _count_prefixes(terms, emphasis, w.factors)
+    _weigh_prefixes(w.inner, w.outer, size, channels, w.factors)
+    explained = best_intensities(w.inner, w.outer, terms, channels, ridge, w.small, intensities)
+    damping = 1e-2
+    for _ in range(int(steps)):
+        error = total - explained
+        if explained < 0.0 or error <= 1e-6 * total:
+            break
+        largest = _normal_equations(w, terms, channels, ridge, intensities)
+        if largest <= 0.0:
+            break
+        gained = -1.0
+        for _ in range(_ATTEMPTS):
+            if _moved(w, v, terms, damping, largest, least_decay, most_decay):
+                lobes(points, count, w.trial, terms, w.rows)
+                gram(w.rows, size, count, w.scratch, w.inner2)
+                dots(w.rows, size, targets, channels, count, w.scratch, w.outer2)
+                _weigh_prefixes(w.inner2, w.outer2, size, channels, w.factors)
+                better = best_intensities(w.inner2, w.outer2, terms, channels, ridge, w.small, w.intensities)
+                if better > explained:
+                    gained = better - explained
+                    break
+            damping *= 6.0
+        if gained < 0.0:
+            break
+        explained += gained
+        damping = max(0.2 * damping, 1e-6)
+        copy(w.trial, terms, 3, v)
+        copy(w.intensities, terms, channels, intensities)
+        copy(w.inner2, size, size, w.inner)
+        copy(w.outer2, size, channels, w.outer)
+        if gained < tolerance * error:
+            break
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _change(w, k, channels, intensities):
+    """What lobe k adds to the squared error that its predecessors leave; below 0 where it helps."""
+    change = 0.0
+    for c in range(channels):
+        left = w.outer[k, c]
+        for j in range(k):
+            left -= w.inner[k, j] * intensities[j, c]
+        change += intensities[k, c] * (intensities[k, c] * w.inner[k, k] - 2.0 * left)
+    return change
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def falls_along(w, total, terms, channels, intensities):
+    """Whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
+    k = np.int64(0)  # a literal would compile the function once more
+    while k < terms and _change(w, k, channels, intensities) <= 1e-7 * total:
+        k += 1
+    return k == terms
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def settle(w, total, terms, channels, limits, intensities, anew):
+    """Make the squared error fall from each lobe to the next; the error after all of them.
+
+    Lobes that cancel each other can let it rise on the way. Then intensities are fitted anew with more emphasis on the
+    shorter prefixes: in the limit each lobe has the intensity best for it and its predecessors alone.
+
+    Args:
+        w: Work space; inner and outer hold plain inner products of the lobes.
+        total: Sum of the squared targets.
+        terms: Number of lobes.
+        channels: Number of targets.
+        limits: As for `refine`.
+        intensities: (K, channels), changed in place.
+        anew: Whether to fit the intensities before the first look.
+    """
+    emphasis, error = limits[5], total
+    for attempt in range(_ATTEMPTS_TO_SETTLE):
+        if attempt > 0:
+            emphasis = max(3.0 * emphasis, 0.03)
+        if attempt > 0 or anew:
+            copy(w.inner, terms, terms, w.inner2)
+            copy(w.outer, terms, channels, w.outer2)
+            _count_prefixes(terms, emphasis, w.factors)
+            _weigh_prefixes(w.inner2, w.outer2, terms, channels, w.factors)
+            best_intensities(w.inner2, w.outer2, terms, channels, limits[0], w.small, intensities)
+        error, falls = total, True
+        for k in range(terms):
+            change = _change(w, k, channels, intensities)
+            if change > 1e-7 * total:
+                falls = False
+                if attempt == _ATTEMPTS_TO_SETTLE - 1:  # what rounding has left of them is worth nothing
+                    intensities[k:terms] = 0.0
+                break
+            error += change
+        if falls:
+            break
+    return max(error, 0.0)

@@ -1,0 +1,260 @@
+"""Kernels that turn a base and its SRBF terms into colours: all Gaussians from one eye, or each along many directions.
+
+Gaussians go in windows of WINDOW, sorted in each by their number of terms and cut into groups of LANES: a vector holds
+the k-th terms of the Gaussians of a group. Directions run from the eye to the Gaussian. The exponent is taken from the
+chord, decay (x.c - 1) = -decay/2 |x - c|^2, which keeps its digits in float32 where the lobe is narrow.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, prange, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from gsvis._kernels.simd import Builder, Vector
+from gsvis.color._kernels.rgb import to_rgb
+
+__all__ = ["LANES", "SLOT", "WINDOW", "colours_along", "colours_from_eye", "pack"]
+
+LANES = 16
+GROUPS = 16
+WINDOW = LANES * GROUPS
+
+SLOT = 7
+"""Rows of a slot: the centre's x, y, z; -decay/2 log2 e; what the term adds in each component of the space."""
+
+_HALF_LOG2E = np.float32(0.7213475204444817)
+_I64 = ir.IntType(64)
+
+
+def _row(builder: Any, array: Any, row: Any) -> Any:
+    """Place of the first entry of row `row` of a two-dimensional array."""
+    return builder.mul(row, cgutils.unpack_tuple(builder, array.shape, 2)[1])
+
+
+def _lobe(terms: list[Vector], x: list[Vector], factor: Vector | float) -> Vector:
+    """exp2 of the exponent of terms (rows of SLOT) at x, times a factor."""
+    chord = [a - b for a, b in zip(x, terms[:3], strict=True)]
+    square = chord[0].times_plus(chord[0], chord[1].times_plus(chord[1], chord[2] * chord[2]))
+    return (square * terms[3]).exp2() * factor
+
+
+@intrinsic
+def _add_group(typing_context, slots, first, count, x, gates, sums, group):
+    """Add the terms in slots first .. first + count to the sums of the LANES Gaussians of a group.
+
+    Args:
+        typing_context: numba's, unused.
+        slots: (S * SLOT, LANES) float32.
+        first: Which slot.
+        count: How many.
+        x: (3, WINDOW) float32, unit directions.
+        gates: (>= count, LANES) float32, factors of the terms.
+        sums: (3, WINDOW) float32, changed in place.
+        group: Which LANES of the window.
+    """
+    del typing_context
+    i64 = types.int64
+    signature = types.void(slots, i64, i64, x, gates, sums, i64)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = Builder(builder, LANES, "float32")
+        source, eye, factors, target = (
+            context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 3, 4, 5)
+        )
+        here = builder.mul(args[6], ir.Constant(_I64, LANES))
+        places = [builder.add(here, ir.Constant(_I64, c * WINDOW)) for c in range(3)]
+        direction = [lanes.load(eye.data, place) for place in places]
+        rooms = [cgutils.alloca_once_value(builder, lanes.load(target.data, place).value) for place in places]
+        start = builder.gep(source.data, [builder.mul(args[1], ir.Constant(_I64, SLOT * LANES))])
+        with cgutils.for_range(builder, args[2]) as loop:
+            slot = builder.gep(start, [builder.mul(loop.index, ir.Constant(_I64, SLOT * LANES))])
+            terms = [lanes.load(slot, ir.Constant(_I64, k * LANES)) for k in range(SLOT)]
+            gate = lanes.load(factors.data, builder.mul(loop.index, ir.Constant(_I64, LANES)))
+            value = _lobe(terms, direction, gate)
+            for room, amplitude in zip(rooms, terms[4:], strict=True):
+                builder.store(value.times_plus(amplitude, Vector(lanes, builder.load(room))).value, room)
+        for room, place in zip(rooms, places, strict=True):
+            lanes.store(Vector(lanes, builder.load(room)), target.data, place)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def _add_along(typing_context, slots, slot, lane, x, sums):
+    """Add one term, lane `lane` of slot `slot`, to the sums over all directions.
+
+    Args:
+        typing_context: numba's, unused.
+        slots: (S * SLOT, LANES) float32.
+        slot: Which slot.
+        lane: Which lane of it.
+        x: (3, D) float32, unit directions, D a multiple of LANES.
+        sums: (3, D) float32, changed in place.
+    """
+    del typing_context
+    signature = types.void(slots, types.int64, types.int64, x, sums)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = Builder(builder, LANES, "float32")
+        source, points, target = (context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 3, 4))
+        place = builder.add(builder.mul(args[1], ir.Constant(_I64, SLOT * LANES)), args[2])
+        rows = [builder.add(place, ir.Constant(_I64, k * LANES)) for k in range(SLOT)]
+        terms = [lanes.splat(builder.load(builder.gep(source.data, [row]))) for row in rows]
+        starts = [_row(builder, points, ir.Constant(_I64, c)) for c in range(3)]
+        vectors = builder.sdiv(starts[1], ir.Constant(_I64, LANES))
+        with cgutils.for_range(builder, vectors) as loop:
+            at = builder.mul(loop.index, ir.Constant(_I64, LANES))
+            places = [builder.add(start, at) for start in starts]
+            value = _lobe(terms, [lanes.load(points.data, p) for p in places], 1.0)
+            for p, amplitude in zip(places, terms[4:], strict=True):
+                lanes.store(value.times_plus(amplitude, lanes.load(target.data, p)), target.data, p)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@njit(cache=True)
+def _pack_group(order, first, starts, offsets, terms, slots):
+    """The terms of one group; `order` is its part of all, `first` the Gaussian its window begins with."""
+    centers, decays, amplitudes = terms
+    for lane in range(len(order)):
+        i = first + order[lane]
+        for k in range(offsets[i + 1] - offsets[i]):
+            t = offsets[i] + k
+            row = (starts + k) * SLOT
+            theta, phi = np.float64(centers[t, 0]), np.float64(centers[t, 1])
+            across = np.sin(theta)
+            slots[row, lane] = across * np.cos(phi)
+            slots[row + 1, lane] = across * np.sin(phi)
+            slots[row + 2, lane] = np.cos(theta)
+            slots[row + 3, lane] = -decays[t] * _HALF_LOG2E
+            for c in range(3):
+                slots[row + 4 + c, lane] = amplitudes[t, c]
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def pack(order, offsets, starts, terms, slots):
+    """Terms into slots.
+
+    Args:
+        order: (N,) uint8, the Gaussians of each window by falling numbers of terms, from 0 in each window.
+        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
+        starts: (groups + 1,) int64, first slot of each group.
+        terms: Centres (T, 2), decays (T,) and amplitudes (T, 3), float32.
+        slots: (S * SLOT, LANES) float32, zeros; written.
+    """
+    for group in prange(len(starts) - 1):
+        own = order[group * LANES : (group + 1) * LANES]
+        _pack_group(own, group // GROUPS * WINDOW, starts[group], offsets, terms, slots)
+
+
+@njit(cache=True)
+def _offsets_from_eye(means, order, eye, x):
+    """means[order] - eye into x (3, WINDOW) float64."""
+    for j in range(len(order)):
+        i = order[j]
+        x[0, j], x[1, j], x[2, j] = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _to_unit(x, unit):
+    """Unit vectors along x (3, WINDOW) float64 into float32; +z where there is no length, as for SH."""
+    for j in range(x.shape[1]):
+        square = x[0, j] * x[0, j] + x[1, j] * x[1, j] + x[2, j] * x[2, j]
+        here = square == 0.0
+        inverse = 1.0 / np.sqrt(1.0 if here else square)
+        unit[0, j], unit[1, j], unit[2, j] = x[0, j] * inverse, x[1, j] * inverse, 1.0 if here else x[2, j] * inverse
+
+
+@njit(cache=True)
+def _open_gates(order, first, offsets, active, gates):
+    """1.0 for the active terms of a group, 0.0 for the others, into gates."""
+    for lane in range(len(order)):
+        i = first + order[lane]
+        for k in range(offsets[i + 1] - offsets[i]):
+            gates[k, lane] = 1.0 if active[offsets[i] + k] else 0.0
+
+
+@njit(cache=True)
+def _put(sums, order, out):
+    """Column j of sums (3, WINDOW) into row order[j] of out."""
+    for j in range(len(order)):
+        i = order[j]
+        out[i, 0], out[i, 1], out[i, 2] = sums[0, j], sums[1, j], sums[2, j]
+
+
+@njit(cache=True)
+def _window_from_eye(window, means, eye, space, packed, active, out):
+    """Colours of one window into out (WINDOW or fewer, 3)."""
+    order, offsets, starts, slots, base, scales = packed
+    first = window * WINDOW
+    own = order[first : first + WINDOW]
+    x, unit = np.ones((3, WINDOW)), np.empty((3, WINDOW), np.float32)
+    _offsets_from_eye(means[first : first + WINDOW], own, eye, x)
+    _to_unit(x, unit)
+    sums = base[window].copy()
+    top = window * GROUPS
+    end = min(top + GROUPS, len(starts) - 1)
+    gates = np.ones((starts[top + 1] - starts[top], LANES), np.float32)  # the first group has the most terms
+    for group in range(top, end):
+        if len(active):
+            _open_gates(order[group * LANES : (group + 1) * LANES], first, offsets, active, gates)
+        _add_group(slots, starts[group], starts[group + 1] - starts[group], unit, gates, sums, group - top)
+    to_rgb(space, sums, scales[window])
+    _put(sums, own, out)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def colours_from_eye(windows, means, eye, space, packed, active, out):
+    """Colours from one eye.
+
+    Args:
+        windows: (W,) int64, which windows; their colours lie behind each other in `out`.
+        means: (N, 3) float32.
+        eye: Three float64.
+        space: Code of the space, of `SPACES`.
+        packed: order, offsets, starts, slots as for `pack`; base (windows, 3, WINDOW) and scales (windows, WINDOW)
+            float32, ordered as `order`.
+        active: (T,) bool, which terms there are; (0,) for all.
+        out: (at least W * WINDOW, or N, 3) float32, written.
+    """
+    for w in prange(len(windows)):
+        part = out[w * WINDOW : (w + 1) * WINDOW]
+        _window_from_eye(windows[w], means, eye, space, packed, active, part)
+
+
+@njit(cache=True)
+def _group_along(group, x, space, packed, out):
+    order, offsets, starts, slots, base, scales = packed
+    window, width = group // GROUPS, x.shape[1]
+    sums, factors = np.empty((3, width), np.float32), np.empty(width, np.float32)
+    for j in range(group * LANES, min((group + 1) * LANES, len(order))):
+        i, place = window * WINDOW + order[j], j - window * WINDOW
+        for c in range(3):
+            sums[c] = base[window, c, place]
+        factors[:] = scales[window, place]
+        for k in range(offsets[i + 1] - offsets[i]):
+            _add_along(slots, starts[group] + k, j - group * LANES, x, sums)
+        to_rgb(space, sums, factors)
+        for d in range(out.shape[1]):
+            out[i, d, 0], out[i, d, 1], out[i, d, 2] = sums[0, d], sums[1, d], sums[2, d]
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def colours_along(x, space, packed, out):
+    """Colours along directions that all Gaussians share.
+
+    Args:
+        x: (3, D) float32, unit directions, padded to a multiple of LANES.
+        space: Code of the space.
+        packed: As for `colours_from_eye`.
+        out: (N, D without padding, 3) float32, written.
+    """
+    for group in prange(len(packed[2]) - 1):
+        _group_along(np.int64(group), x, space, packed, out)

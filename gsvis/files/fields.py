@@ -1,0 +1,164 @@
+"""JSON that names its faults: every value is checked for its type and range where it is read.
+
+A `Fields` is one object of a file with the trail of keys that led to it. This module knows no format.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.files.limits import Budget
+
+__all__ = ["Fields", "parse_json", "parse_object", "parsed_bytes"]
+
+# Bytes in memory, at most, of what each character of JSON text can become (measured in tests).
+_OBJECT, _LIST, _VALUE, _CHARACTER = 256, 128, 88, 8
+
+
+def parsed_bytes(data: bytes) -> int:
+    """Return at least the bytes that JSON text takes in memory when it is parsed, without parsing it.
+
+    Every value but the first has a comma, a colon or a bracket before it. Characters inside strings are counted too.
+    """
+    values = data.count(b",") + data.count(b":") + 1
+    return _OBJECT * data.count(b"{") + _LIST * data.count(b"[") + _VALUE * values + _CHARACTER * len(data)
+
+
+def parse_json(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None, **options: Any) -> Any:
+    """Return the value that JSON text holds, its memory claimed before it is parsed.
+
+    Args:
+        path: The file, for messages.
+        data: The text.
+        budget: Where memory is claimed; None if the text itself was read from disk and bounds it.
+        **options: Passed on to `json.loads`.
+
+    Raises:
+        FormatError: If it is no JSON, nested too deeply, or needs more memory than the budget has.
+    """
+    (Budget(path, len(data)) if budget is None else budget).claim(parsed_bytes(data), "JSON")
+    try:
+        return json.loads(data, **options)
+    except RecursionError as error:
+        raise FormatError(path, "", "JSON", "objects nested too deeply") from error
+    except ValueError as error:  # includes JSONDecodeError, UnicodeDecodeError and integers of absurd length
+        told = "text that is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+        raise FormatError(path, "", "JSON", told, "is the file truncated?") from error
+
+
+def parse_object(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None) -> Fields:
+    """Return the object that a JSON file holds.
+
+    Args:
+        path: The file, for messages.
+        data: The text.
+        budget: Where memory is claimed; see `parse_json`.
+
+    Raises:
+        FormatError: If it is no JSON, nested too deeply, no object, or needs more memory than the budget has.
+    """
+    return Fields(path, "", parse_json(path, data, budget))
+
+
+class Fields:
+    """One JSON object and where it stands.
+
+    Args:
+        path: The file, for error messages.
+        trail: Keys that lead to the object, such as `shN`; empty for the outermost.
+        value: What the file holds there.
+
+    Raises:
+        FormatError: If `value` is no object.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], trail: str, value: Any) -> None:
+        self.path, self.trail = path, trail
+        if not isinstance(value, dict):
+            raise FormatError(path, trail, "an object", _spell(value))
+        self.value: dict[str, Any] = value
+
+    def where(self, key: str) -> str:
+        """Trail of a key, for error messages."""
+        return f"{self.trail}.{key}" if self.trail else key
+
+    def __contains__(self, key: str) -> bool:
+        return self.value.get(key) is not None
+
+    def raw(self, key: str) -> Any:
+        """The value as it is; None where the key is missing."""
+        return self.value.get(key)
+
+    def text(self, key: str, choices: Iterable[str] | None = None) -> str:
+        """Return the string at a key: one of the choices, or any that can be written as UTF-8."""
+        value = self.raw(key)
+        known = None if choices is None else tuple(choices)
+        if not isinstance(value, str) or not _is_utf8(value) or (known is not None and value not in known):
+            wanted = "a string" if known is None else f"one of {', '.join(known)}"
+            raise FormatError(self.path, self.where(key), wanted, _spell(value))
+        return value
+
+    def child(self, key: str) -> Fields:
+        """The object at a key."""
+        return Fields(self.path, self.where(key), self.raw(key))
+
+    def integer(self, key: str, low: int, high: int) -> int:
+        """The integer at a key, in [low, high]; 3.0 counts as 3."""
+        value = self.raw(key)
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise FormatError(self.path, self.where(key), f"an integer from {low} to {high}", _spell(value))
+        return value
+
+    def number(self, key: str) -> float:
+        """The finite number at a key."""
+        return float(self._numbers(key, [self.raw(key)])[0])
+
+    def numbers(self, key: str, length: int | None = None) -> NDArray[np.float64]:
+        """The list of finite numbers at a key, of the given length."""
+        return self._numbers(key, self.items(key, length))
+
+    def items(self, key: str, length: int | None = None) -> list[Any]:
+        """The list at a key, of the given length."""
+        value = self.raw(key)
+        if not isinstance(value, list) or (length is not None and len(value) != length):
+            wanted = "a list" if length is None else f"a list of {length}"
+            raise FormatError(self.path, self.where(key), wanted, _spell(value))
+        return value
+
+    def _numbers(self, key: str, values: list[Any]) -> NDArray[np.float64]:
+        for value in values:
+            good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+            if not good or not math.isfinite(value):
+                raise FormatError(self.path, self.where(key), "finite numbers", _spell(value))
+        return np.array(values, dtype=np.float64)
+
+
+def _is_utf8(text: str) -> bool:
+    """Return whether UTF-8 can hold the text; JSON can name half a character."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _spell(value: Any) -> str:
+    """A JSON value in a few words."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return "an object"
+    text = repr(value) if not isinstance(value, int) or abs(value) < 10**30 else "an enormous number"
+    return text if len(text) <= 60 else text[:57] + "..."

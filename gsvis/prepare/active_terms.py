@@ -1,0 +1,90 @@
+"""Find the terms that each cell of a PVS needs (equation 7 of the paper); `gsvis.package.active_terms` stores them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from os import PathLike
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.activation import Activation
+from gsvis.color.srbf import SrbfColors
+from gsvis.package.active_terms import ActiveTerms, ActiveTermsInfo, colors_hash, sets_hash, write_active_terms
+from gsvis.progress import Progress, silent
+from gsvis.pvs.store import VisibilityStore
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["build_active_terms", "most_weights"]
+
+
+def build_active_terms(
+    colors: SrbfColors,
+    g: Gaussians,
+    store: VisibilityStore,
+    epsilon: float,
+    path: str | PathLike[str],
+    *,
+    weighted: bool = False,
+    provenance: str = "given",
+    progress: Progress = silent,
+) -> ActiveTerms:
+    """Find the terms that each cell of a PVS needs, and write them.
+
+    Only terms of Gaussians that the cell sees are looked at. A term belongs to a cell if it may be active for some eye
+    in its box, so that none that is active for an eye is missing (`Activation.active_in_box`).
+
+    Args:
+        colors: Colours of the N Gaussians.
+        g: The scene.
+        store: Its visible sets.
+        epsilon: Contribution above which a term is active, >= 0.
+        path: The file to write, suffix `.terms.arrow`; it appears whole or not at all.
+        weighted: Multiply contributions by the blending weight of the Gaussian, the most that its class in the cell
+            allows: epsilon is then a change of a pixel, not of a Gaussian, and fewer terms serve as well.
+        provenance: Where epsilon comes from; kept in the file.
+        progress: Called with stage "terms".
+
+    Returns:
+        The store, open.
+
+    Raises:
+        ValueError: If lengths differ or epsilon is out of range.
+        FormatError: If the visible sets are of another scene, or damaged.
+        OSError: If the file cannot be written; what stood at the path before stays.
+
+    References:
+        SRBF-Gaussian, section 6.2.
+    """
+    if len(colors) != len(g):
+        raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
+    if colors.num_terms >= 1 << 32:
+        raise ValueError(f"colors: expected fewer than 2^32 terms, got {colors.num_terms}; keep the first of each")
+    store.check_scene(g)
+    activation = Activation(colors, g.means, epsilon)
+    info = ActiveTermsInfo(
+        len(store), colors.num_terms, len(colors), colors.variant, activation.epsilon, str(provenance), bool(weighted),
+        store.info.scene, colors_hash(colors), sets_hash(store),
+    )  # fmt: skip
+    write_active_terms(path, info, _cells(activation, store, weighted, progress))
+    return ActiveTerms(path)
+
+
+def most_weights(store: VisibilityStore, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The (V,) rising ids that a cell sees, and the (V,) weight at which the class of each ends."""
+    ids, classes = store.classes(cell)
+    ends = [store.class_interval(level)[1] for level in range(len(store.info.class_edges))]
+    return ids, np.asarray(ends, np.float32)[classes]
+
+
+def _cells(
+    activation: Activation, store: VisibilityStore, weighted: bool, progress: Progress
+) -> Iterator[tuple[NDArray[np.uint32], int]]:
+    """Yield the active terms of each cell, and the number of terms of the Gaussians that it sees."""
+    counts = activation.colors.counts
+    progress("terms", 0, len(store))
+    for cell in range(len(store)):
+        ids, weights = most_weights(store, cell) if weighted else (store.visible_ids(cell), None)
+        mask = activation.active_in_box(*store.grid.bounds(cell), ids, weights)
+        yield np.flatnonzero(mask).astype(np.uint32), int(counts[ids].sum())
+        progress("terms", cell + 1, len(store))

@@ -1,0 +1,243 @@
+"""How good SRBF colours are: images against those of the SH colours, from views that the fit never used.
+
+Images are clipped to what a display shows. Beside all terms: the base colours alone, the first terms of each Gaussian,
+and the terms that are active at an epsilon. One view is held at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gsvis import _check
+from gsvis.color.activation import Activation
+from gsvis.color.evaluate import Evaluator
+from gsvis.color.srbf import SrbfColors
+from gsvis.errors import BackendError
+from gsvis.progress import Progress, silent
+from gsvis.pvs.quality import PSNR_CAP
+from gsvis.render import flip, psnr, rasterize, ssim
+from gsvis.render.tensors import GaussianTensors
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["EPSILONS", "PSNR_CAP", "ColorQuality", "ColorQualityConfig", "measure_colors"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+EPSILONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""Where the share of active terms is asked; the paper's own epsilons are 0.01 to 0.05."""
+
+
+@dataclass(frozen=True)
+class ColorQualityConfig:
+    """What is measured.
+
+    Args:
+        counts: How many of the first terms of each Gaussian; those beyond the largest number there is are left out,
+            and 0 and that number are always there.
+        epsilons: Where activation is asked, each > 0.
+        flip: Ask FLIP too; False where flip-evaluator is absent.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    counts: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
+    epsilons: tuple[float, ...] = EPSILONS
+    flip: bool = True
+
+    def __post_init__(self) -> None:
+        for count in self.counts:
+            _check.positive_int("counts", count, at_least=0)
+        if not all(0.0 < epsilon <= 1.0 for epsilon in self.epsilons):
+            raise ValueError(f"epsilons: expected values in (0, 1], got {self.epsilons}")
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """How alike images of C views are to those of the SH colours.
+
+    Attributes:
+        psnr: (C,) dB, `PSNR_CAP` where they are equal.
+        ssim: (C,); 1 where they are equal.
+        flip: (C,) mean FLIP error; None where it was not asked.
+    """
+
+    psnr: F64
+    ssim: F64
+    flip: F64 | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Mean and worst of each measure."""
+        found = {
+            "psnr": {"mean": float(self.psnr.mean()), "worst": float(self.psnr.min())},
+            "ssim": {"mean": float(self.ssim.mean()), "worst": float(self.ssim.min())},
+        }
+        if self.flip is not None:
+            found["flip"] = {"mean": float(self.flip.mean()), "worst": float(self.flip.max())}
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class ColorQuality:
+    """What images from C views say.
+
+    Attributes:
+        cameras: The views.
+        all_terms: Likeness with all terms.
+        base_only: Likeness with the base colours alone.
+        counts: (K,) first terms of each Gaussian.
+        mean_terms: (K,) how many that leaves on average.
+        psnr_by_count: (K, C) against SH.
+        epsilons: (E,) contributions above which terms are active.
+        active_shares: (E, C) active terms of all terms for the eye of each view; 0 where there are no terms.
+        active_psnr: (E, C) of active terms against all terms.
+    """
+
+    cameras: Cameras
+    all_terms: Likeness
+    base_only: Likeness
+    counts: NDArray[np.int64]
+    mean_terms: F64
+    psnr_by_count: F64
+    epsilons: F64
+    active_shares: F64
+    active_psnr: F64
+    config: ColorQualityConfig = field(default_factory=ColorQualityConfig)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        looked = self.cameras
+        rows = [
+            {
+                "eye": looked.viewpoints[c].tolist(),
+                "psnr": float(self.all_terms.psnr[c]),
+                "ssim": float(self.all_terms.ssim[c]),
+                "flip": None if self.all_terms.flip is None else float(self.all_terms.flip[c]),
+                "base_psnr": float(self.base_only.psnr[c]),
+            }
+            for c in range(len(looked))
+        ]
+        return {
+            "views": len(looked),
+            "width": looked.width,
+            "height": looked.height,
+            "psnr_cap": PSNR_CAP,
+            "all_terms": self.all_terms.as_dict(),
+            "base_only": self.base_only.as_dict(),
+            "by_count": [
+                {"first": int(k), "mean_terms": float(m), "psnr": float(row.mean()), "psnr_worst": float(row.min())}
+                for k, m, row in zip(self.counts, self.mean_terms, self.psnr_by_count, strict=True)
+            ],
+            "active": [
+                {"epsilon": float(e), "share": float(s.mean()), "psnr": float(p.mean()), "psnr_worst": float(p.min())}
+                for e, s, p in zip(self.epsilons, self.active_shares, self.active_psnr, strict=True)
+            ],
+            "cameras": rows,
+            "config": asdict(self.config),
+        }
+
+
+def measure_colors(
+    g: Gaussians,
+    colors: SrbfColors,
+    cameras: Cameras,
+    config: ColorQualityConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> ColorQuality:
+    """Draw views with SH colours and with SRBF colours, and tell how alike they are.
+
+    Args:
+        g: N Gaussians with their SH colours.
+        colors: SRBF colours of the same.
+        cameras: C > 0 views that the fit did not use.
+        config: What to ask; None means `ColorQualityConfig()`.
+        progress: Called with stage "colors", in views.
+
+    Raises:
+        ValueError: If lengths differ or there is no camera.
+        BackendError: If FLIP is asked for and the package flip-evaluator is absent.
+    """
+    config = config or ColorQualityConfig()
+    if len(g) != len(colors):
+        raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
+    if len(cameras) == 0:
+        raise ValueError("cameras: expected at least one, got none")
+    most = int(colors.counts.max(initial=0))
+    counts = np.array(sorted({0, most, *(k for k in config.counts if k < most)}), np.int64)
+    ranks, tensors, evaluator = colors.ranks, GaussianTensors.from_gaussians(g), Evaluator(colors)
+    activation = Activation(colors, g.means, 0.0)
+    measured: dict[str, list[Any]] = {name: [] for name in ("all", "base", "count", "share", "active")}
+    progress("colors", 0, len(cameras))
+    for c in range(len(cameras)):
+        camera, eye = cameras[c], cameras[c].viewpoints[0]
+
+        def shown(active: NDArray[np.bool_] | None, camera: Cameras = camera, eye: F64 = eye) -> F32:
+            return _image(tensors, camera, evaluator.colors(g.means, eye, active=active))
+
+        exact, fitted = _image(tensors, camera, None), shown(None)
+        firsts = {int(k): shown(ranks < k) for k in counts[:-1]} | {most: fitted}
+        measured["all"].append(_likeness(fitted, exact, config.flip))
+        measured["base"].append(_likeness(firsts[0], exact, config.flip))
+        measured["count"].append([_psnr(firsts[int(k)], exact) for k in counts])
+        contributions = activation.contributions(eye)
+        masks = [contributions > np.float32(epsilon) for epsilon in config.epsilons]
+        measured["share"].append([float(mask.mean()) if len(mask) else 0.0 for mask in masks])
+        measured["active"].append([_psnr(shown(mask), fitted) for mask in masks])
+        progress("colors", c + 1, len(cameras))
+    mean_terms = np.array([np.minimum(colors.counts, k).mean() if len(g) else 0.0 for k in counts])
+    return ColorQuality(
+        cameras, _joined(measured["all"]), _joined(measured["base"]), counts, mean_terms,
+        np.array(measured["count"]).T, np.array(config.epsilons), np.array(measured["share"]).T,
+        np.array(measured["active"]).T, config,
+    )  # fmt: skip
+
+
+def _image(tensors: GaussianTensors, camera: Cameras, colors: F32 | Tensor | None) -> F32:
+    """(H, W, 3) what a display shows."""
+    drawn = rasterize(tensors, camera, backend="cpu", colors=colors).images[0]
+    return np.asarray(np.clip(drawn.numpy(), 0.0, 1.0), np.float32)
+
+
+def _psnr(image: F32, target: F32) -> float:
+    return min(PSNR_CAP, float(psnr(image, target)))
+
+
+def _likeness(image: F32, target: F32, with_flip: bool) -> tuple[float, float, float | None]:
+    alike = float(ssim(image, target, padding="same"))
+    return _psnr(image, target), alike, float(flip(image, target)) if with_flip else None
+
+
+def _joined(rows: Sequence[tuple[float, float, float | None]]) -> Likeness:
+    psnrs, ssims, flips = zip(*rows, strict=True)
+    return Likeness(np.array(psnrs), np.array(ssims), None if flips[0] is None else np.array(flips, np.float64))
+
+
+def has_flip() -> bool:
+    """Whether FLIP can be asked here."""
+    try:
+        import flip_evaluator  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def check_flip() -> None:
+    """Say at once if epsilon cannot be calibrated for want of FLIP.
+
+    Raises:
+        BackendError: With the remedy.
+    """
+    if not has_flip():
+        raise BackendError(
+            "epsilon: expected the package flip-evaluator, to calibrate it, got none; pip install 'gsvis[metrics]', or"
+            " give a number"
+        )

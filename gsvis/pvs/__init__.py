@@ -1,0 +1,89 @@
+"""Potentially visible sets: the cells of a space, what each can see, the store of it, and how good the sets are.
+
+    space = NavigableSpace.from_scene(scene)
+    grid = CellGrid.over(space, max_cells=256)
+    with build_pvs(scene, grid, space, "scene.pvs") as store:
+        ids = store.visible_ids(store.cell_at(eye))
+
+Knows no color. Names are imported on first use: workers that look from cells need no ray tracer.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gsvis.pvs.build import Estimate, Workers, build_pvs, estimate_pvs
+    from gsvis.pvs.cells import CellGrid
+    from gsvis.pvs.cluster import connect
+    from gsvis.pvs.config import PvsConfig
+    from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
+    from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
+    from gsvis.pvs.viewpoints import CellViewpoints
+    from gsvis.pvs.walk import WalkConfig, WalkVisibility, seen_over_walk
+    from gsvis.pvs.why import Why
+
+__all__ = [
+    "CellGrid",
+    "CellSet",
+    "CellViewpoints",
+    "Estimate",
+    "PvsConfig",
+    "Quality",
+    "QualityConfig",
+    "StoreInfo",
+    "VisibilityStore",
+    "WalkConfig",
+    "WalkVisibility",
+    "Why",
+    "Workers",
+    "build_pvs",
+    "connect",
+    "estimate_pvs",
+    "measure_quality",
+    "seen_over_walk",
+    "write_store",
+]
+
+_HOMES = {
+    "build": (
+        "Estimate",
+        "Workers",
+        "build_pvs",
+        "estimate_pvs",
+    ),
+    "cells": ("CellGrid",),
+    "cluster": ("connect",),
+    "config": ("PvsConfig",),
+    "quality": (
+        "Quality",
+        "QualityConfig",
+        "measure_quality",
+    ),
+    "store": (
+        "CellSet",
+        "StoreInfo",
+        "VisibilityStore",
+        "write_store",
+    ),
+    "viewpoints": ("CellViewpoints",),
+    "walk": (
+        "WalkConfig",
+        "WalkVisibility",
+        "seen_over_walk",
+    ),
+    "why": ("Why",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

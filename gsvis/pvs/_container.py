@@ -1,0 +1,184 @@
+"""A file of named sections behind a head of 40 bytes, every byte of it under a checksum, read through a memory map.
+
+Head, sections one after the other, and a JSON object last, which lists them. The head holds the length of the whole
+file, so that a cut is noticed before anything is read. This module knows nothing of visibility.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.fields import Fields, parse_object
+from gsvis.files.limits import open_regular
+
+__all__ = ["HEAD_BYTES", "Container", "ContainerWriter", "Section"]
+
+_MAGIC = b"\x93GSPVS\r\n"  # no text file begins so, and a transfer as text breaks it
+_VERSION = 1
+_HEAD = struct.Struct("<8sIIQQII")
+HEAD_BYTES = _HEAD.size
+AGAIN = "the file is damaged: copy or build it again"
+
+
+@dataclass(frozen=True)
+class Section:
+    """Where a section lies: first byte, length, and the CRC-32 of its bytes."""
+
+    offset: int
+    length: int
+    crc: int
+
+
+class ContainerWriter:
+    """Writes sections one after the other to an open file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._sections: dict[str, Section] = {}
+        self._start = self._end = HEAD_BYTES
+        self._crc = 0
+        file.write(bytes(HEAD_BYTES))
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._end
+
+    def append(self, data: bytes) -> tuple[int, int, int]:
+        """Add bytes to the section under construction; their offset inside it, their length and CRC-32."""
+        offset = self._end - self._start
+        self._file.write(data)
+        self._crc = zlib.crc32(data, self._crc)
+        self._end += len(data)
+        return offset, len(data), zlib.crc32(data)
+
+    def close_section(self, name: str) -> None:
+        """Name what was appended since the last call."""
+        self._sections[name] = Section(self._start, self._end - self._start, self._crc)
+        self._start, self._crc = self._end, 0
+
+    def finish(self, header: Mapping[str, Any]) -> None:
+        """Write the header with the list of sections, and then the head."""
+        listed = [[name, s.offset, s.length, s.crc] for name, s in self._sections.items()]
+        text = json.dumps({**header, "sections": listed}, separators=(",", ":"), sort_keys=True, allow_nan=False)
+        data = text.encode()
+        self._file.write(data)
+        fields = (self._end + len(data), self._end, len(data), zlib.crc32(data))
+        crc = zlib.crc32(struct.pack("<QQII", *fields))
+        self._file.seek(0)
+        self._file.write(_HEAD.pack(_MAGIC, _VERSION, crc, *fields))
+
+
+class Container:
+    """An open file of sections.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FormatError: If head, length, header or list of sections are not as they must be.
+        OSError: If the file cannot be opened.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = _check.path("path", path)
+        with open_regular(self.path) as file:
+            size = os.fstat(file.fileno()).st_size
+            place, length, crc = self._read_head(file.read(HEAD_BYTES), size)
+            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        try:
+            self.size = size
+            self.header = self._read_header(place, length, crc)
+            self.sections = self._read_list(place)
+        except BaseException:
+            self._map.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._map.close()
+
+    def _bytes(self, start: int, length: int) -> bytes:
+        if self._map.closed:
+            raise ValueError("store: expected an open one, got one that was closed; open it again")
+        return self._map[start : start + length]
+
+    def _read_head(self, head: bytes, size: int) -> tuple[int, int, int]:
+        if len(head) < HEAD_BYTES:
+            if not _MAGIC.startswith(head[: len(_MAGIC)]) and not head.startswith(_MAGIC):
+                raise self._foreign(head)
+            raise FormatError(self.path, "byte 0", f"a head of {HEAD_BYTES} bytes", f"{len(head)} bytes", AGAIN)
+        magic, version, crc, total, place, length, header_crc = _HEAD.unpack(head)
+        if magic != _MAGIC:
+            raise self._foreign(head)
+        if version != _VERSION:
+            remedy = "update gsvis, or build the store again" if version > _VERSION else "build the store again"
+            raise FormatError(self.path, "byte 8", f"store version {_VERSION}", f"version {version}", remedy)
+        if zlib.crc32(head[16:]) != crc:
+            raise FormatError(self.path, "byte 16", "a head that fits its checksum", "another checksum", AGAIN)
+        if size != total:
+            remedy = "the file was cut or lengthened: copy or build it again"
+            raise FormatError(self.path, "byte 16", f"a file of {total} bytes", f"{size} bytes", remedy)
+        if not (HEAD_BYTES <= place <= total and place + length == total):
+            raise FormatError(self.path, "byte 24", "a header at the end of the file", f"one at byte {place}", AGAIN)
+        return place, length, header_crc
+
+    def _foreign(self, head: bytes) -> FormatError:
+        remedy = "give a file that `gsvis pvs` has written"
+        return FormatError(self.path, "byte 0", "a store of visible sets", f"a file that begins {head[:8]!r}", remedy)
+
+    def _read_header(self, place: int, length: int, crc: int) -> Fields:
+        data = self._bytes(place, length)
+        if zlib.crc32(data) != crc:
+            raise FormatError(self.path, f"byte {place}", "a header that fits its checksum", "another checksum", AGAIN)
+        return parse_object(self.path, data)
+
+    def _read_list(self, end: int) -> dict[str, Section]:
+        sections, place = {}, HEAD_BYTES
+        for row in self.header.items("sections"):
+            good = isinstance(row, list) and len(row) == 4 and isinstance(row[0], str)
+            if not good or not all(isinstance(v, int) and 0 <= v < 1 << 62 for v in row[1:]) or row[1] != place:
+                raise FormatError(self.path, "sections", "name, offset, length and checksum of each", repr(row)[:60])
+            sections[row[0]] = Section(*row[1:])
+            place += row[2]
+        if place != end:
+            raise FormatError(self.path, "sections", f"sections that end at byte {end}", f"an end at byte {place}")
+        return sections
+
+    def section(self, name: str) -> Section:
+        """Where a section lies."""
+        if name not in self.sections:
+            raise FormatError(self.path, "sections", f"a section {name!r}", "none", AGAIN)
+        return self.sections[name]
+
+    def read(self, name: str) -> bytes:
+        """A whole section, checked."""
+        s = self.section(name)
+        data = self._bytes(s.offset, s.length)
+        if zlib.crc32(data) != s.crc:
+            raise self.damaged(f"section {name!r}, byte {s.offset}")
+        return data
+
+    def read_part(self, name: str, offset: int, length: int, crc: int, where: str) -> bytes:
+        """A part of a section, checked against its own CRC-32."""
+        s = self.section(name)
+        if min(offset, length) < 0 or offset + length > s.length:
+            raise FormatError(self.path, where, f"a place inside section {name!r}", f"byte {offset}", AGAIN)
+        start = s.offset + offset
+        data = self._bytes(start, length)
+        if zlib.crc32(data) != crc:
+            raise self.damaged(f"{where}, byte {start}")
+        return data
+
+    def damaged(self, where: str) -> FormatError:
+        """The error for bytes that do not fit their checksum."""
+        return FormatError(self.path, where, "bytes that fit their checksum", "other bytes", AGAIN)

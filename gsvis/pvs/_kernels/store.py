@@ -1,0 +1,187 @@
+"""Kernels of the store: sets of Gaussians as packed words, between stored order and scene order.
+
+A set of N Gaussians is words of uint64: bit i % 64 of word i // 64 is position i, bits from N on are 0, and the words
+fill whole roaring containers of 65,536 positions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from gsvis._kernels.bits import lowest, ones
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+_CHUNK = 1024  # words of one roaring container: 65,536 positions
+_ARRAY = 4096  # a container of at most so many positions lists them
+
+
+@njit(**_OPTIONS)
+def count_shared(left, right):
+    """Set bits that two sets share."""
+    total = 0
+    for w in range(len(left)):
+        total += np.int64(ones(left[w] & right[w]))
+    return total
+
+
+@njit(**_OPTIONS)
+def positions(words, out):
+    """Positions of the set bits, rising; `out` holds as many."""
+    filled = 0
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            out[filled] = 64 * w + np.int64(lowest(word))
+            filled += 1
+            word &= word - np.uint64(1)
+
+
+@njit(**_OPTIONS)
+def mark(ids, words):
+    """Set the bits of ids."""
+    for k in range(len(ids)):
+        i = np.uint64(ids[k])
+        words[i >> np.uint64(6)] |= np.uint64(1) << (i & np.uint64(63))
+
+
+@njit(**_OPTIONS)
+def scatter(words, order, out):
+    """Set in `out` the bits order[i] of the set positions i."""
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            i = np.uint64(order[64 * w + np.int64(lowest(word))])
+            out[i >> np.uint64(6)] |= np.uint64(1) << (i & np.uint64(63))
+            word &= word - np.uint64(1)
+
+
+@njit(**_OPTIONS)
+def reach(words, waiting, alive, order, value, out):
+    """Write `value` at order[i] for the positions i of `words` that still wait, which then wait no more.
+
+    Args:
+        words: the set.
+        waiting: what waits; changed.
+        alive: (L,) int64, numbers of the words of `waiting` that are not 0; those that stay so move to its front.
+        order: (N,) int32.
+        value: what to write.
+        out: (N,) receives it.
+
+    Returns:
+        How many words are alive after it.
+    """
+    kept = 0
+    for k in range(len(alive)):
+        w = alive[k]
+        fresh = words[w] & waiting[w]
+        waiting[w] ^= fresh
+        while fresh:
+            out[order[64 * w + np.int64(lowest(fresh))]] = value
+            fresh &= fresh - np.uint64(1)
+        alive[kept] = w
+        kept += waiting[w] != 0
+    return kept
+
+
+@njit(**_OPTIONS)
+def add_signature(words, bit, signatures):
+    """Set one bit in the signatures (N, W) of all positions of a set."""
+    column, flag = bit >> 6, np.uint64(1) << np.uint64(bit & 63)
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            signatures[64 * w + np.int64(lowest(word)), column] |= flag
+            word &= word - np.uint64(1)
+
+
+@njit(**_OPTIONS)
+def nearest_centres(signatures, centres, labels):
+    """The centre (K, W) with the fewest differing bits for each signature (M, W); the first of equals."""
+    for i in range(len(signatures)):
+        best, label = 1 << 30, 0
+        for k in range(len(centres)):
+            apart = 0
+            for w in range(centres.shape[1]):
+                apart += np.int64(ones(signatures[i, w] ^ centres[k, w]))
+            if apart < best:
+                best, label = apart, k
+        labels[i] = label
+
+
+@njit(**_OPTIONS)
+def count_bits(signatures, labels, bits, sizes):
+    """Add up, for each label, the signatures (sizes (K,)) and their set bits (bits (K, 64 W))."""
+    for i in range(len(signatures)):
+        k = labels[i]
+        sizes[k] += 1
+        for w in range(signatures.shape[1]):
+            word = signatures[i, w]
+            while word:
+                bits[k, 64 * w + np.int64(lowest(word))] += 1
+                word &= word - np.uint64(1)
+
+
+@njit(**_OPTIONS)
+def count_contexts(words, parent, counts):
+    """How many positions of a set have each value in `parent`."""
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            counts[parent[64 * w + np.int64(lowest(word))]] += 1
+            word &= word - np.uint64(1)
+
+
+@njit(**_OPTIONS)
+def place_classes(words, parent, symbols, starts, levels):
+    """Give each position of a set the next of the symbols of its value in `parent`, plus 1."""
+    at = starts.copy()
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            i = 64 * w + np.int64(lowest(word))
+            context = parent[i]
+            levels[i] = symbols[at[context]] + np.uint8(1)
+            at[context] += 1
+            word &= word - np.uint64(1)
+
+
+@njit(**_OPTIONS)
+def roaring(words, keys, cards, out):
+    """Fill the containers of the portable roaring format; the length used.
+
+    Args:
+        words: whole containers of 1,024 words.
+        keys: (containers,) int64 room for the containers that are not empty.
+        cards: (containers,) int64 room for their counts.
+        out: uint16 room for their contents.
+
+    Returns:
+        Containers that are not empty, and uint16s written.
+    """
+    found, end = 0, 0
+    for chunk in range(len(words) // _CHUNK):
+        start = chunk * _CHUNK
+        total = 0
+        for w in range(start, start + _CHUNK):
+            total += np.int64(ones(words[w]))
+        if total == 0:
+            continue
+        keys[found], cards[found] = chunk, total
+        found += 1
+        if total > _ARRAY:
+            for w in range(start, start + _CHUNK):
+                word = words[w]
+                for part in range(4):
+                    out[end] = np.uint16(word >> np.uint64(16 * part))
+                    end += 1
+            continue
+        for w in range(start, start + _CHUNK):
+            word = words[w]
+            while word:
+                out[end] = np.uint16(64 * (w - start) + np.int64(lowest(word)))
+                end += 1
+                word &= word - np.uint64(1)
+    return found, end

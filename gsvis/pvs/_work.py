@@ -1,0 +1,282 @@
+"""Cells given out to workers: in this process, in processes of this machine, or on any executor (a Dask cluster).
+
+A task is a few numbers and its result some packed bytes; the scene travels once to each worker. A task that is lost
+with its worker is given out again. What comes back does not depend on who did it, nor on when.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import get_num_threads, set_num_threads
+from numpy.typing import NDArray
+
+from gsvis.errors import GsvisError
+from gsvis.files.output import output_errors
+from gsvis.pvs._journal import pack_view
+from gsvis.pvs.config import CellView, PvsConfig, see_cell
+from gsvis.pvs.levels import joined
+from gsvis.pvs.look import Look
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels, level_scenes
+
+__all__ = [
+    "SceneArrays",
+    "Task",
+    "done_by",
+    "done_by_processes",
+    "done_here",
+    "forget_scene",
+    "see",
+    "use_threads",
+]
+
+Result = tuple[int, bytes]
+"""A cell and what it sees, packed."""
+
+Looks = list[tuple[Look, NDArray[np.int64]]]
+"""The levels of a scene, ready, and the ids of their Gaussians in the union."""
+
+# shN has no influence on what is seen.
+_SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
+_MEMBERSHIP = ("first", "last")  # levels of each Gaussian
+_RESTARTS = 3  # times in a row that work is begun again without one cell being finished
+
+_ready: OrderedDict[str, Looks] = OrderedDict()  # of this process, the last scene and configuration
+_one_at_a_time = threading.Lock()  # the kernels of numba's default threading layer may not run from two threads
+_threads: list[int] = []  # at most one entry: threads that kernels of this process may use
+
+
+@dataclass(frozen=True, eq=False)
+class SceneArrays:
+    """A scene, or levels, on the way to a worker.
+
+    Attributes:
+        key: Names the scene and the configuration.
+        source: The arrays of the union and the levels of each Gaussian, or the folder that holds each in a file.
+        config: How visible sets are found.
+    """
+
+    key: str
+    source: dict[str, Any] | Path
+    config: PvsConfig
+
+    @classmethod
+    def of(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
+        """The arrays themselves."""
+        arrays = {name: getattr(levels.union, name) for name in _SHAPES}
+        return cls(key, arrays | {name: getattr(levels, name) for name in _MEMBERSHIP}, config)
+
+    @contextmanager
+    def stored(self, folder: Path) -> Iterator[SceneArrays]:
+        """The same with the arrays in files, which all processes of a machine map and share; removed in the end."""
+        assert isinstance(self.source, dict)
+        try:
+            with output_errors(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                for name, array in self.source.items():
+                    (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(array).data)
+            yield SceneArrays(self.key, folder, self.config)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def looks(self) -> Looks:
+        """The levels, ready; kept until other ones are asked for."""
+        looks = _ready.get(self.key)
+        if looks is None:
+            _ready.clear()
+            source, config = self.source, self.config
+            if isinstance(source, Path):
+                source = _mapped(source)
+            first, last = (source[name] for name in _MEMBERSHIP)
+            union = Gaussians(**{name: source[name] for name in _SHAPES})
+            levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
+            looks = [(Look(g, config.method, config.size, config.tau), ids) for g, ids in level_scenes(levels)]
+            _ready[self.key] = looks
+        return looks
+
+    def view(self, viewpoints: NDArray[np.float64]) -> CellView:
+        """What a cell with these viewpoints (V, 3) sees, each level by itself."""
+        looks = self.looks()
+        views = [see_cell(look, viewpoints, self.config) for look, _ in looks]
+        return joined(views, [ids for _, ids in looks], 1 + max(int(ids[-1]) for _, ids in looks))
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One cell to be looked from: its number and its viewpoints (V, 3)."""
+
+    cell: int
+    viewpoints: Any
+
+
+def _mapped(folder: Path) -> dict[str, NDArray[Any]]:
+    kinds: dict[str, Any] = dict.fromkeys(_SHAPES, np.float32) | dict.fromkeys(_MEMBERSHIP, np.uint8)
+    arrays = {name: np.asarray(np.memmap(folder / f"{name}.bin", kind, mode="r")) for name, kind in kinds.items()}
+    return {name: array.reshape(_SHAPES.get(name, (-1,))) for name, array in arrays.items()}
+
+
+def see(scene: SceneArrays, task: Task) -> bytes:
+    """Do one task; runs in the worker."""
+    with _one_at_a_time:
+        if _threads:
+            set_num_threads(min(_threads[0], get_num_threads()))
+        return pack_view(scene.view(task.viewpoints))
+
+
+def use_threads(count: int | None) -> None:
+    """How many threads the kernels of this process may use for tasks; None for all."""
+    _threads[:] = [] if count is None else [count]
+
+
+def forget_scene() -> None:
+    """Give back the memory of the last scene."""
+    _ready.clear()
+
+
+def done_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
+    """The tasks one after the other, in this process."""
+    try:
+        for task in tasks:
+            yield task.cell, see(scene, task)
+    finally:
+        forget_scene()
+
+
+def done_by(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
+    """The tasks as an executor finishes them; begun again where it has lost them.
+
+    Args:
+        executor: Anything with `submit`.
+        share: Gives a `SceneArrays`, or what the executor turns into one (a Dask future).
+        tasks: In the order in which they are given out.
+        in_flight: Tasks given out at a time.
+
+    Raises:
+        GsvisError: If tasks are lost again and again.
+    """
+    told = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
+    return _until_done(tasks, lambda left: _submitted(executor, share(), left, in_flight), CancelledError, told)
+
+
+def done_by_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
+    """The tasks on `workers` processes of this machine; processes that die are replaced.
+
+    Raises:
+        GsvisError: If processes die again and again.
+    """
+
+    def attempt(left: list[Task]) -> Iterator[Result]:
+        with _local_processes(min(workers, len(left))) as executor:
+            yield from _submitted(executor, scene, left, 2 * workers)
+
+    told = (
+        "worker processes died again and again, most likely for want of memory: use fewer --workers or a smaller"
+        " --max-memory"
+    )
+    return _until_done(tasks, attempt, BrokenExecutor, told)
+
+
+def _until_done(
+    tasks: list[Task], attempt: Callable[[list[Task]], Iterator[Result]], lost: type[Exception], told: str
+) -> Iterator[Result]:
+    missing = {task.cell: task for task in tasks}
+    failures = 0
+    while missing:
+        before = len(missing)
+        try:
+            for cell, data in attempt(list(missing.values())):
+                del missing[cell]
+                yield cell, data
+        except lost as error:
+            failures = 0 if len(missing) < before else failures + 1
+            if failures > _RESTARTS:
+                raise GsvisError(told) from error
+
+
+def _submitted(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: int) -> Iterator[Result]:
+    waiting: dict[Future[bytes], Task] = {}
+    left = iter(tasks)
+    try:
+        while True:
+            for task in left:
+                waiting[executor.submit(see, scene, task)] = task
+                if len(waiting) >= in_flight:
+                    break
+            if not waiting:
+                return
+            # What is done comes before what is lost: the set has no order, and a loss ends this attempt.
+            for future in sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=_is_lost):
+                task = waiting.pop(future)
+                yield task.cell, future.result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _is_lost(future: Future[bytes]) -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
+@contextmanager
+def _local_processes(workers: int) -> Iterator[Executor]:
+    """A pool of processes with one thread each, which goes at once when the block is left early."""
+    # Started afresh: a forked process would inherit the threads of numba's kernels in an unusable state.
+    pool = _Pool(workers, mp_context=get_context("spawn"), initializer=_begin)
+    done = False
+    try:
+        yield pool
+        done = True
+    finally:
+        if not done:
+            for process in list((pool._processes or {}).values()):
+                process.kill()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Pool(ProcessPoolExecutor):
+    """Its processes are deaf to Ctrl-C, which is for the parent, from their first moment: a mask is inherited."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(fn, *args, **kwargs)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """Begin a worker process: one thread, and gone when the parent is."""
+
+    def watch() -> None:
+        parent = parent_process()
+        assert parent is not None
+        parent.join()  # a pipe that the parent alone holds; no time is waited for
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    use_threads(1)
+    threading.Thread(target=watch, daemon=True).start()

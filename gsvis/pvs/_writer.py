@@ -1,0 +1,320 @@
+"""Writes a store: cells come one by one, wait on disk, and are encoded when all are known.
+
+Only one cell, its classes and the sets of its neighbours are held at a time, besides 16 bytes for each Gaussian.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import MAX_EXPANSION
+from gsvis.progress import Progress, silent
+from gsvis.pvs import _order
+from gsvis.pvs import codec as _codec
+from gsvis.pvs._container import ContainerWriter
+from gsvis.pvs._kernels import store as kernels
+from gsvis.pvs.cells import CellGrid
+
+__all__ = ["CELL_ROW", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "beyond_free", "write_store"]
+
+FORMAT = "gsvis visible sets"
+MAX_CLASSES = 16
+CELL_ROW = np.dtype(
+    [
+        ("set_offset", "<u8"),
+        ("set_length", "<u4"),
+        ("set_crc", "<u4"),
+        ("class_offset", "<u8"),
+        ("class_length", "<u4"),
+        ("class_crc", "<u4"),
+        ("visible", "<u4"),
+        ("parent", "<i4"),
+        ("viewpoints", "<u4"),
+        ("growth", "<f4"),
+    ]
+)
+"""What the file keeps of each cell, beside its set and its classes."""
+
+FREE_BYTES = 1 << 30
+"""Bytes in memory, of 16 for each Gaussian, that a store of any size may ask for: 67 million Gaussians."""
+
+_GAUSSIAN_BYTES = 16  # in memory: order, labels and direction sets, of which all other arrays are smaller
+_HELD = 64  # sets of recent cells kept while pairs of neighbours are compared
+
+
+def beyond_free(gaussians: int) -> int:
+    """Bytes in memory that so many Gaussians take beyond the free GiB, which the size of the file must answer for."""
+    return max(_GAUSSIAN_BYTES * gaussians - FREE_BYTES, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class StoreInfo:
+    """What a store holds besides its cells.
+
+    Attributes:
+        gaussians: N.
+        scene: `scene_hash` of the scene.
+        tau: Weight from which a Gaussian is visible.
+        class_edges: (K,) lowest weight of each class, rising from tau; a class ends where the next begins.
+        config: How the sets were found; anything JSON can hold.
+    """
+
+    gaussians: int
+    scene: str
+    tau: float
+    class_edges: NDArray[np.float64]
+    config: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if _check.positive_int("gaussians", self.gaussians, at_least=0) >= 1 << 31:
+            raise ValueError(f"gaussians: expected fewer than 2^31, got {self.gaussians}")
+        edges = _check.floats("class_edges", self.class_edges, ("K",), np.float64)
+        rising = len(edges) > 0 and (np.diff(edges) > 0).all() and edges[0] > 0.0 and edges[-1] < 1.0
+        if not rising or len(edges) > MAX_CLASSES:
+            raise ValueError(f"class_edges: expected 1 to {MAX_CLASSES} rising weights in (0, 1), got {edges.tolist()}")
+        if not np.isclose(self.tau, edges[0], rtol=1e-6):
+            raise ValueError(f"tau: expected the lowest class edge {edges[0]:.6g}, got {self.tau!r}")
+        try:
+            config = json.loads(json.dumps(dict(self.config), allow_nan=False))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"config: expected what JSON can hold, got {error}") from error
+        edges = edges.copy()
+        edges.flags.writeable = False
+        object.__setattr__(self, "class_edges", edges)
+        object.__setattr__(self, "tau", float(self.tau))
+        object.__setattr__(self, "config", config)
+
+
+@dataclass(frozen=True, eq=False)
+class CellSet:
+    """What one cell sees.
+
+    Attributes:
+        ids: (V,) visible Gaussians, rising, each once.
+        classes: (V,) uint8, class of the largest weight of each, below K.
+        viewpoints: Viewpoints that found it.
+        growth: Share by which the last of them made the set grow.
+    """
+
+    ids: ArrayLike
+    classes: ArrayLike
+    viewpoints: int = 0
+    growth: float = 0.0
+
+
+class StoreWriter:
+    """Writes a store cell by cell; use it in a `with` block, which removes what it keeps on disk meanwhile.
+
+    Args:
+        path: The file to write, which appears whole in `finish` and not before.
+        grid: C cells.
+        info: What else the store holds.
+
+    Raises:
+        OSError: If the folder cannot be written to.
+    """
+
+    def __init__(self, path: str | PathLike[str], grid: CellGrid, info: StoreInfo) -> None:
+        self.path, self.grid, self.info = _check.path("path", path), grid, info
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._rows = np.zeros(len(grid), CELL_ROW)
+        self._spill = tempfile.TemporaryFile(dir=self.path.parent)  # noqa: SIM115  closed in __exit__
+        self._places: list[tuple[int, int, int]] = []  # first byte, length of the set, length of the levels
+        self._held: OrderedDict[int, NDArray[np.uint64]] = OrderedDict()
+
+    def __enter__(self) -> StoreWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._spill.close()
+
+    def __len__(self) -> int:
+        """Cells added so far."""
+        return len(self._places)
+
+    def add_cell(self, cell: CellSet) -> None:
+        """Add the next cell, in the order of the grid.
+
+        Raises:
+            ValueError: If all cells are there, or the set is not as `CellSet` says.
+        """
+        number, n = len(self), self.info.gaussians
+        if number >= len(self.grid):
+            raise ValueError(f"cell: expected {len(self.grid)} cells, got one more")
+        ids = _check.integers("ids", cell.ids, ("V",))
+        classes = _check.integers("classes", cell.classes, ("V",), np.uint8)
+        _check.same_length(ids=ids, classes=classes)
+        if len(ids) and not (ids[0] >= 0 and ids[-1] < n and (np.diff(ids) > 0).all()):
+            raise ValueError(f"ids: expected rising ids in [0, {n}), each once; sort them with np.unique")
+        if len(classes) and classes.max() >= len(self.info.class_edges):
+            raise ValueError(f"classes: expected numbers below {len(self.info.class_edges)}, got {classes.max()}")
+        growth = float(_check.floats("growth", cell.growth, ()))
+        row = self._rows[number]
+        row["visible"], row["growth"] = len(ids), growth
+        row["viewpoints"] = _check.positive_int("viewpoints", cell.viewpoints, at_least=0)
+        packed = _codec.compress(_codec.pack(ids, n).tobytes(), level=1), _codec.compress(classes.tobytes(), level=1)
+        start = self._spill.seek(0, 2)
+        self._spill.write(packed[0] + packed[1])
+        self._places.append((start, len(packed[0]), len(packed[1])))
+
+    def finish(self, direction_sets: ArrayLike, *, progress: Progress = silent) -> Path:
+        """Encode all cells and put the file into its place.
+
+        Args:
+            direction_sets: (N, 10) uint8.
+            progress: Called with stage "store".
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: If cells are missing or the direction sets have another shape.
+            OSError: If the disk is full; what stood at the path before stays.
+        """
+        sets = np.asarray(direction_sets)
+        if sets.shape != (self.info.gaussians, 10) or sets.dtype != np.uint8:
+            wanted = f"({self.info.gaussians}, 10) uint8"
+            raise ValueError(f"direction_sets: expected {wanted}, got {sets.shape} {sets.dtype}")
+        if len(self) != len(self.grid):
+            raise ValueError(f"cells: expected {len(self.grid)}, got {len(self)}; add_cell the others first")
+        progress("store", 0, len(self))
+        labels = _order.choose_labels(self.info.gaussians, len(self), self._set)
+        self._rows["parent"] = _order.parents_of(self._shared(), len(self))
+        with atomic_path(self.path) as partial, partial.open("wb") as file:
+            container = ContainerWriter(file)
+            self._write_sets(container, labels, progress)
+            self._write_rest(container, labels, sets)
+            file.flush()
+        return self.path
+
+    def _write_sets(self, container: ContainerWriter, labels: NDArray[np.uint16], progress: Progress) -> None:
+        """The sets of all cells, and then their classes, which need the classes of their parents."""
+        n, order = self.info.gaussians, _order.order_of(labels)
+        places = np.empty(n, np.int32)
+        places[order] = np.arange(n, dtype=np.int32)
+        everything = np.zeros(_codec.word_count(n), np.uint64)
+        for cell in range(len(self)):
+            words = self._set(cell)
+            everything |= words
+            stored = np.zeros_like(words)
+            kernels.scatter(words, places, stored)
+            row = self._rows[cell]
+            row["set_offset"], row["set_length"], row["set_crc"] = container.append(_codec.encode_set(stored))
+            progress("store", (cell + 1) // 2, len(self))
+        container.close_section("sets")
+        for cell in range(len(self)):
+            levels = self._levels(cell)[order]
+            parent = int(self._rows["parent"][cell])
+            above = self._levels(parent)[order] if parent >= 0 else None
+            stored = np.zeros(_codec.word_count(n), np.uint64)
+            kernels.mark(np.flatnonzero(levels), stored)
+            packed = _codec.encode_classes(stored, levels, above, len(self.info.class_edges))
+            row = self._rows[cell]
+            row["class_offset"], row["class_length"], row["class_crc"] = container.append(packed)
+            progress("store", (len(self) + cell + 1) // 2, len(self))
+        container.close_section("classes")
+        stored = np.zeros_like(everything)
+        kernels.scatter(everything, places, stored)
+        container.append(_codec.encode_set(stored))
+        container.close_section("ever")
+
+    def _write_rest(self, container: ContainerWriter, labels: NDArray[np.uint16], sets: NDArray[np.uint8]) -> None:
+        container.append(_codec.encode_labels(labels, level=19))
+        container.close_section("labels")
+        container.append(_codec.compress(np.ascontiguousarray(sets.T).tobytes()))
+        container.close_section("directions")
+        container.append(_codec.compress(self.grid.coords.astype("<i4").tobytes()))
+        container.close_section("coords")
+        container.append(self._rows.tobytes())
+        container.close_section("cells")
+        least = -(-beyond_free(self.info.gaussians) // MAX_EXPANSION)  # bytes that the reader asks of the file
+        if container.size < least:
+            container.append(bytes(least - container.size))
+            container.close_section("room")
+        container.finish(
+            {
+                "format": FORMAT,
+                "gaussians": self.info.gaussians,
+                "scene": self.info.scene,
+                "tau": self.info.tau,
+                "class_edges": self.info.class_edges.tolist(),
+                "config": self.info.config,
+                "grid": self.grid.as_dict(),
+            }
+        )
+
+    def _shared(self) -> list[tuple[int, int, int]]:
+        """How much each pair of neighbours shares."""
+        edges = []
+        for cell in range(len(self)):
+            for other in self.grid.neighbours(cell).tolist():
+                if other < cell:
+                    edges.append((kernels.count_shared(self._set(cell), self._set(other)), other, cell))
+        return edges
+
+    def _set(self, cell: int) -> NDArray[np.uint64]:
+        """The set of a cell, scene order."""
+        if cell in self._held:
+            self._held.move_to_end(cell)
+            return self._held[cell]
+        start, length, _ = self._places[cell]
+        self._spill.seek(start)
+        data = _codec.decompress(self._spill.read(length), 8 * _codec.word_count(self.info.gaussians))
+        words: NDArray[np.uint64] = np.frombuffer(data, np.uint64).copy()  # writeable, as kernels know them
+        self._held[cell] = words
+        if len(self._held) > _HELD:
+            self._held.popitem(last=False)
+        return words
+
+    def _levels(self, cell: int) -> NDArray[np.uint8]:
+        """(N,) class plus 1 of what a cell sees, 0 elsewhere, scene order."""
+        start, skipped, length = self._places[cell]
+        self._spill.seek(start + skipped)
+        data = _codec.decompress(self._spill.read(length), int(self._rows["visible"][cell]))
+        levels = np.zeros(self.info.gaussians, np.uint8)
+        levels[_codec.ids_of(self._set(cell))] = np.frombuffer(data, np.uint8) + 1
+        return levels
+
+
+def write_store(
+    path: str | PathLike[str],
+    grid: CellGrid,
+    info: StoreInfo,
+    cells: Iterable[CellSet],
+    direction_sets: ArrayLike,
+    *,
+    progress: Progress = silent,
+) -> Path:
+    """Write a store of all cells at once.
+
+    Args:
+        path: The file to write, suffix `.pvs`.
+        grid: C cells.
+        info: What else the store holds.
+        cells: What each cell sees, in the order of the grid; taken one at a time.
+        direction_sets: (N, 10) uint8; read after the last cell, so an array that is filled on the way will do.
+        progress: Called with stage "store".
+
+    Raises:
+        ValueError: If there are too few or too many cells, or a set is not as `CellSet` says.
+        OSError: If the file cannot be written; what stood at the path before stays.
+    """
+    with StoreWriter(path, grid, info) as writer:
+        for cell in cells:
+            writer.add_cell(cell)
+        return writer.finish(direction_sets, progress=progress)

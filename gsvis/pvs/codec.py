@@ -1,0 +1,248 @@
+"""How the set of a cell and its weight classes become bytes; the measurements behind it are in docs/design/006.
+
+A set is packed words (see `gsvis._kernels.bits`) in stored order, in which Gaussians that the same cells see stand
+together, so that zstd finds long runs. Weight classes are coded apart for each class that the parent cell gives the
+same Gaussian. This module knows no file and no grid.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+from pyroaring import BitMap
+
+from gsvis import _check
+from gsvis._kernels.bits import count
+from gsvis.pvs._kernels import store as kernels
+
+__all__ = [
+    "CodecError",
+    "bitmap_of",
+    "compress",
+    "decode_classes",
+    "decode_labels",
+    "decode_set",
+    "decompress",
+    "encode_classes",
+    "encode_labels",
+    "encode_set",
+    "ids_of",
+    "pack",
+    "word_count",
+]
+
+Words = NDArray[np.uint64]
+U8 = NDArray[np.uint8]
+
+LEVEL = 12  # of zstd; 19 saves 3% and takes ten times as long
+_CHUNK = 1024  # words of a roaring container
+_COOKIE = 12346  # roaring: no run containers
+_ARRAY = 4096
+
+_local = threading.local()  # zstd contexts belong to one thread
+
+
+class CodecError(ValueError):
+    """Bytes that are no set or no classes; the message says what was expected and what was found."""
+
+
+def word_count(n: int) -> int:
+    """Words that hold N Gaussians: whole roaring containers."""
+    return -(-n // (64 * _CHUNK)) * _CHUNK
+
+
+def pack(ids: NDArray[Any], n: int) -> Words:
+    """Return the set of the given ids as packed words.
+
+    Raises:
+        ValueError: If an id is not in [0, n): the kernel would write outside of the words.
+    """
+    given = np.ascontiguousarray(ids)
+    _check.in_range("ids", given, 0, n - 1)
+    words = np.zeros(word_count(n), np.uint64)
+    kernels.mark(given, words)
+    return words
+
+
+def ids_of(words: Words) -> NDArray[np.int64]:
+    """The ids in a set, rising."""
+    ids = np.empty(count(words), np.int64)
+    kernels.positions(words, ids)
+    return ids
+
+
+def bitmap_of(words: Words) -> BitMap:
+    """The set as a roaring bitmap, by way of roaring's portable format.
+
+    References:
+        Roaring bitmap format specification, https://github.com/RoaringBitmap/RoaringFormatSpec.
+    """
+    containers = len(words) // _CHUNK
+    keys, cards = np.empty(containers, np.int64), np.empty(containers, np.int64)
+    content = np.empty(4 * len(words), np.uint16)
+    found, end = kernels.roaring(words, keys, cards, content)
+    keys, cards = keys[:found], cards[:found]
+    sizes = np.where(cards > _ARRAY, 8 * _CHUNK, 2 * cards)
+    offsets = 8 + 8 * found + np.cumsum(sizes) - sizes
+    head = np.array([_COOKIE, found], "<u4").tobytes()
+    described = np.stack([keys, cards - 1], axis=1).astype("<u2").tobytes()
+    data = head + described + offsets.astype("<u4").tobytes() + content[:end].astype("<u2", copy=False).tobytes()
+    return BitMap.deserialize(data)
+
+
+def compress(data: bytes, level: int = LEVEL) -> bytes:
+    """One zstd frame that states its length; the same bytes for the same input."""
+    compressors = _local.__dict__.setdefault("compressors", {})
+    if level not in compressors:
+        compressors[level] = zstandard.ZstdCompressor(level=level, write_content_size=True, write_checksum=False)
+    packed: bytes = compressors[level].compress(data)
+    return packed
+
+
+def decompress(data: bytes, length: int) -> bytes:
+    """The content of one zstd frame of `length` bytes.
+
+    Raises:
+        CodecError: If it is no frame, or of another length.
+    """
+    content = bytearray(length)
+    _decompress_into(data, content)
+    return bytes(content)
+
+
+def _decompress_into(data: bytes, content: Any) -> None:
+    """Fill a buffer of bytes with the content of one zstd frame of its length."""
+    if not hasattr(_local, "decompressor"):
+        _local.decompressor = zstandard.ZstdDecompressor()
+    length = len(content)
+    try:
+        stated = zstandard.frame_content_size(data)
+        if stated != length:
+            raise CodecError(f"expected a frame of {length} bytes, got one of {stated}")
+        with _local.decompressor.stream_reader(data) as reader:
+            found = reader.readinto(content) if length else 0
+    except zstandard.ZstdError as error:
+        raise CodecError(f"expected a zstd frame, got bytes that are none ({error})") from error
+    if found != length:
+        raise CodecError(f"expected a zstd frame of {length} bytes, got {found}")
+
+
+def encode_set(words: Words) -> bytes:
+    """A set in stored order as bytes."""
+    return compress(words.astype("<u8", copy=False).tobytes())
+
+
+def decode_set(data: bytes, n: int, visible: int | None = None) -> Words:
+    """The set of `encode_set`, of N Gaussians, checked to hold `visible` of them where that is known.
+
+    Raises:
+        CodecError: If the bytes are no such set.
+    """
+    length = word_count(n)
+    stored = np.empty(length, "<u8")
+    _decompress_into(data, stored.view(np.uint8))
+    words = stored.astype(np.uint64, copy=False)
+    found = count(words)
+    if visible is not None and found != visible:
+        raise CodecError(f"expected {visible} visible Gaussians, got {found}")
+    last, spare = n // 64, n % 64
+    if last < length and (int(words[last]) >> spare or words[last + 1 :].any()):
+        raise CodecError(f"expected ids below {n}, got higher ones")
+    return words
+
+
+def encode_classes(words: Words, levels: U8, parent: U8 | None, classes: int) -> bytes:
+    """Weight classes of a set as bytes.
+
+    Args:
+        words: The set, stored order.
+        levels: (N,) class plus 1 of each Gaussian in the set, in stored order; 0 elsewhere.
+        parent: The same of the parent cell; None without a parent.
+        classes: K, number of classes.
+    """
+    ids = ids_of(words)
+    symbols = levels[ids].astype(np.int64) - 1
+    contexts = np.zeros(len(ids), np.uint8) if parent is None else parent[ids]
+    streams = []
+    for context in range(1 if parent is None else classes + 1):
+        own = symbols[contexts == context]
+        streams.append(compress(_join_digits(own, classes)) if len(own) else b"")
+    return np.array([len(s) for s in streams], "<u4").tobytes() + b"".join(streams)
+
+
+def decode_classes(data: bytes, words: Words, n: int, parent: U8 | None, classes: int) -> U8:
+    """The (N,) levels that `encode_classes` was given.
+
+    Raises:
+        CodecError: If the bytes are no classes of this set and parent.
+    """
+    streams = 1 if parent is None else classes + 1
+    if len(data) < 4 * streams:
+        raise CodecError(f"expected {streams} streams of classes, got {len(data)} bytes")
+    ends = 4 * streams + np.cumsum(np.frombuffer(data[: 4 * streams], "<u4").astype(np.int64))
+    if ends[-1] != len(data):
+        raise CodecError(f"expected streams of {len(data)} bytes, got {ends[-1]}")
+    before = np.zeros(n, np.uint8) if parent is None else parent
+    counts = np.zeros(256, np.int64)
+    kernels.count_contexts(words, before, counts)
+    parts = [np.zeros(0, np.uint8)]
+    start = 4 * streams
+    for context, end in enumerate(ends.tolist()):
+        count = int(counts[context])
+        if count:
+            parts.append(
+                _split_digits(decompress(data[start:end], -(-count // digits_a_byte(classes))), count, classes)
+            )
+        start = end
+    levels = np.zeros(n, np.uint8)
+    kernels.place_classes(words, before, np.concatenate(parts), np.cumsum(counts) - counts, levels)
+    return levels
+
+
+def encode_labels(labels: NDArray[np.uint16], level: int = LEVEL) -> bytes:
+    """Labels as bytes: pairs of them as they come, or all low ones and then all high ones; the shorter wins.
+
+    Neighbours that share a label suit the first; labels without order suit the second.
+    """
+    data = labels.astype("<u2").tobytes()
+    return min((b"\1" + compress(data, level), b"\2" + compress(data[::2] + data[1::2], level)), key=len)
+
+
+def decode_labels(data: bytes, n: int) -> NDArray[np.uint16]:
+    """The N labels of `encode_labels`.
+
+    Raises:
+        CodecError: If the bytes are no such labels.
+    """
+    if data[:1] not in (b"\1", b"\2"):
+        raise CodecError(f"expected labels in planes of 1 or 2, got {data[:1]!r}")
+    content = np.frombuffer(decompress(data[1:], 2 * n), np.uint8)
+    pairs = content.reshape(2, n).T if data[:1] == b"\2" else content.reshape(n, 2)
+    return np.asarray(pairs[:, 0] + (pairs[:, 1].astype(np.uint16) << np.uint16(8)))
+
+
+def digits_a_byte(classes: int) -> int:
+    """How many class numbers one byte holds: 8, 5, 4, 3, 3 for 2 to 6 classes."""
+    count = 1
+    while classes ** (count + 1) <= 256 and count < 8:
+        count += 1
+    return count
+
+
+def _join_digits(symbols: NDArray[np.int64], classes: int) -> bytes:
+    """Numbers below `classes`, several to a byte, the first one lowest."""
+    width = digits_a_byte(classes)
+    padded = np.zeros((-(-len(symbols) // width), width), np.int64)
+    padded.reshape(-1)[: len(symbols)] = symbols
+    return (padded @ (classes ** np.arange(width))).astype(np.uint8).tobytes()
+
+
+def _split_digits(data: bytes, count: int, classes: int) -> U8:
+    """The numbers that `_join_digits` was given."""
+    powers = classes ** np.arange(digits_a_byte(classes))
+    table = (np.arange(256)[:, None] // powers % classes).astype(np.uint8)
+    return np.asarray(table[np.frombuffer(data, np.uint8)].reshape(-1)[:count])

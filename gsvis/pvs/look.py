@@ -1,0 +1,93 @@
+"""What one viewpoint sees, by the method that was asked for: rays, cubemap images, or the hybrid of paper section 6.2.
+
+All three give the largest weight of each Gaussian over six faces of `size` x `size` pixels or rays around the eye.
+World frame, scene units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.raycast.proxies import MIN_ALPHA
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["METHODS", "Look", "Sight"]
+
+METHODS = ("hybrid", "raster", "raycast")
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+Sight = tuple[I64, F32]
+"""Gaussians met (K,), rising, and their largest weights (K,)."""
+
+
+class Look:
+    """A scene made ready for looking around in it.
+
+    Args:
+        g: The scene.
+        method: "hybrid", "raster" or "raycast".
+        size: Pixels or rays along a side of the faces.
+        floor: Weight below which nothing need be found.
+
+    Raises:
+        SceneError: If no Gaussian has an opacity of at least 1/255.
+        ValueError: If the method is unknown.
+    """
+
+    def __init__(self, g: Gaussians, method: str, size: int, floor: float) -> None:
+        _check.one_of("method", method, METHODS)
+        if not (g.opacities >= MIN_ALPHA).any():
+            raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
+        self.gaussians, self.size, self.floor = g, size, floor
+        self._see: Callable[[F64], Sight] = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](
+            g, size, floor
+        )
+
+    def __call__(self, viewpoint: F64) -> Sight:
+        """What the eye at `viewpoint` (3,) sees."""
+        return self._see(viewpoint)
+
+
+def _hybrid(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
+    from gsvis.hpr import Splats, hybrid
+
+    splats = Splats.of(g)
+
+    def see(viewpoint: F64) -> Sight:
+        seen = hybrid(g, splats, viewpoint, size=size, tau=floor)
+        return seen.ids, seen.weights
+
+    return see
+
+
+def _raster(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
+    from gsvis.render import view_weights  # imports torch
+    from gsvis.scene.cameras import Cameras
+
+    def see(viewpoint: F64) -> Sight:
+        largest = view_weights(g, Cameras.cubemap(viewpoint[None], size)).largest.max(axis=0)
+        ids = np.flatnonzero(largest >= floor)
+        return ids, largest[ids]
+
+    return see
+
+
+def _raycast(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
+    from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
+
+    tracer = Tracer(EllipsoidProxies.from_scene(g))
+
+    def see(viewpoint: F64) -> Sight:
+        largest = visible_from(tracer, viewpoint[None], size=size)[0]
+        ids = np.flatnonzero(largest >= floor)
+        return ids, largest[ids]
+
+    return see

@@ -1,0 +1,291 @@
+"""How good the visible sets of a store are, asked at viewpoints that building never looked from.
+
+At each fresh viewpoint the weights of all Gaussians tell how much light a cell's set keeps, and images drawn from the
+set alone are compared with those of the full scene. Scene frame and units; one cell is held at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.quality_result import PSNR_CAP, TARGETS, Figure, Quality, QualityConfig, Trade
+from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
+from gsvis.render import psnr, rasterize, view_weights
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels, as_levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.solid import buried
+
+__all__ = [
+    "PSNR_CAP",
+    "TARGETS",
+    "Figure",
+    "Quality",
+    "QualityConfig",
+    "Trade",
+    "box_space",
+    "bytes_of_one",
+    "dense_union",
+    "measure_quality",
+]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_TRIES = 32  # times that viewpoints are drawn until enough lie outside of everything solid
+_FRESH, _DENSE, _AIMS = range(3)  # streams of random numbers of a cell
+_TARGETS = 20_000  # points that cameras look at, where the space has none
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """The rows of `Quality` that belong to one cell."""
+
+    kept: I64
+    eyes: F64
+    viewmats: F64
+    weighted_recall: F64
+    recall: F64
+    ray_recall: F64
+    psnr: F64
+    ceiling: F64
+    exact: I64
+    confirmed: float
+    dense: int
+    dense_shared: int
+    dense_psnr: F64
+
+
+def measure_quality(
+    store: VisibilityStore,
+    scene: Gaussians | Levels,
+    viewpoints: CellViewpoints,
+    config: QualityConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> Quality:
+    """How much of what fresh viewpoints see the sets of a store hold.
+
+    What is measured of a cell depends on the seed and the cell, not on which others are measured.
+
+    Args:
+        store: The visible sets.
+        scene: N Gaussians; of levels the highest is measured, with as much of the sets as belongs to it.
+        viewpoints: Where eyes may be in the cells of the store.
+        config: How; None means `QualityConfig()`.
+        progress: Called with stage "quality".
+
+    Returns:
+        The measurements.
+
+    Raises:
+        FormatError: If the store is of another scene, or damaged.
+        ValueError: If the viewpoints are of other cells.
+        SceneError: If no cell has a viewpoint outside of something solid.
+    """
+    config = config or QualityConfig()
+    store.check_scene(scene)
+    levels = as_levels(scene)
+    member = levels.member(len(levels) - 1)
+    g, places = (levels.union if member.all() else levels.union[member]), np.where(member, member.cumsum() - 1, -1)
+    if len(viewpoints.grid) != len(store) or not np.array_equal(viewpoints.grid.coords, store.grid.coords):
+        raise ValueError("viewpoints: expected those of the store's cells, got others; make them from store.grid")
+    tracer = Tracer(EllipsoidProxies.from_scene(g)) if config.rays else None
+    meter = _Meter(store, g, places, viewpoints, config, tracer)
+    wanted = len(store) if config.cells is None else min(config.cells, len(store))
+    each = config.viewpoints + config.dense
+    done: dict[int, _Measured] = {}
+    left_out = []
+    progress("quality", 0, wanted * each)
+    for cell in np.random.default_rng([config.seed, len(store)]).permutation(len(store)).tolist():
+        if len(done) == wanted:
+            break
+        eyes = meter.eyes(cell, config.viewpoints, _FRESH)
+        if eyes is None:
+            left_out.append(cell)
+            continue
+        before = len(done) * each
+
+        def within(_stage: str, at: int, _total: int, before: int = before) -> None:
+            progress("quality", before + at, wanted * each)
+
+        done[cell] = meter.measured(cell, eyes, within)
+    if not done:
+        raise SceneError("no cell has a viewpoint outside something solid: there is nothing to measure")
+    cells = np.array(sorted(done), np.int64)
+    rows = [done[cell] for cell in cells.tolist()]
+    dense = config.dense > 0
+    stacked = {
+        name: np.array([getattr(row, name) for row in rows])
+        for name in _Measured.__dataclass_fields__
+        if (dense or not name.startswith("dense")) and (tracer is not None or name != "ray_recall")
+    }
+    absent = {"ray_recall": None, "dense": None, "dense_shared": None, "dense_psnr": None}
+    return Quality(
+        config=config,
+        gaussians=len(g),
+        tau=store.tau,
+        class_edges=store.info.class_edges,
+        bytes_per_gaussian=config.bytes_per_gaussian or bytes_of_one(g),
+        cells=cells,
+        centres=store.grid.centres[cells],
+        left_out=tuple(sorted(left_out)),
+        shown=None if member.all() else member,
+        **{**absent, **stacked},  # type: ignore[arg-type]
+    )
+
+
+def dense_union(g: Gaussians, eyes: F64, tau: float, *, size: int = 128, progress: Progress = silent) -> Mask:
+    """The (N,) Gaussians that at least one of many viewpoints sees: what sets are measured against.
+
+    Args:
+        g: The scene.
+        eyes: (V, 3) viewpoints.
+        tau: Weight from which a Gaussian is visible.
+        size: Pixels along a side of the six faces around each.
+        progress: Called with stage "dense".
+    """
+    seen = np.zeros(len(g), bool)
+    progress("dense", 0, len(eyes))
+    for done, eye in enumerate(eyes, 1):
+        seen |= _around(g, eye, size)[0] >= np.float32(tau)
+        progress("dense", done, len(eyes))
+    return seen
+
+
+def bytes_of_one(g: Gaussians) -> int:
+    """Bytes of one Gaussian as a 3DGS file keeps it: centre, rotation, scales, opacity and SH in 32 bits a number."""
+    return 4 * (3 + 4 + 3 + 1 + 3 * (g.sh_degree + 1) ** 2)
+
+
+def box_space(grid: CellGrid, g: Gaussians) -> NavigableSpace:
+    """The whole boxes of some cells as a space, for when the one they were cut from is not known.
+
+    Args:
+        grid: The cells.
+        g: The scene, for cameras to look at.
+    """
+    free = np.zeros(grid.shape, bool)
+    free[tuple(grid.coords.T)] = True
+    low, high = g.bounds()
+    inside = np.flatnonzero(np.all((g.means >= low) & (g.means <= high), axis=1) & (g.opacities >= 0.1))
+    targets = g.means[inside[:: max(1, len(inside) // _TARGETS)]].astype(np.float64)
+    return NavigableSpace(grid.origin, grid.cell_size, free, grid.up, targets=targets, rule="the boxes of the cells")
+
+
+@dataclass(frozen=True, eq=False)
+class _Meter:
+    """All that measuring a cell needs."""
+
+    store: VisibilityStore
+    g: Gaussians
+    places: I64  # in g of each Gaussian of the store, -1 for those of other levels
+    viewpoints: CellViewpoints
+    config: QualityConfig
+    tracer: Tracer | None
+
+    def eyes(self, cell: int, count: int, stream: int) -> F64 | None:
+        """(count, 3) viewpoints drawn in a cell, none of them inside something solid; None if there are too few."""
+        rng = np.random.default_rng([self.config.seed, cell, stream])
+        found = np.zeros((0, 3))
+        for _ in range(_TRIES):
+            drawn = self.viewpoints.draw(cell, count, rng)
+            found = np.concatenate([found, drawn[~buried(self.g, drawn)]])
+            if len(found) >= count:
+                return found[:count]
+        return None
+
+    def measured(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
+        """Everything about one cell; progress counts the viewpoints that were looked from."""
+        store, g, config = self.store, self.g, self.config
+        ids, classes = store.classes(cell)
+        ids, classes = self.places[ids], classes[self.places[ids] >= 0]
+        ids = ids[ids >= 0]
+        subsets = [ids[classes >= k] for k in range(len(store.info.class_edges))]
+        held = np.zeros(len(g), bool)
+        held[ids] = True
+        ever = np.zeros(len(g), bool)
+        if config.dense:
+            around = self.eyes(cell, config.dense, _DENSE)
+            ever = dense_union(g, eyes if around is None else around, store.tau, size=config.size, progress=progress)
+        union = np.flatnonzero(ever)
+        shared = int(np.count_nonzero(held[union]))
+        shape = {"width": config.width, "height": config.height, "fov": config.fov}
+        rng = np.random.default_rng([config.seed, cell, _AIMS])
+        cameras = self.viewpoints.space.cameras_at(eyes, rng, **shape)  # type: ignore[arg-type]
+        count, tau = len(eyes), np.float32(store.tau)
+        weighted, images = np.empty((count, len(subsets))), np.empty((count, len(subsets)))
+        recall, by_rays, ceiling, dense_psnr = (np.zeros(count) for _ in range(4))
+        exact = np.empty(count, np.int64)
+        for v in range(count):
+            largest, summed = _around(g, eyes[v], config.size)
+            total = summed.sum()
+            weighted[v] = [_share(summed[subset].sum(), total) for subset in subsets]
+            ever |= largest >= tau
+            recall[v] = _found(largest >= tau, held)
+            if self.tracer is not None:
+                by_rays[v] = _found(visible_from(self.tracer, eyes[v][None], size=config.size)[0] >= tau, held)
+            shown = np.flatnonzero(view_weights(g, cameras[v]).largest[0] >= tau)
+            exact[v] = len(shown)
+            full = _image(g, cameras[v])
+            images[v] = [_psnr(g[subset], cameras[v], full) for subset in subsets]
+            ceiling[v] = _psnr(g[shown], cameras[v], full)
+            if config.dense:
+                dense_psnr[v] = _psnr(g[union], cameras[v], full)
+            progress("quality", config.dense + v + 1, config.dense + count)
+        return _Measured(
+            np.array([len(subset) for subset in subsets], np.int64),
+            eyes,
+            cameras.viewmats.astype(np.float64),
+            weighted,
+            recall,
+            by_rays,
+            images,
+            ceiling,
+            exact,
+            _share(int(np.count_nonzero(ever[ids])), len(ids)),
+            len(union),
+            shared,
+            dense_psnr,
+        )
+
+
+def _around(g: Gaussians, eye: F64, size: int) -> tuple[F32, F64]:
+    """Largest weight (N,) of each Gaussian around an eye, and the sum of its weights over all pixels (N,)."""
+    largest, summed = np.zeros(len(g), np.float32), np.zeros(len(g))
+    faces = Cameras.cubemap(eye[None], size)
+    for c in range(len(faces)):
+        seen = view_weights(g, faces[c])
+        np.maximum(largest, seen.largest[0], out=largest)
+        summed += seen.summed[0]
+    return largest, summed
+
+
+def _found(seen: Mask, held: Mask) -> float:
+    """Share of what is seen that is held."""
+    return _share(int(np.count_nonzero(seen & held)), int(np.count_nonzero(seen)))
+
+
+def _share(part: float, whole: float) -> float:
+    """Part of the whole; of nothing, nothing is missing."""
+    return min(1.0, float(part) / float(whole)) if whole else 1.0
+
+
+def _image(g: Gaussians, camera: Cameras) -> F32:
+    """(H, W, 3) what a display shows: values are clipped to [0, 1]."""
+    return np.asarray(np.clip(rasterize(g, camera, backend="cpu").images[0].numpy(), 0.0, 1.0), np.float32)
+
+
+def _psnr(g: Gaussians, camera: Cameras, full: F32) -> float:
+    return min(PSNR_CAP, float(psnr(_image(g, camera), full)))

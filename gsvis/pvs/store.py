@@ -1,0 +1,474 @@
+"""The store of potentially visible sets: one memory-mapped file that says what each cell of a scene sees.
+
+Ids are those of the scene, whatever order the file keeps. Positions and distances are in the scene's frame and units.
+Opening reads a few kilobytes; everything else is read, and checked, when it is first asked for. Safe to share
+between threads. Writing is in `_writer.py`, the coding in `_codec.py`.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterable
+from functools import cached_property
+from os import PathLike
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyroaring import BitMap
+
+from gsvis import _check
+from gsvis.errors import FormatError, SceneError
+from gsvis.files.cache import Cache
+from gsvis.files.limits import Budget
+from gsvis.progress import Progress, silent
+from gsvis.pvs import _order
+from gsvis.pvs import codec as _codec
+from gsvis.pvs._container import Container
+from gsvis.pvs._kernels import store as kernels
+from gsvis.pvs._writer import CELL_ROW, FORMAT, CellSet, StoreInfo, StoreWriter, beyond_free, write_store
+from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.why import Why, why
+from gsvis.raycast.tracer import Tracer
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels, levels_record, union_of
+
+__all__ = ["CellSet", "StoreInfo", "StoreWriter", "VisibilityStore", "write_store"]
+
+Words = NDArray[np.uint64]
+U8 = NDArray[np.uint8]
+
+_REMEDY = "the file is damaged: copy or build it again"
+
+
+class VisibilityStore:
+    """An open store; `VisibilityStore.open` makes one.
+
+    Attributes:
+        path: The file.
+        grid: Its C cells.
+        info: What it holds besides: number of Gaussians, scene, tau, classes, how it was built.
+    """
+
+    def __init__(self, path: str | PathLike[str], *, max_cache: int = 256 << 20) -> None:
+        """Open a file without a look at its scene; see `open`."""
+        self.path = _check.path("path", path)
+        self._cache = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
+        self._known_scene: weakref.ref[Gaussians | Levels] | None = None
+        self._container = Container(path)
+        try:
+            self.info, self.grid = self._read_header()
+            self._rows = self._read_rows()
+        except BaseException:
+            self._container.close()
+            raise
+
+    @classmethod
+    def open(
+        cls, path: str | PathLike[str], *, scene: Gaussians | Levels | None = None, max_cache: int = 256 << 20
+    ) -> VisibilityStore:
+        """Open a store; every file that `write_store` wrote opens.
+
+        A header may ask for 1 GiB, 16 bytes for each of 67 million Gaussians, whatever the size of the file. Beyond
+        that it may ask for 64 MiB and 256 bytes for each byte of the file.
+
+        Args:
+            path: The file.
+            scene: The scene or levels it should belong to, compared by content; None compares nothing and is quicker.
+            max_cache: Bytes of decoded cells kept for further queries.
+
+        Raises:
+            FormatError: If the file is no store, damaged, cut, of a newer version, or of another scene.
+            OSError: If it cannot be opened.
+        """
+        store = cls(path, max_cache=max_cache)
+        try:
+            if scene is not None:
+                store.check_scene(scene)
+        except BaseException:
+            store.close()
+            raise
+        return store
+
+    def close(self) -> None:
+        """Let go of the file; no query works afterwards."""
+        self._container.close()
+
+    def __enter__(self) -> VisibilityStore:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """C, the number of cells."""
+        return len(self.grid)
+
+    def __repr__(self) -> str:
+        return f"VisibilityStore({self.gaussians:,} Gaussians, {len(self):,} cells, {self.path.name})"
+
+    @property
+    def gaussians(self) -> int:
+        """N, the Gaussians of the scene."""
+        return self.info.gaussians
+
+    @property
+    def tau(self) -> float:
+        """Weight from which a Gaussian is visible."""
+        return self.info.tau
+
+    @property
+    def visible_counts(self) -> NDArray[np.int64]:
+        """(C,) visible Gaussians of each cell."""
+        return self._rows["visible"].astype(np.int64)
+
+    @property
+    def viewpoints(self) -> NDArray[np.int64]:
+        """(C,) viewpoints that each cell was found from."""
+        return self._rows["viewpoints"].astype(np.int64)
+
+    @property
+    def growth(self) -> NDArray[np.float32]:
+        """(C,) share by which the last viewpoint made each set grow."""
+        return self._rows["growth"].astype(np.float32)
+
+    def class_interval(self, level: int) -> tuple[float, float]:
+        """Lowest weight of a class, and the weight it ends at.
+
+        Raises:
+            ValueError: If there is no such class.
+        """
+        edges = [*self.info.class_edges.tolist(), 1.0]
+        level = self._checked_class("level", level)
+        return edges[level], edges[level + 1]
+
+    def cell_at(self, position: ArrayLike) -> int:
+        """The cell that holds a position (3,), world frame; -1 outside all cells."""
+        point = _check.floats("position", position, (3,), np.float64)
+        return int(self.grid.cell_at(point[None])[0])
+
+    def neighbours(self, cell: int) -> NDArray[np.int64]:
+        """Cells that touch a cell by a face, an edge or a corner."""
+        return self.grid.neighbours(self.check_cell(cell))
+
+    def visible(self, cell: int, *, least_class: int = 0) -> BitMap:
+        """The Gaussians that a cell sees.
+
+        Args:
+            cell: Its number.
+            least_class: Only those whose largest weight is in this class or a higher one.
+
+        Returns:
+            A bitmap of ids that the caller may change.
+
+        Raises:
+            ValueError: If the cell is outside the grid, or there is no such class.
+            FormatError: If the file is damaged there.
+        """
+        return _codec.bitmap_of(self._in_scene_order(self._at_least(cell, least_class)))
+
+    def visible_ids(self, cell: int, *, least_class: int = 0) -> NDArray[np.int64]:
+        """`visible` as (V,) rising ids."""
+        return _codec.ids_of(self._in_scene_order(self._at_least(cell, least_class)))
+
+    def visible_words(self, cell: int) -> Words:
+        """`visible` as packed words: Gaussian i is bit i % 64 of word i // 64, whole roaring containers."""
+        return self._in_scene_order(self._words(self.check_cell(cell)))
+
+    def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
+        """The (V,) rising ids that a cell sees, and the (V,) weight class of each."""
+        levels = self._levels(self.check_cell(cell))
+        ids = _codec.ids_of(self._in_scene_order(self._words(cell)))
+        return ids, levels[self._places[ids]] - np.uint8(1)
+
+    def union(self, cells: Iterable[int]) -> BitMap:
+        """The Gaussians that any of the cells sees."""
+        total = np.zeros(_codec.word_count(self.gaussians), np.uint64)
+        for cell in cells:
+            total |= self._words(self.check_cell(cell))
+        return _codec.bitmap_of(self._in_scene_order(total))
+
+    def difference(self, cell: int, other: int) -> BitMap:
+        """The Gaussians that `cell` sees and `other` does not."""
+        words = self._words(self.check_cell(cell)) & ~self._words(self.check_cell(other))
+        return _codec.bitmap_of(self._in_scene_order(words))
+
+    def ever_visible(self) -> BitMap:
+        """The Gaussians that at least one cell sees."""
+        return _codec.bitmap_of(self._in_scene_order(self._ever))
+
+    def distance_to_visibility(self, cell: int, *, within: float = np.inf) -> NDArray[np.float32]:
+        """How far each Gaussian is from being seen: distance from this cell to the nearest cell that sees it.
+
+        Args:
+            cell: Its number.
+            within: Cells farther than this are not looked at.
+
+        Returns:
+            (N,) float32, scene units, between the centres of the two cells: 0 where `cell` itself sees the Gaussian,
+            at least the side of a cell elsewhere, inf where no cell (within the distance) sees it.
+
+        Raises:
+            ValueError: If the cell is outside the grid, or `within` is negative.
+
+        References:
+            SRBF-Gaussian, section 6.3.
+        """
+        if not within >= 0.0:
+            raise ValueError(f"within: expected a distance of at least 0, got {within!r}")
+        nearest, distances = self._by_distance(self.check_cell(cell))
+        out = np.full(self.gaussians, np.inf, np.float32)
+        waiting = self._ever.copy()
+        alive = np.flatnonzero(waiting)
+        for other, distance in zip(nearest.tolist(), distances.tolist(), strict=True):
+            if len(alive) == 0 or distance > within:
+                break
+            kept = kernels.reach(self._words(other), waiting, alive, self._order, np.float32(distance), out)
+            alive = alive[:kept]
+        return out
+
+    def nearest_seer(self, gaussian: int, cell: int) -> tuple[int, float]:
+        """The nearest cell that sees a Gaussian and the distance of the two centres; (-1, inf) where none does."""
+        place = int(self._places[self.check_gaussian(gaussian)])
+        if not _has(self._ever, place):
+            return -1, np.inf
+        for other, distance in zip(
+            *(values.tolist() for values in self._by_distance(self.check_cell(cell))), strict=True
+        ):
+            if _has(self._words(other), place):
+                return int(other), float(distance)
+        raise self._fault("section 'ever'", "a Gaussian that some cell sees", f"Gaussian {gaussian}, which none sees")
+
+    def class_of(self, gaussian: int, cell: int) -> int:
+        """Weight class of a Gaussian from a cell; -1 where the cell does not see it."""
+        return int(self._levels(self.check_cell(cell))[self._places[self.check_gaussian(gaussian)]]) - 1
+
+    def why(self, gaussian: int, cell: int, tracer: Tracer | None = None) -> Why:
+        """Why a cell sees a Gaussian or not; see `gsvis.pvs.why.why`."""
+        return why(self, tracer, gaussian, cell)
+
+    @cached_property
+    def direction_sets(self) -> U8:
+        """(N, 10) uint8 direction sets gathered while the store was built; read-only."""
+        flat = self._unpacked("directions", 10 * self.gaussians)
+        sets = np.ascontiguousarray(np.frombuffer(flat, np.uint8).reshape(10, self.gaussians).T)
+        sets.flags.writeable = False
+        return sets
+
+    def sizes(self) -> dict[str, float]:
+        """Bytes of each section and of the file, and bits for each (cell, visible Gaussian).
+
+        `bits_per_pair` counts the whole file but the weight classes and the direction sets, which are no sets of cells;
+        `class_bits_per_pair` counts the classes.
+        """
+        found: dict[str, float] = {name: section.length for name, section in self._container.sections.items()}
+        pairs = max(1, int(self.visible_counts.sum()))
+        sets = self._container.size - found["classes"] - found["directions"]
+        bits = {"bits_per_pair": 8.0 * sets / pairs, "class_bits_per_pair": 8.0 * found["classes"] / pairs}
+        return {**found, "file": self._container.size, **bits}
+
+    def verify(self, *, progress: Progress = silent) -> None:
+        """Read and decode everything.
+
+        Args:
+            progress: Called with stage "verify".
+
+        Raises:
+            FormatError: If anything is damaged; names the first place.
+        """
+        progress("verify", 0, len(self))
+        for name in self._container.sections:
+            self._container.read(name)
+        _ = self._order, self.direction_sets
+        ever = np.zeros_like(self._ever)
+        for cell in range(len(self)):
+            ever |= self._words(cell)
+            self._levels(cell)
+            progress("verify", cell + 1, len(self))
+        if not np.array_equal(ever, self._ever):
+            raise self._fault("section 'ever'", "the union of all cells", "another set")
+
+    def check_cell(self, cell: int) -> int:
+        """The cell, if there is one of that number.
+
+        Raises:
+            ValueError: If there is not.
+        """
+        return self.grid.checked(cell)
+
+    def check_gaussian(self, gaussian: int) -> int:
+        """The id, if the scene has it.
+
+        Raises:
+            ValueError: If it does not.
+        """
+        number = isinstance(gaussian, int | np.integer) and not isinstance(gaussian, bool)
+        if not number or not 0 <= gaussian < self.gaussians:
+            raise ValueError(f"gaussian: expected an id in [0, {self.gaussians}), got {gaussian!r}")
+        return int(gaussian)
+
+    def check_scene(self, scene: Gaussians | Levels) -> None:
+        """Nothing, if the store was made from a scene of this content, or from levels that share it in the same way.
+
+        The union of levels alone will do for a store of levels: ids are the same.
+
+        Raises:
+            FormatError: If it was made from another one.
+        """
+        if self._known_scene is not None and self._known_scene() is scene:
+            return
+        union, own = union_of(scene), self.info.config.get("levels")
+        of_union = "" if own is None else ", the union of levels"
+        wanted, got = f"a store of {len(union):,} Gaussians", f"one of {self.gaussians:,}{of_union}"
+        same = len(union) == self.gaussians
+        if same:
+            content = scene_hash(union)
+            wanted, got = f"a store of scene {content[:12]}...", f"one of scene {self.info.scene[:12]}..."
+            same = content == self.info.scene
+        if same and isinstance(scene, Levels):
+            wanted, got = f"a store of the levels {', '.join(scene.names)}", "one of other levels, or of none"
+            same = own == levels_record(scene)
+        if not same:
+            remedy = "open it with the scene it was built from, or build it again"
+            raise FormatError(self.path, "scene", wanted, got, remedy)
+        self._known_scene = weakref.ref(scene)
+
+    @cached_property
+    def _order(self) -> NDArray[np.int32]:
+        """(N,) the Gaussian at each stored position."""
+        data = self._container.read("labels")
+        try:
+            return _order.order_of(_codec.decode_labels(data, self.gaussians))
+        except _codec.CodecError as error:
+            raise self._undecodable("section 'labels'", error) from error
+
+    @cached_property
+    def _places(self) -> NDArray[np.int32]:
+        """(N,) the stored position of each Gaussian."""
+        places = np.empty(self.gaussians, np.int32)
+        places[self._order] = np.arange(self.gaussians, dtype=np.int32)
+        return places
+
+    @cached_property
+    def _ever(self) -> Words:
+        """What any cell sees, stored order."""
+        data = self._container.read("ever")
+        try:
+            return _codec.decode_set(data, self.gaussians)
+        except _codec.CodecError as error:
+            raise self._undecodable("section 'ever'", error) from error
+
+    def _by_distance(self, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """All cells and their distances, nearest first; equally far ones by number."""
+        steps = self.grid.coords.astype(np.int64) - self.grid.coords[cell]
+        squares = np.einsum("ij,ij->i", steps, steps)
+        order = np.argsort(squares, kind="stable")
+        return order, self.grid.cell_size * np.sqrt(squares[order])
+
+    def _in_scene_order(self, words: Words) -> Words:
+        out = np.zeros_like(words)
+        kernels.scatter(words, self._order, out)
+        return out
+
+    def _at_least(self, cell: int, least_class: int) -> Words:
+        """What a cell sees with at least this class, stored order."""
+        if self._checked_class("least_class", least_class) == 0:
+            return self._words(self.check_cell(cell))
+        chosen = np.flatnonzero(self._levels(self.check_cell(cell)) > least_class)
+        return _codec.pack(chosen, self.gaussians)
+
+    def _words(self, cell: int) -> Words:
+        """What a cell sees, stored order; not to be changed."""
+        held = self._cache.find(("set", cell))
+        if held is None:
+            row = self._rows[cell]
+            place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
+            data = self._container.read_part("sets", *place, f"set of cell {cell}")
+            try:
+                held = _codec.decode_set(data, self.gaussians, int(row["visible"]))
+            except _codec.CodecError as error:
+                raise self._undecodable(f"set of cell {cell}", error) from error
+            self._cache.keep(("set", cell), held)
+        return held
+
+    def _levels(self, cell: int) -> U8:
+        """(N,) class plus 1 of what a cell sees, stored order; not to be changed."""
+        held = self._cache.find(("classes", cell))
+        if held is None:
+            row = self._rows[cell]
+            above = self._levels(int(row["parent"])) if row["parent"] >= 0 else None
+            place = int(row["class_offset"]), int(row["class_length"]), int(row["class_crc"])
+            data = self._container.read_part("classes", *place, f"classes of cell {cell}")
+            shape = self.gaussians, above, len(self.info.class_edges)
+            try:
+                held = _codec.decode_classes(data, self._words(cell), *shape)
+            except _codec.CodecError as error:
+                raise self._undecodable(f"classes of cell {cell}", error) from error
+            self._cache.keep(("classes", cell), held)
+        return held
+
+    def _checked_class(self, name: str, level: int) -> int:
+        count = len(self.info.class_edges)
+        if isinstance(level, bool) or not isinstance(level, int | np.integer) or not 0 <= level < count:
+            raise ValueError(f"{name}: expected a class in [0, {count}), got {level!r}")
+        return int(level)
+
+    def _unpacked(self, name: str, length: int) -> bytes:
+        try:
+            return _codec.decompress(self._container.read(name), length)
+        except _codec.CodecError as error:
+            raise self._undecodable(f"section {name!r}", error) from error
+
+    def _read_header(self) -> tuple[StoreInfo, CellGrid]:
+        header = self._container.header
+        if header.raw("format") != FORMAT:
+            raise self._fault("format", repr(FORMAT), repr(header.raw("format"))[:60])
+        scene, grid = header.raw("scene"), header.child("grid")
+        if not isinstance(scene, str):
+            raise self._fault("scene", "the hash of a scene", repr(scene)[:60])
+        n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
+        Budget(self.path, self._container.size).claim(beyond_free(n) + 12 * cells, "header")
+        config = header.child("config").value
+        shape = tuple(int(side) for side in grid.numbers("shape", 3))
+        frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
+        tau, edges, up = header.number("tau"), header.numbers("class_edges"), grid.numbers("up", 3)
+        coords = np.frombuffer(self._unpacked("coords", 12 * cells), "<i4").reshape(-1, 3).astype(np.int32)
+        try:
+            return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
+        except (ValueError, SceneError) as error:
+            raise FormatError(self.path, "header", "a grid and classes that are valid", str(error), _REMEDY) from error
+
+    def _read_rows(self) -> NDArray[Any]:
+        data = self._container.read("cells")
+        if len(data) != len(self.grid) * CELL_ROW.itemsize:
+            raise self._fault("section 'cells'", f"{len(self.grid)} rows", f"{len(data)} bytes")
+        rows = np.frombuffer(data, CELL_ROW)
+        for kind, name in (("set", "sets"), ("class", "classes")):
+            lengths = rows[f"{kind}_length"].astype(np.int64)
+            starts = np.cumsum(lengths) - lengths
+            whole = int(lengths.sum()) == self._container.section(name).length
+            if not whole or not np.array_equal(rows[f"{kind}_offset"].astype(np.int64), starts):
+                raise self._fault("section 'cells'", f"cells that fill section {name!r} in order", "others")
+        at = np.arange(len(rows))
+        for _ in range(_order.MAX_DEPTH + 1):  # every chain of parents has ended by then
+            parents = rows["parent"][at].astype(np.int64)
+            if len(at) and (parents.min() < -1 or parents.max() >= len(rows)):
+                raise self._fault("section 'cells'", "parents that are cells", "others")
+            at = parents[parents >= 0]
+        if len(at) or (len(rows) and rows["visible"].max() > self.gaussians):
+            raise self._fault("section 'cells'", "short chains of parents and sets of the scene", "others")
+        return rows
+
+    def _fault(self, where: str, expected: str, got: str) -> FormatError:
+        return FormatError(self.path, where, expected, got, _REMEDY)
+
+    def _undecodable(self, where: str, error: _codec.CodecError) -> FormatError:
+        return FormatError(self.path, where, "bytes that can be decoded", f"others ({error})", _REMEDY)
+
+
+def _has(words: Words, place: int) -> bool:
+    return bool(int(words[place >> 6]) >> (place & 63) & 1)

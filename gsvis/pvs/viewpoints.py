@@ -1,0 +1,84 @@
+"""Viewpoints inside cells: spread ones to build from, random ones to test with. Scene frame and units.
+
+Both stay in the free voxels of the navigable space, so that no eye stands in a wall that crosses a cell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.pvs.cells import CellGrid
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["CellViewpoints"]
+
+F64 = NDArray[np.float64]
+
+_OUTWARD = 0.45  # voxels from the centre of a voxel to the viewpoint in it, so that the rim of a cell is looked from
+
+
+class CellViewpoints:
+    """Where eyes may be in each cell of a grid.
+
+    Args:
+        grid: C cells.
+        space: The navigable space they were cut from.
+
+    Raises:
+        ValueError: If some cell has no free voxel in this space.
+    """
+
+    def __init__(self, grid: CellGrid, space: NavigableSpace) -> None:
+        self.grid, self.space = grid, space
+        voxels = np.argwhere(space.free)
+        cells = grid.cell_at(space.origin + space.voxel_size * (voxels + 0.5))
+        order = np.argsort(cells, kind="stable")
+        order = order[np.count_nonzero(cells < 0) :]
+        self._voxels = voxels[order]
+        self._starts = np.searchsorted(cells[order], np.arange(len(grid) + 1))
+        empty = np.flatnonzero(np.diff(self._starts) == 0)
+        if len(empty):
+            raise ValueError(
+                f"space: expected a free voxel in every cell, got none in cell {empty[0]}; use the space of the grid"
+            )
+
+    def free_voxels(self, cell: int) -> int:
+        """How many free voxels a cell has."""
+        cell = self.grid.checked(cell)
+        return int(self._starts[cell + 1] - self._starts[cell])
+
+    def spread(self, cell: int, count: int) -> F64:
+        """At most `count` viewpoints of a cell, each as far as can be from those before it: the rim comes first.
+
+        Args:
+            cell: Its number.
+            count: Viewpoints wanted; fewer come back where the cell has fewer free voxels.
+
+        Returns:
+            (V, 3); the first k of more viewpoints are those that a call for k gives.
+        """
+        _check.positive_int("count", count)
+        voxels = self._of(cell)
+        middle = voxels.mean(axis=0)
+        outward = voxels - middle
+        length = np.linalg.norm(outward, axis=1, keepdims=True)
+        points = voxels + 0.5 + _OUTWARD * outward / np.maximum(np.abs(outward).max(axis=1, keepdims=True), 1.0)
+        chosen = [int(length[:, 0].argmax())]
+        apart = np.sum((points - points[chosen[0]]) ** 2, axis=1)
+        while len(chosen) < min(count, len(points)):
+            chosen.append(int(apart.argmax()))
+            apart = np.minimum(apart, np.sum((points - points[chosen[-1]]) ** 2, axis=1))
+        return np.asarray(self.space.origin + self.space.voxel_size * points[chosen])
+
+    def draw(self, cell: int, count: int, rng: np.random.Generator) -> F64:
+        """(count, 3) viewpoints uniform over the free part of a cell; for tests, never for building."""
+        _check.positive_int("count", count, at_least=0)
+        voxels = self._of(cell)
+        some = voxels[rng.integers(len(voxels), size=count)]
+        return np.asarray(self.space.origin + self.space.voxel_size * (some + 0.001 + 0.998 * rng.random((count, 3))))
+
+    def _of(self, cell: int) -> NDArray[np.int64]:
+        cell = self.grid.checked(cell)
+        return self._voxels[self._starts[cell] : self._starts[cell + 1]]

@@ -1,0 +1,166 @@
+"""Why a cell sees a Gaussian, or why not: its weight there, or the Gaussians that stand in front of it.
+
+What a cell sees is what the store says; who stands in front is found by rays from viewpoints in the cell to the
+centre of the Gaussian. World frame, scene units; weight and alpha as in docs/conventions.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.raycast.tracer import Tracer
+
+if TYPE_CHECKING:
+    from gsvis.pvs.store import VisibilityStore
+
+__all__ = ["Why", "why"]
+
+VERDICTS = ("visible", "hidden", "missed", "faint")
+_SHOWN = 5
+_INSET = 0.8  # corners are taken this far out, so that they lie inside the cell
+
+
+@dataclass(frozen=True, eq=False)
+class Why:
+    """The answer to "does this cell see this Gaussian, and why?"; `str` of it is meant for people.
+
+    Attributes:
+        gaussian: Its id, in scene order.
+        cell: Number of the cell.
+        verdict: "visible"; "hidden" behind others; "missed": not in the set, though rays of `why` reach it with a
+            weight of at least tau; "faint": its opacity is too low to be seen from anywhere.
+        interval: (least, most) weight from the cell as its weight class states it; (0, tau) where it is not in the set.
+        weight: Largest weight over the rays of `why`; NaN where no ray was cast.
+        rays: Rays cast.
+        blockers: (B,) int64, Gaussians in front of it on these rays, the one that takes most light first.
+        shares: (B,) float64, share of the light each takes on the way, mean over the rays.
+        nearest_cell: The nearest cell that sees it; -1 where none does.
+        nearest_distance: Distance between the centres of the two cells, scene units; inf where none does.
+    """
+
+    gaussian: int
+    cell: int
+    verdict: str
+    interval: tuple[float, float]
+    weight: float
+    rays: int
+    blockers: NDArray[np.int64]
+    shares: NDArray[np.float64]
+    nearest_cell: int
+    nearest_distance: float
+
+    def __str__(self) -> str:
+        name = f"Gaussian {self.gaussian}"
+        if self.verdict == "visible":
+            return f"{name} is visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."
+        if self.verdict == "faint":
+            return f"{name} is too faint to be seen from anywhere: its opacity is below {self.interval[1]:.4g}."
+        lines = [f"{name} is not visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."]
+        if self.verdict == "missed":
+            lines.append(f"Yet a ray to its centre finds weight {self.weight:.4g}: views of the cell stepped over it.")
+        if self.rays:
+            lines.append(self._in_front())
+        if self.nearest_cell < 0:
+            lines.append("No cell sees it: it lies outside the view of all of them.")
+        else:
+            lines.append(f"Nearest cell that sees it: {self.nearest_cell}, {self.nearest_distance:.4g} away.")
+        return "\n".join(lines)
+
+    def _in_front(self) -> str:
+        rays = "one ray" if self.rays == 1 else f"{self.rays} rays"
+        if len(self.blockers) == 0:
+            return f"Nothing stands in front of it on {rays} from the cell."
+        lines = [f"In front of it, with the mean share of light that each takes over {rays} from the cell:"]
+        shown = zip(self.blockers[:_SHOWN], self.shares[:_SHOWN], strict=True)
+        lines += [f"  Gaussian {blocker}: {share:.1%}" for blocker, share in shown]
+        if len(self.blockers) > _SHOWN:
+            rest = len(self.blockers) - _SHOWN
+            lines.append(f"  {rest} more: {self.shares[_SHOWN:].sum():.1%} together")
+        lines.append(f"  What is left for it and all behind it: {max(0.0, 1.0 - self.shares.sum()):.1%}")
+        return "\n".join(lines)
+
+
+def why(
+    store: VisibilityStore, tracer: Tracer | None, gaussian: int, cell: int, *, viewpoints: ArrayLike | None = None
+) -> Why:
+    """Tell whether a cell sees a Gaussian, by how much, and what hides it.
+
+    Args:
+        store: The sets of all cells.
+        tracer: Of the scene the store was made from; None casts no ray, so that nothing is told of what hides it.
+        gaussian: Id in scene order.
+        cell: Number of the cell.
+        viewpoints: (V, 3) where rays start, world frame; None means the centre of the cell and eight points near its
+            corners.
+
+    Returns:
+        The answer.
+
+    Raises:
+        ValueError: If `gaussian` or `cell` is out of range, or the tracer is of another scene.
+        FormatError: If the store is damaged where it is read.
+    """
+    store.check_gaussian(gaussian)
+    store.check_cell(cell)
+    if tracer is not None:
+        store.check_scene(tracer.proxies.gaussians)
+    level = store.class_of(gaussian, cell)
+    empty = np.zeros(0, np.int64), np.zeros(0)
+    if level >= 0:
+        interval = store.class_interval(level)
+        return Why(gaussian, cell, "visible", interval, np.nan, 0, *empty, cell, 0.0)
+    unseen = (0.0, store.tau)
+    if tracer is None:
+        return Why(gaussian, cell, "hidden", unseen, np.nan, 0, *empty, *store.nearest_seer(gaussian, cell))
+    opacity = float(tracer.proxies.gaussians.opacities[gaussian])
+    least = max(store.tau, tracer.proxies.min_alpha)
+    if opacity < least:
+        return Why(gaussian, cell, "faint", (0.0, least), np.nan, 0, *empty, -1, np.inf)
+    points = _viewpoints(store, cell) if viewpoints is None else viewpoints
+    eyes = _check.floats("viewpoints", points, ("V", 3), np.float64)
+    blockers, shares, weight = _in_front_of(tracer, gaussian, eyes)
+    verdict = "missed" if weight >= store.tau else "hidden"
+    seer = store.nearest_seer(gaussian, cell)
+    return Why(gaussian, cell, verdict, unseen, weight, len(eyes), blockers, shares, *seer)
+
+
+def _viewpoints(store: VisibilityStore, cell: int) -> NDArray[np.float64]:
+    """(9, 3) centre and points near the corners of a cell."""
+    low, high = (np.asarray(corner, np.float64) for corner in store.grid.bounds(cell))
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    return np.asarray(np.concatenate([centre[None], centre + _INSET * signs * half]))
+
+
+def _in_front_of(
+    tracer: Tracer, gaussian: int, eyes: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    """Gaussians before one on rays to its centre, their mean shares of light, and its own largest weight."""
+    rays = tracer.proxies.gaussians.means[gaussian].astype(np.float64) - eyes
+    distances = np.linalg.norm(rays, axis=1)
+    rays[distances == 0.0] = (1.0, 0.0, 0.0)  # the eye is in its centre: every direction is as good
+    found = tracer.contributions(eyes, rays)
+    ray_ids = found.ray_ids
+    own = found.gaussian_ids == gaussian
+    weight = float(found.weights[own].max()) if own.any() else 0.0
+    ends, met = found.ray_offsets[1:].copy(), np.zeros(len(eyes), bool)
+    ends[ray_ids[own]], met[ray_ids[own]] = np.flatnonzero(own), True  # front to back: what comes earlier is in front
+    in_front = met[ray_ids] | (found.depths <= distances[ray_ids])
+    before = in_front & (np.arange(len(own)) < ends[ray_ids])
+    blockers, place = np.unique(found.gaussian_ids[before], return_inverse=True)
+    shares = np.bincount(place.ravel(), weights=found.weights[before], minlength=len(blockers)) / max(1, len(eyes))
+    order = np.argsort(-shares, kind="stable")
+    return blockers[order], shares[order], weight
+
+
+def _span(interval: tuple[float, float]) -> str:
+    """An interval of weights in words."""
+    least, most = interval
+    if least <= 0.0:
+        return f"below {most:.4g}"
+    return f"at least {least:.4g}" if most >= 1.0 else f"between {least:.4g} and {most:.4g}"

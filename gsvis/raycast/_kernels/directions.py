@@ -1,0 +1,106 @@
+"""Kernels of the direction sets: which face holds a direction, sets from viewpoints, sets traced outward.
+
+Arrays are checked and contiguous; world frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from gsvis._kernels.faces import face_of
+from gsvis.raycast._kernels.bvh import WIDTH
+from gsvis.raycast._kernels.trace import STACK, weight_of
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def faces_of(directions, centres, planes, out):
+    """Faces of directions (D, 3) into out (D,)."""
+    for i in prange(len(directions)):
+        out[i] = face_of(directions[i, 0], directions[i, 1], directions[i, 2], centres, planes)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def gather(means, weights, viewpoints, tau, centres, planes, sets):
+    """Set the bit of the face towards every viewpoint that sees the Gaussian."""
+    for i in prange(len(means)):
+        for v in range(len(viewpoints)):
+            if weights[v, i] >= tau:
+                f = face_of(
+                    viewpoints[v, 0] - means[i, 0],
+                    viewpoints[v, 1] - means[i, 1],
+                    viewpoints[v, 2] - means[i, 2],
+                    centres,
+                    planes,
+                )
+                sets[i, f >> 3] |= np.uint8(1 << (f & 7))
+
+
+@njit(cache=True)
+def first_free(mean, direction, free, origin, size, out):
+    """Walk the grid from `mean`; put the middle of the stretch inside the first free voxel into `out`.
+
+    Returns False where the ray leaves the grid before it meets one.
+    """
+    enter, leave = 0.0, np.inf
+    for a in range(3):
+        low, high = origin[a], origin[a] + size * free.shape[a]
+        if direction[a] == 0.0:
+            if mean[a] < low or mean[a] >= high:
+                return False
+            continue
+        s, t = (low - mean[a]) / direction[a], (high - mean[a]) / direction[a]
+        enter, leave = max(enter, min(s, t)), min(leave, max(s, t))
+    if enter >= leave:
+        return False
+    cell = np.empty(3, np.int64)
+    step = np.empty(3, np.int64)
+    to_next = np.empty(3, np.float64)
+    for a in range(3):
+        at = (mean[a] + enter * direction[a] - origin[a]) / size
+        cell[a] = min(max(int(np.floor(at)), 0), free.shape[a] - 1)
+        step[a] = 1 if direction[a] > 0.0 else -1
+        wall = origin[a] + size * (cell[a] + (1 if direction[a] > 0.0 else 0))
+        to_next[a] = (wall - mean[a]) / direction[a] if direction[a] != 0.0 else np.inf
+    here = enter
+    while True:
+        axis = 0
+        if to_next[1] < to_next[axis]:
+            axis = 1
+        if to_next[2] < to_next[axis]:
+            axis = 2
+        if free[cell[0], cell[1], cell[2]]:
+            middle = 0.5 * (here + max(here, min(to_next[axis], leave)))
+            for a in range(3):
+                out[a] = mean[a] + middle * direction[a]
+            return True
+        here = to_next[axis]
+        cell[axis] += step[axis]
+        if cell[axis] < 0 or cell[axis] >= free.shape[axis]:
+            return False
+        to_next[axis] += size / abs(direction[axis])
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def trace_outward(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
+    """Direction sets of targets (M,) hierarchy positions (-1 never matters) along rays (80, K, 3)."""
+    for i in prange(len(targets)):
+        g = targets[i]
+        if g < 0:
+            continue
+        stack_node = np.empty(STACK, np.int64)
+        stack_near = np.empty(STACK, np.float64)
+        t_near = np.empty(WIDTH, np.float64)
+        eye = np.empty(3, np.float64)
+        mean = table[g, :3]
+        for f in range(rays.shape[0]):
+            for k in range(rays.shape[1]):
+                outward = rays[f, k]
+                if not first_free(mean, outward, free, origin, size, eye):
+                    continue
+                weight = weight_of(
+                    table, content, boxes, children, eye, -outward, g, limits, tau, stack_node, stack_near, t_near
+                )
+                if weight >= tau:
+                    sets[i, f >> 3] |= np.uint8(1 << (f & 7))
+                    break

@@ -1,0 +1,351 @@
+"""Kernels that walk the hierarchy: what a ray meets, how much light is left, what each Gaussian weighs.
+
+All arrays are checked and contiguous; world frame, scene units, float64 arithmetic. `table` holds one row of 16 per
+Gaussian in hierarchy order: mean (3), whitening matrix (9), squared reach, opacity, and two unused numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import get_thread_id, njit, prange
+
+from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
+from gsvis.raycast._kernels.simd import meets_eight
+
+STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a walk leaves at most seven children waiting on each level
+_PRUNE_EVERY = 16
+TINY = 1e-300
+
+
+@njit(cache=True, inline="always")
+def _peak(table, g, ox, oy, oz, dx, dy, dz):
+    """Squared distance in standard deviations at the largest response, and the t of the line's largest response.
+
+    A negative t lies behind the origin; the half-line's largest response is then at the origin, at depth 0.
+    """
+    row = table[g]
+    x, y, z = ox - row[0], oy - row[1], oz - row[2]
+    px = row[3] * x + row[4] * y + row[5] * z
+    py = row[6] * x + row[7] * y + row[8] * z
+    pz = row[9] * x + row[10] * y + row[11] * z
+    qx = row[3] * dx + row[4] * dy + row[5] * dz
+    qy = row[6] * dx + row[7] * dy + row[8] * dz
+    qz = row[9] * dx + row[10] * dy + row[11] * dz
+    along = px * qx + py * qy + pz * qz
+    length = qx * qx + qy * qy + qz * qz
+    if along >= 0.0:
+        return px * px + py * py + pz * pz, -along / length
+    cx, cy, cz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    return (cx * cx + cy * cy + cz * cz) / length, -along / length
+
+
+@njit(cache=True)
+def before(table, content, i, depth_i, j, depth_j):
+    """Whether hit i comes before hit j: by float32 depth, and at equal depth by content, never by index."""
+    if depth_i != depth_j:
+        return depth_i < depth_j
+    for c in range(3):
+        if table[i, c] != table[j, c]:
+            return table[i, c] < table[j, c]
+    for c in range(content.shape[1]):
+        if content[i, c] != content[j, c]:
+            return content[i, c] < content[j, c]
+    return False
+
+
+@njit(cache=True)
+def sort_hits(table, content, ids, alphas, depths, count):
+    """Order the first `count` hits front to back, in place (shell sort: short, nearly sorted lists)."""
+    for gap in (132, 57, 23, 10, 4, 1):
+        for i in range(gap, count):
+            g, a, t = ids[i], alphas[i], depths[i]
+            j = i
+            while j >= gap and before(table, content, g, t, ids[j - gap], depths[j - gap]):
+                ids[j], alphas[j], depths[j] = ids[j - gap], alphas[j - gap], depths[j - gap]
+                j -= gap
+            ids[j], alphas[j], depths[j] = g, a, t
+
+
+@njit(cache=True)
+def spent_after(alphas, count, min_transmittance):
+    """How many of the sorted hits count: up to the one at which transmittance falls below the bound."""
+    transmittance = 1.0
+    for i in range(count):
+        transmittance *= 1.0 - alphas[i]
+        if transmittance < min_transmittance:
+            return i + 1
+    return count
+
+
+@njit(cache=True)
+def trace_ray(
+    table, content, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
+):
+    """All hits of one ray, sorted and cut where transmittance is spent.
+
+    `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers, which are
+    replaced by larger ones where a ray meets more than they hold.
+    """
+    min_alpha, max_alpha, min_transmittance = limits
+    ox, oy, oz = ray_o[0], ray_o[1], ray_o[2]
+    dx, dy, dz = ray_d[0], ray_d[1], ray_d[2]
+    origin = (ox, oy, oz)
+    inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
+    t_stop = np.inf
+    left = 1.0  # transmittance behind all hits found so far
+    count, prune_at = 0, 0
+    stack_node[0], stack_near[0], top = 0, 0.0, 1
+    while top > 0:
+        top -= 1
+        if stack_near[top] > t_stop:
+            continue
+        node = stack_node[top]
+        met = meets_eight(boxes, node, origin, inverse, t_stop, t_near)
+        base = top
+        for k in range(WIDTH):
+            if not (met >> k) & 1:
+                continue
+            near = t_near[k]
+            child = children[node, k]
+            if child >= 0:  # keep the part pushed by this node sorted, nearest on top
+                j = top
+                while j > base and stack_near[j - 1] < near:
+                    stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
+                    j -= 1
+                stack_near[j], stack_node[j] = near, child
+                top += 1
+                continue
+            g = -1 - child
+            squared, depth = _peak(table, g, ox, oy, oz, dx, dy, dz)
+            if squared > table[g, 12] or depth > t_stop:
+                continue
+            alpha = table[g, 13] * np.exp(-0.5 * squared)
+            if alpha < min_alpha:
+                continue
+            if count == len(ids):
+                ids = np.concatenate((ids, np.empty_like(ids)))
+                alphas = np.concatenate((alphas, np.empty_like(alphas)))
+                depths = np.concatenate((depths, np.empty_like(depths)))
+            alpha = min(alpha, max_alpha)
+            ids[count], alphas[count], depths[count] = g, alpha, np.float32(depth)
+            count += 1
+            left *= 1.0 - alpha
+            if left < min_transmittance and count >= prune_at:
+                sort_hits(table, content, ids, alphas, depths, count)
+                count = spent_after(alphas, count, min_transmittance)
+                t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
+                prune_at = count + _PRUNE_EVERY
+    sort_hits(table, content, ids, alphas, depths, count)
+    return spent_after(alphas, count, min_transmittance), ids, alphas, depths
+
+
+@njit(cache=True)
+def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
+    """Weight of one Gaussian on one ray; 0 where it is below `floor`, so that hidden ones end early.
+
+    Transmittance is a product, so what lies in front needs no order and no list.
+    """
+    min_alpha, max_alpha, min_transmittance = limits
+    ox, oy, oz = ray_o[0], ray_o[1], ray_o[2]
+    dx, dy, dz = ray_d[0], ray_d[1], ray_d[2]
+    squared, depth = _peak(table, target, ox, oy, oz, dx, dy, dz)
+    alpha = table[target, 13] * np.exp(-0.5 * squared)
+    if alpha < min_alpha:
+        return 0.0
+    alpha = min(alpha, max_alpha)
+    end = np.float32(depth)
+    t_stop = max(np.float64(end) * (1.0 + 1e-6), 0.0)
+    least = max(floor / alpha, min_transmittance)
+    origin = (ox, oy, oz)
+    inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
+    left = 1.0
+    stack_node[0], stack_near[0], top = 0, 0.0, 1
+    while top > 0:
+        top -= 1
+        node = stack_node[top]
+        met = meets_eight(boxes, node, origin, inverse, t_stop, t_near)
+        base = top
+        for k in range(WIDTH):
+            if not (met >> k) & 1:
+                continue
+            child = children[node, k]
+            if child >= 0:
+                j = top
+                while j > base and stack_near[j - 1] < t_near[k]:
+                    stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
+                    j -= 1
+                stack_near[j], stack_node[j] = t_near[k], child
+                top += 1
+                continue
+            g = -1 - child
+            if g == target:
+                continue
+            squared, depth = _peak(table, g, ox, oy, oz, dx, dy, dz)
+            if squared > table[g, 12] or depth > t_stop:
+                continue
+            other = table[g, 13] * np.exp(-0.5 * squared)
+            if other >= min_alpha and before(table, content, g, np.float32(depth), target, end):
+                left *= 1.0 - min(other, max_alpha)
+                if left < least:
+                    return 0.0
+    return alpha * left
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):
+    """Weight of targets[r] on ray r, into out (R,)."""
+    blocks = (len(rays_o) + 255) // 256
+    for block in prange(blocks):
+        stack_node = np.empty(STACK, np.int64)
+        stack_near = np.empty(STACK, np.float64)
+        t_near = np.empty(WIDTH, np.float64)
+        for r in range(256 * block, min(len(rays_o), 256 * block + 256)):
+            out[r] = weight_of(
+                table,
+                content,
+                boxes,
+                children,
+                rays_o[r],
+                rays_d[r],
+                targets[r],
+                limits,
+                floor,
+                stack_node,
+                stack_near,
+                t_near,
+            )
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def trace_rays(
+    table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas, out_weights, out_depths
+):
+    """Hits of many rays into (R, capacity) arrays; `out_count` holds the true number, which may exceed the capacity."""
+    capacity = out_ids.shape[1]
+    blocks = (len(rays_o) + 63) // 64
+    for block in prange(blocks):
+        ids = np.empty(512, np.int64)
+        alphas = np.empty(512, np.float64)
+        depths = np.empty(512, np.float32)
+        stack_node = np.empty(STACK, np.int64)
+        stack_near = np.empty(STACK, np.float64)
+        t_near = np.empty(WIDTH, np.float64)
+        for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
+            count, ids, alphas, depths = trace_ray(
+                table,
+                content,
+                boxes,
+                children,
+                rays_o[r],
+                rays_d[r],
+                limits,
+                ids,
+                alphas,
+                depths,
+                stack_node,
+                stack_near,
+                t_near,
+            )
+            out_count[r] = count
+            if count <= capacity:
+                store(ids, alphas, depths, count, out_ids[r], out_alphas[r], out_weights[r], out_depths[r])
+
+
+@njit(cache=True)
+def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_depths):
+    """Sorted hits of one ray with their weights into its output row."""
+    transmittance = 1.0
+    for i in range(count):
+        out_ids[i], out_alphas[i], out_depths[i] = ids[i], alphas[i], max(depths[i], np.float32(0.0))
+        out_weights[i] = alphas[i] * transmittance
+        transmittance *= 1.0 - alphas[i]
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def weigh_candidates(
+    table, content, rays_o, rays_d, limits, offsets, candidates, out_count, out_alphas, out_weights, out_depths
+):
+    """Evaluate, sort and cut the candidates of each ray in place: ray r owns offsets[r]:offsets[r + 1].
+
+    `candidates` are distinct positions within a ray; on return its first out_count[r] entries are the hits.
+    """
+    min_alpha, max_alpha, min_transmittance = limits
+    for r in prange(len(rays_o)):
+        start, stop = offsets[r], offsets[r + 1]
+        ids = np.empty(stop - start, np.int64)
+        alphas = np.empty(stop - start, np.float64)
+        depths = np.empty(stop - start, np.float32)
+        count = 0
+        for c in range(start, stop):
+            g = candidates[c]
+            squared, depth = _peak(
+                table, g, rays_o[r, 0], rays_o[r, 1], rays_o[r, 2], rays_d[r, 0], rays_d[r, 1], rays_d[r, 2]
+            )
+            alpha = table[g, 13] * np.exp(-0.5 * squared)
+            if squared <= table[g, 12] and alpha >= min_alpha:
+                ids[count], alphas[count], depths[count] = g, min(alpha, max_alpha), np.float32(depth)
+                count += 1
+        sort_hits(table, content, ids, alphas, depths, count)
+        count = spent_after(alphas, count, min_transmittance)
+        out_count[r] = count
+        store(
+            ids,
+            alphas,
+            depths,
+            count,
+            candidates[start:stop],
+            out_alphas[start:stop],
+            out_weights[start:stop],
+            out_depths[start:stop],
+        )
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
+    """Largest weight of every Gaussian over the rays, into out (threads, N) float32, one row per thread."""
+    blocks = (len(rays_o) + 63) // 64
+    for block in prange(blocks):
+        row = out[get_thread_id()]
+        ids = np.empty(512, np.int64)
+        alphas = np.empty(512, np.float64)
+        depths = np.empty(512, np.float32)
+        stack_node = np.empty(STACK, np.int64)
+        stack_near = np.empty(STACK, np.float64)
+        t_near = np.empty(WIDTH, np.float64)
+        for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
+            count, ids, alphas, depths = trace_ray(
+                table,
+                content,
+                boxes,
+                children,
+                rays_o[r],
+                rays_d[r],
+                limits,
+                ids,
+                alphas,
+                depths,
+                stack_node,
+                stack_near,
+                t_near,
+            )
+            transmittance = 1.0
+            for i in range(count):
+                row[ids[i]] = max(row[ids[i]], np.float32(alphas[i] * transmittance))
+                transmittance *= 1.0 - alphas[i]
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def pack(owners, offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):
+    """Copy padded rows into CSR arrays, positions turned into Gaussians by `owners`.
+
+    Row i holds ray rays[i]; rows too short for their ray are skipped.
+    """
+    capacity = ids.shape[1]
+    for i in prange(len(rays)):
+        start, stop = offsets[rays[i]], offsets[rays[i] + 1]
+        if stop - start <= capacity:
+            for k in range(stop - start):
+                out_ids[start + k] = owners[ids[i, k]]
+                out_alphas[start + k] = alphas[i, k]
+                out_weights[start + k] = weights[i, k]
+                out_depths[start + k] = depths[i, k]

@@ -1,0 +1,185 @@
+"""Kernels that take each Gaussian out of a tile, one at a time, and sum what that does to the tile's pixels.
+
+A pixel's colour is linear in the alpha of any one Gaussian: without it, the light it took falls on what lies behind.
+With B the colour that full light would show behind it, c its own and w its weight, the pixel changes by w (B - c).
+Gaussians may be present in part, with a share of their alpha. Sums are per (tile, splat) pair and do not depend on the
+number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, prange, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from gsvis._kernels.simd import Builder, Vector
+from gsvis.render._kernels.lanes import LANES, RECORD, STOP, T, _each_row, _load, _Record, _store
+from gsvis.render._kernels.tiles import _BATCH, _aligned, _open_tile, _prepare, _spread
+
+__all__ = ["remove_tiles"]
+
+TILE = LANES
+SPENT = 1e-6
+"""Light this dim no longer counts. Far below the image's 1e-4: a removal lets up to 1000 times more of it through."""
+
+PRESENT = 9
+"""Entry of a record, in the place of a depth: the share of its alpha with which the Gaussian is there, in [0, 1]."""
+
+BEHIND, RESIDUAL = (1, 2, 3), (4, 5, 7)
+"""Channels of the state on the way back: the colour behind, and image minus target. T and STOP are the lanes'."""
+
+
+@intrinsic
+def _dim(typing_context, state, records, number, todo, lit, place):
+    """Let one Gaussian take its light from a tile, as far as it is present, on the way to the back.
+
+    A pixel whose light falls to SPENT keeps it negated, and in STOP the place behind the Gaussian that took it.
+
+    Args:
+        typing_context: numba's, unused.
+        state: (16, CHANNELS, 16) float32.
+        records: (K, 16) float32.
+        number: Which record.
+        todo: int64, rows to take it into.
+        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        place: float32, place of the Gaussian in the tile's list.
+    """
+    del typing_context
+    signature = types.void(state, records, types.int64, types.int64, lit, types.float32)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
+        lanes = Builder(builder, LANES, "float32")
+        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+
+        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            after = seen.where(t - record[PRESENT] * p.exp2().least(0.999) * t, t)
+            spent = seen & after.compare("<=", SPENT)
+            room = cgutils.alloca_once(builder, lanes.type)
+            builder.store(after.value, room)
+            with builder.if_then(spent.any(), likely=False):
+                left = spent.where(after * -1.0, after)
+                builder.store(left.value, room)
+                behind = lanes.splat(args[5]) + 1.0
+                _store(lanes, spent.where(behind, _load(lanes, row, STOP)), row, STOP)
+                index = builder.fptoui(builder.extract_element(y.value, ir.Constant(ir.IntType(32), 0)), ir.IntType(64))
+                one, none = ir.Constant(ir.IntType(64), 1), ir.Constant(ir.IntType(64), 0)
+                dark = builder.select(left.compare(">", 0.0).any(), none, builder.shl(one, index))
+                builder.store(builder.and_(builder.load(lit_rows), builder.not_(dark)), lit_rows)
+            _store(lanes, Vector(lanes, builder.load(room)), row, T)
+
+        _each_row(lanes, data, record, args[3], body)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def _remove(typing_context, state, records, number, todo, place, sums, pair):
+    """Go past one Gaussian of a tile on the way to the front, and sum what its absence does, next to its presence.
+
+    The state holds the transmittance behind the Gaussian in T, the colour behind it under full light in BEHIND, and the
+    image minus the target in RESIDUAL.
+
+    Args:
+        typing_context: numba's, unused.
+        state: (16, CHANNELS, 16) float32.
+        records: (K, 16) float32.
+        number: Which record.
+        todo: int64, rows in which it may be seen.
+        place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never met it.
+        sums: (P, 4) float32, receives in row `pair` the sums over pixels and channels of |d|, d^2 and
+            d (2 r + (2 p - 1) d), where d is a value without the Gaussian less that with all of it, r its residual with
+            the share p of it; and a zero.
+        pair: Which row.
+    """
+    del typing_context
+    signature = types.void(state, records, types.int64, types.int64, types.float32, sums, types.int64)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
+        lanes = Builder(builder, LANES, "float32")
+        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        colour, place = [record[6 + k] for k in range(3)], lanes.splat(args[4])
+        present = record[PRESENT]
+        excess = present.times_plus(2.0, -1.0)
+        rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
+
+        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            live = seen & place.compare("<", _load(lanes, row, STOP))
+            alpha = live.where(p.exp2().least(0.999), 0.0)
+            held = present * alpha
+            front = t / (lanes.constant(1.0) - held)
+            weight = alpha * front
+            totals = [Vector(lanes, builder.load(room)) for room in rooms]
+            for channel in range(3):
+                behind = _load(lanes, row, BEHIND[channel])
+                further = behind - colour[channel]
+                change = weight * further
+                residual = _load(lanes, row, RESIDUAL[channel])
+                totals[0] = totals[0] + change.most(change * -1.0)
+                totals[1] = change.times_plus(change, totals[1])
+                totals[2] = change.times_plus(residual.times_plus(2.0, excess * change), totals[2])
+                _store(lanes, (held * -1.0).times_plus(further, behind), row, BEHIND[channel])
+            for room, total in zip(rooms, totals, strict=True):
+                builder.store(total.value, room)
+            _store(lanes, front, row, T)
+
+        _each_row(lanes, data, record, args[3], body)
+        results = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
+        lanes.store_first(results, 4, out, builder.mul(args[6], ir.Constant(ir.IntType(64), 4)))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@njit(cache=True)
+def _turn(state, gates, residual, background, left, top, rows, columns):
+    """Make the state at the back of a tile ready for the way to the front."""
+    gates[:rows] = -1.0
+    for r in range(rows):
+        for k in range(columns):
+            state[r, 0, k] = abs(state[r, 0, k])
+            for c in range(3):
+                state[r, BEHIND[c], k] = background[c]
+                state[r, RESIDUAL[c], k] = residual[top + r, left + k, c]
+            gates[r] = max(gates[r], state[r, 6, k])
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
+    """Sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
+
+    `features` is (M, 4) float32: colour, and the share of its alpha with which the splat is there. `residual` is
+    (H, W, 3) float32.
+    """
+    height, width = residual.shape[:2]
+    tiles = len(offsets) - 1
+    for i in prange(tiles):
+        tile = _spread(i, tiles)
+        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        reached = 0
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
+                break
+            reached = min(start + _BATCH, total)
+            _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
+            for j in range(reached - start):
+                _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+        _turn(state, gates, residual, background, left, top, rows, columns)
+        for k in range(first + reached, first + total):
+            for e in range(4):
+                out[pair_of[k], e] = 0.0
+        for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
+            count = min(_BATCH, reached - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count - 1, -1, -1):
+                _remove(state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j]))

@@ -1,0 +1,151 @@
+"""The splats of one view: projection, sorting, tiles and blending of features, one camera at a time, in NumPy alone.
+
+Conventions are DESIGN decision 10 (docs/conventions.md). Nothing depends on the order of the Gaussians in the scene or
+on the number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import get_num_threads
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.render._kernels import project as _kernels_project
+from gsvis.render._kernels import tiles as _kernels_tiles
+
+__all__ = ["Projected", "View", "blend", "project"]
+
+_BLOCK = 2048
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One camera as the kernels take it.
+
+    Attributes:
+        viewmat: (4, 4) float64, camera from world.
+        intrinsics: (fx, fy, cx, cy) in pixels.
+        width: Pixels.
+        height: Pixels.
+    """
+
+    viewmat: F64
+    intrinsics: tuple[float, float, float, float]
+    width: int
+    height: int
+
+    @classmethod
+    def from_matrices(cls, viewmat: F64, K: F64, width: int, height: int) -> View:  # noqa: N803
+        """From (4, 4) and (3, 3) matrices; skew is refused where cameras are checked."""
+        fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+        return cls(np.ascontiguousarray(viewmat, np.float64), (fx, fy, cx, cy), width, height)
+
+    @property
+    def eye(self) -> F64:
+        """(3,) viewpoint, world frame."""
+        return np.asarray(-self.viewmat[:3, :3].T @ self.viewmat[:3, 3])
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Tiles across and down."""
+        side = _kernels_tiles.TILE
+        return -(-self.width // side), -(-self.height // side)
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """The M Gaussians that reach a pixel of one view, and the tiles' lists of them.
+
+    Attributes:
+        ids: (M,) int32, the Gaussian of each splat.
+        splats: (M, 8) float64; see `_kernels_project`.
+        depths: (M,) float32, camera z.
+        order: (M,) int32 splats, front to back.
+        offsets: (tiles + 1,) int64; tile t owns members[offsets[t]:offsets[t + 1]].
+        members: (P,) int32 splats, front to back.
+        pair_of: (P,) int32 number of each pair, along `order`; empty where not asked for.
+        first_pair: (M + 1,) int64; splat order[k] owns pairs first_pair[k]:first_pair[k + 1].
+    """
+
+    ids: I32
+    splats: F64
+    depths: F32
+    order: I32
+    offsets: NDArray[np.int64]
+    members: I32
+    pair_of: I32
+    first_pair: NDArray[np.int64]
+
+
+def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projected:
+    """Project, sort by depth and cut into tiles.
+
+    Args:
+        scene: Anything with arrays means, quats, scales, opacities (and sh0, shN, that order equal depths).
+        view: The camera.
+        antialiased: Make opacity pay for the dilation.
+        pairs: Number the (tile, splat) pairs, as gradients and weights need.
+    """
+    n = len(scene.means)
+    blocks = -(-n // _BLOCK)
+    counts = np.zeros(blocks, np.int64)
+    ids, splats, depths = np.empty(n, np.int32), np.empty((n, 8)), np.empty(n, np.float32)
+    size = (view.width, view.height)
+    shapes = _check.read_only(scene.means, scene.quats, scene.scales, scene.opacities)
+    _kernels_project.project(
+        *shapes, view.viewmat, view.intrinsics, *size, antialiased,
+        ids, splats, depths, counts,
+    )  # fmt: skip
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    m = int(starts[-1])
+    packed = np.empty(m, np.int32), np.empty((m, 8)), np.empty(m, np.float32)
+    _kernels_project.gather_blocks(counts, starts, ids, splats, depths, *packed)
+    ids, splats, depths = packed
+    order = np.argsort(depths).astype(np.int32)
+    content = scene.means, scene.scales, scene.quats, scene.opacities[:, None], scene.sh0[:, 0]
+    _kernels_tiles.order_ties(order, depths[order], ids, *_check.read_only(*content))
+    tiles_x, tiles_y = view.tiles
+    room = np.empty(m, np.int64)
+    _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room)
+    first_room = np.concatenate([[0], np.cumsum(room[order])])
+    met, counts = np.empty(int(first_room[-1]), np.int32), np.empty(m, np.int32)
+    histogram = np.zeros((get_num_threads(), tiles_x * tiles_y), np.int32)
+    _kernels_tiles.meet_tiles(splats, order, first_room, tiles_x, tiles_y, met, counts, histogram)
+    offsets = np.empty(tiles_x * tiles_y + 1, np.int64)
+    _kernels_tiles.place_chunks(histogram, offsets)
+    first_pair = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+    members = np.empty(int(offsets[-1]), np.int32)
+    pair_of = np.empty(len(members) if pairs else 0, np.int32)
+    _kernels_tiles.fill_tiles(order, first_room, met, counts, first_pair, histogram, members, pair_of)
+    return Projected(ids, splats, depths, order, offsets, members, pair_of, first_pair)
+
+
+def blend(
+    projected: Projected, view: View, features: F32, background: F32, tiles: tuple[I64, I32] | None = None
+) -> tuple[F32, F32, F32, F32, F32]:
+    """Blend features front to back.
+
+    Args:
+        projected: The M splats of the view.
+        view: The camera.
+        features: (M, 4) what each splat shows; three channels are blended over the background, the fourth is a depth.
+        background: (3,) behind everything.
+        tiles: Offsets and members in place of those of `projected`, where only some splats are to show.
+
+    Returns:
+        image (H, W, 3), transmittance, expected depth, median depth and depth at the end of each ray, all (H, W).
+    """
+    shape = (view.height, view.width)
+    image = np.empty((*shape, 3), np.float32)
+    planes = tuple(np.empty(shape, np.float32) for _ in range(4))
+    offsets, members = (projected.offsets, projected.members) if tiles is None else tiles
+    _kernels_tiles.blend_tiles(projected.splats, features, offsets, members, view.tiles[0], background, image, *planes)
+    return image, planes[0], planes[1], planes[2], planes[3]

@@ -1,0 +1,22 @@
+"""Kernel of points inside Gaussians. Arrays are checked and contiguous; scene frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def largest_alpha(means, whitening, opacities, points, out):
+    """Largest alpha at each point over the given Gaussians, into out (P,); `whitening` (K, 3, 3)."""
+    for p in range(len(points)):
+        best = 0.0
+        for i in range(len(means)):
+            squared = 0.0
+            for row in range(3):
+                along = 0.0
+                for k in range(3):
+                    along += whitening[i, row, k] * (points[p, k] - means[i, k])
+                squared += along * along
+            best = max(best, opacities[i] * np.exp(-0.5 * squared))
+        out[p] = best

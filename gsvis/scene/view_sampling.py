@@ -1,0 +1,71 @@
+"""Where views are taken when nobody gives cameras: at random in navigable space, outside of what is solid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels, union_of
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.solid import buried
+
+__all__ = ["ViewSampling"]
+
+_TRIES = 32  # times that viewpoints are drawn until enough lie outside of everything solid
+
+
+@dataclass(frozen=True)
+class ViewSampling:
+    """Cameras drawn at random in navigable space, none of them inside something solid.
+
+    Args:
+        count: How many.
+        width: Pixels.
+        height: Pixels.
+        fov: Horizontal field of view, degrees.
+        seed: Of the random numbers.
+        stream: Which of the seed's independent streams: views of different streams have nothing in common.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    count: int = 96
+    width: int = 320
+    height: int = 240
+    fov: float = 60.0
+    seed: int = 0
+    stream: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("count", 0), ("width", 1), ("height", 1), ("seed", 0), ("stream", 0)):
+            _check.positive_int(name, getattr(self, name), at_least=least)
+        if not 1.0 <= self.fov <= 179.0:
+            raise ValueError(f"fov: expected degrees in [1, 179], got {self.fov!r}")
+
+    def cameras(self, g: Gaussians | Levels, navigable: NavigableSpace) -> Cameras:
+        """The cameras.
+
+        Args:
+            g: The scene, or levels: eyes lie outside of what is solid in any of them.
+            navigable: Where eyes may be.
+
+        Raises:
+            SceneError: If too few viewpoints lie outside of something solid.
+        """
+        rng, union = np.random.default_rng([self.seed, self.stream]), union_of(g)
+        eyes = np.zeros((0, 3))
+        for _ in range(_TRIES):
+            drawn = navigable.sample_viewpoints(self.count, rng)
+            eyes = np.concatenate([eyes, drawn[~buried(union, drawn)]])
+            if len(eyes) >= self.count:
+                return navigable.cameras_at(eyes[: self.count], rng, width=self.width, height=self.height, fov=self.fov)
+        raise SceneError(
+            f"of {self.count * _TRIES:,} viewpoints drawn in navigable space {len(eyes):,} lie outside of something"
+            " solid: there is nowhere to look from"
+        )

@@ -1,0 +1,137 @@
+"""The journal: what is packed comes back, what is damaged is not believed."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gsvis.files.atomic import _host, atomic_path
+from gsvis.pvs._journal import Journal, pack_view, unpack_view
+from gsvis.pvs.config import CellView
+
+
+def some_view(seed: int) -> CellView:
+    rng = np.random.default_rng(seed)
+    ids = np.flatnonzero(rng.random(int(rng.integers(0, 400))) < rng.random()).astype(np.int32)
+    classes = rng.integers(0, 4, len(ids)).astype(np.uint8)
+    directions = rng.integers(0, 256, (len(ids), 10)).astype(np.uint8)
+    return CellView(ids, classes, directions, int(rng.integers(0, 30)), float(np.float32(rng.random())))
+
+
+VIEWS = st.builds(some_view, st.integers(0, 100_000))
+
+
+def same(a: CellView | None, b: CellView) -> bool:
+    return (
+        a is not None
+        and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("ids", "classes", "directions"))
+        and (a.viewpoints, a.growth, a.ids.dtype) == (b.viewpoints, b.growth, np.int32)
+    )
+
+
+@given(VIEWS)
+def test_what_is_packed_comes_back(view: CellView) -> None:
+    assert same(unpack_view(pack_view(view)), view)
+    assert pack_view(view) == pack_view(view)
+
+
+@given(VIEWS, st.data())
+def test_a_changed_byte_or_a_cut_is_noticed(view: CellView, data: st.DataObject) -> None:
+    packed = pack_view(view)
+    place = data.draw(st.integers(0, len(packed) - 1))
+    changed = bytearray(packed)
+    changed[place] ^= 1 << data.draw(st.integers(0, 7))
+    found = unpack_view(bytes(changed))
+    assert found is None
+    assert unpack_view(packed[:place]) is None
+    assert unpack_view(packed + b"x") is None
+
+
+@given(st.binary(max_size=100))
+def test_other_bytes_are_no_view(data: bytes) -> None:
+    assert unpack_view(data) is None
+
+
+def test_cells_are_kept_until_the_journal_goes(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "deep" / "j", {"what": "a test"})
+    assert journal.finished(9) == []
+    assert not journal.folder.exists()
+    with journal.opened():
+        for cell in (0, 3, 7):
+            journal.keep(cell, pack_view(some_view(cell)))
+        with pytest.raises(ValueError, match="no other process"), Journal(journal.folder, {}).opened():
+            raise AssertionError("not reached")
+    assert journal.finished(9) == [0, 3, 7]
+    assert journal.finished(5) == [0, 3]
+    assert same(journal.view(3), some_view(3))
+    assert journal.view(1) is None
+    assert json.loads((journal.folder / "plan.json").read_text()) == {"what": "a test"}
+    (journal.folder / "cell-000003.bin").write_bytes(b"")
+    assert journal.finished(9) == [0, 7]
+    journal.remove()
+    assert not journal.folder.exists()
+
+
+def test_what_a_killed_build_left_goes_once_and_cells_are_not_listed_for_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path / "j", {})
+    journal.folder.mkdir()
+    left = journal.folder / f".cell-000001.gsvis-{_host()}01234567.bin"
+    left.write_bytes(b"half")
+    (journal.folder / ".mine").write_text("somebody's")
+    with atomic_path(journal.folder / "cell-000002.bin") as live:
+        live.write_bytes(b"")
+        with journal.opened():
+            assert live.exists()
+            assert left.exists() == (os.name != "posix")
+            with monkeypatch.context() as patched:
+                patched.delattr("gsvis.files.atomic.os.listdir")
+                journal.keep(0, pack_view(some_view(0)))
+    assert (journal.folder / ".mine").exists()
+    assert journal.finished(3) == [0]
+
+
+def test_every_flipped_bit_and_every_cut_counts_as_missing() -> None:
+    packed = pack_view(some_view(3))
+    for bit in range(8 * len(packed)):
+        changed = bytearray(packed)
+        changed[bit >> 3] ^= 1 << (bit & 7)
+        assert unpack_view(bytes(changed)) is None
+    assert all(unpack_view(packed[:length]) is None for length in range(len(packed)))
+
+
+def forged(count: int, packed: bytes) -> bytes:
+    """A view whose checksum is right."""
+    rest = struct.pack("<IIf", count, 1, 0.5) + packed
+    return struct.pack("<4sI", b"gvc2", zlib.crc32(rest)) + rest
+
+
+def view_bytes(ids: list[int]) -> bytes:
+    deltas = np.diff(ids, prepend=0).astype("<i4")
+    body = deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + bytes(11 * len(ids))
+    return zstandard.ZstdCompressor().compress(body)
+
+
+def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
+    good = unpack_view(forged(3, view_bytes([4, 5, 9])))
+    assert good is not None
+    assert good.ids.tolist() == [4, 5, 9]
+    for count, packed in (
+        (3, b"no zstd frame"),
+        (3, view_bytes([4, 5])),
+        (3, view_bytes([4, 9, 5])),
+        (3, view_bytes([4, 4, 5])),
+        (3, view_bytes([-4, 5, 9])),
+        (0xFFFFFFFF, view_bytes([4, 5, 9])),
+    ):
+        assert unpack_view(forged(count, packed)) is None

@@ -1,0 +1,213 @@
+"""Levels seen one by one: laws that tie the sets, directions and colours of a union to those of each level."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gsvis.prepare.colors as colors_module
+from gsvis.color.fit import FitConfig
+from gsvis.errors import FormatError, SceneError
+from gsvis.prepare.colors import ColorConfig, kept_beside, prepare_colors
+from gsvis.prepare.importance import importance_from_views
+from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.config import CellView, PvsConfig
+from gsvis.pvs.levels import joined
+from gsvis.pvs.store import VisibilityStore
+from gsvis.raycast import EllipsoidProxies, Tracer
+from gsvis.raycast.directions import trace_directions
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels, as_levels, level_scenes, levels_record
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.procedural import two_rooms
+from gsvis.scene.view_sampling import ViewSampling
+
+CONFIG = PvsConfig(size=16, min_viewpoints=3, max_viewpoints=4)
+QUICK = ColorConfig(FitConfig(max_terms=2, mean_terms=1.0), ViewSampling(2, 32, 24))
+
+
+@cache
+def setting() -> tuple[Levels, NavigableSpace, CellGrid]:
+    """Rooms whose low level lacks most Gaussians of the high one and has some, larger, of its own."""
+    made = two_rooms(1000, sh_degree=1)
+    g, rng = made.gaussians, np.random.default_rng(0)
+    own = g[rng.choice(len(g), 60, replace=False)]
+    own = Gaussians(own.means, own.quats, own.scales * 2.0, own.opacities, own.sh0, own.shN)
+    union = Gaussians.concatenate([g, own])
+    kind = np.concatenate([rng.choice(3, len(g), p=[0.25, 0.25, 0.5]), np.full(60, 3)])
+    first, last = np.array([0, 1, 2, 0])[kind], np.array([2, 2, 2, 0])[kind]
+    mixed = rng.permutation(len(union))
+    levels = Levels(union[mixed], first[mixed], last[mixed], ("low", "medium", "high"))
+    return levels, made.navigable, CellGrid.over(made.navigable, max_cells=4)
+
+
+def sets_of(store: VisibilityStore, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(C, count) class + 1 in each cell, and (count, 10) directions, under the ids of a union."""
+    levels, directions = np.zeros((len(store), count), np.int64), np.zeros((count, 10), np.uint8)
+    for cell in range(len(store)):
+        seen, classes = store.classes(cell)
+        levels[cell, ids[seen]] = classes + 1
+    directions[ids] = store.direction_sets
+    return levels, directions
+
+
+def test_sets_of_levels_are_the_union_of_those_of_each(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    count = len(levels.union)
+    found, directions = np.zeros((len(grid), count), np.int64), np.zeros((count, 10), np.uint8)
+    viewpoints = np.zeros(len(grid), np.int64)
+    for scene, ids in level_scenes(levels):
+        with build_pvs(scene, grid, space, tmp_path / "one.pvs", CONFIG) as store:
+            here, towards = sets_of(store, ids, count)
+            found, directions = np.maximum(found, here), directions | towards
+            viewpoints = np.maximum(viewpoints, store.viewpoints)
+    with build_pvs(levels, grid, space, tmp_path / "all.pvs", CONFIG) as store:
+        together, towards = sets_of(store, np.arange(count), count)
+        np.testing.assert_array_equal(together, found)
+        np.testing.assert_array_equal(towards, directions)
+        np.testing.assert_array_equal(store.viewpoints, viewpoints)
+        assert store.info.config["levels"] == levels_record(levels)
+        assert store.info.scene == scene_hash(levels.union)
+    with build_pvs(levels.union, grid, space, tmp_path / "drawn.pvs", CONFIG) as store:
+        wrong, _ = sets_of(store, np.arange(count), count)
+        assert ((wrong == 0) & (found > 0)).any()  # hidden by Gaussians of another level
+
+
+def test_a_single_level_is_the_scene_to_the_byte(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    g = levels.level(2)
+    build_pvs(g, grid, space, tmp_path / "scene.pvs", CONFIG).close()
+    build_pvs(Levels.single(g), grid, space, tmp_path / "level.pvs", CONFIG).close()
+    assert (tmp_path / "scene.pvs").read_bytes() == (tmp_path / "level.pvs").read_bytes()
+    with VisibilityStore.open(tmp_path / "scene.pvs", scene=Levels.single(g)) as store:
+        store.check_scene(g)
+    plain, single = (prepare_colors(each, space, QUICK) for each in (g, Levels.single(g)))
+    for name in ("sets", "importance", "sets_from"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(single, name))
+    for name in ("base", "offsets", "centers", "decays", "intensities"):
+        np.testing.assert_array_equal(getattr(plain.fit.colors, name), getattr(single.fit.colors, name))
+    assert kept_beside(g, space, QUICK, "x") == kept_beside(Levels.single(g), space, QUICK, "x")
+
+
+def test_a_permutation_of_the_union_permutes_ids(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    order = np.random.default_rng(1).permutation(len(levels.union))
+    turned = Levels(levels.union[order], levels.first[order], levels.last[order], levels.names)
+    with (
+        build_pvs(levels, grid, space, tmp_path / "a.pvs", CONFIG) as plain,
+        build_pvs(turned, grid, space, tmp_path / "b.pvs", CONFIG) as mixed,
+    ):
+        wanted = sets_of(plain, np.arange(len(order)), len(order))
+        for a, b in zip(wanted, sets_of(mixed, order, len(order)), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_workers_and_stops_do_not_change_a_byte(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "cells" and done == 2:
+            raise KeyboardInterrupt
+
+    build_pvs(levels, grid, space, tmp_path / "here.pvs", CONFIG).close()
+    with pytest.raises(KeyboardInterrupt):
+        build_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, progress=stop)
+    kept = journal_of(levels, grid, space, tmp_path / "again.pvs", CONFIG)
+    assert len(list(kept.glob("cell-*.bin"))) == 2
+    assert estimate_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, sample=1).finished == 2
+    build_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, workers=Workers(2)).close()
+    assert (tmp_path / "here.pvs").read_bytes() == (tmp_path / "again.pvs").read_bytes()
+
+
+def test_a_build_of_other_levels_is_another_build() -> None:
+    levels, space, grid = setting()
+    shorter = np.where(levels.first == 0, np.uint8(0), levels.last)
+    others = [
+        levels,
+        levels.union,
+        Levels(levels.union, levels.first, shorter, levels.names),
+        Levels(levels.union, levels.first, levels.last, ("a", "b", "c")),
+    ]
+    assert len({journal_of(each, grid, space, "x.pvs", CONFIG) for each in others}) == len(others)
+    assert len({kept_beside(each, space, QUICK, "x.arrow") for each in others}) == len(others)
+
+
+def test_a_store_knows_its_levels(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    build_pvs(levels, grid, space, tmp_path / "all.pvs", CONFIG).close()
+    other = Levels(levels.union, levels.first, np.full(len(levels.last), 2), levels.names)
+    with VisibilityStore.open(tmp_path / "all.pvs", scene=levels) as store:
+        store.check_scene(levels.union)
+        for wrong, told in ((other, "other levels"), (Levels.single(levels.union), "other levels")):
+            with pytest.raises(FormatError, match=told):
+                store.check_scene(wrong)
+        with pytest.raises(FormatError, match="the union of levels"):
+            store.check_scene(levels.level(2))
+
+
+def test_a_level_that_shows_nothing_is_named(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    u = levels.union
+    dim = np.where(levels.first == 0, np.float32(0.001), u.opacities)
+    faint = Levels(Gaussians(u.means, u.quats, u.scales, dim, u.sh0), levels.first, levels.last, levels.names)
+    with pytest.raises(SceneError, match=r"level 'low'.*nothing to see"):
+        build_pvs(faint, grid, space, tmp_path / "x.pvs", CONFIG)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_directions_and_importance_come_from_each_level(tmp_path: Path) -> None:
+    levels, space, _ = setting()
+    found = prepare_colors(levels, space, QUICK)
+    views = QUICK.views.cameras(levels, space)
+    sets = np.zeros((len(levels.union), 10), np.uint8)
+    faces, have = np.zeros((len(levels.union), 80)), np.zeros(len(levels.union))
+    for scene, ids in level_scenes(levels):
+        seen = importance_from_views(scene, views)
+        sets[ids] |= trace_directions(Tracer(EllipsoidProxies.from_scene(scene)), space) | seen.sets
+        faces[ids] += seen.faces
+        have[ids] += 1
+    np.testing.assert_array_equal(found.sets, sets)
+    together = importance_from_views(levels, views)
+    np.testing.assert_allclose(together.faces, faces / have[:, None], rtol=1e-6)
+    np.testing.assert_array_equal(found.importance, together.importance)
+    assert len(found.fit.colors) == len(levels.union)  # what levels share has one fit
+    known = prepare_colors(levels, space, QUICK, sets=sets)
+    np.testing.assert_array_equal(known.fit.colors.intensities, found.fit.colors.intensities)
+
+
+def test_tracing_of_levels_goes_on_where_it_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    levels, space, _ = setting()
+    monkeypatch.setattr(colors_module, "_BLOCK", 200)
+    stop_at, told = levels.counts[0] + 150, []  # inside the second level
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "directions" and done > stop_at:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "levels.srbf.arrow"
+    with pytest.raises(KeyboardInterrupt):
+        prepare_colors(levels, space, QUICK, keep=out, progress=stop)
+    again = prepare_colors(levels, space, QUICK, keep=out, progress=lambda *each: told.append(each))
+    assert told[0][0] == "directions"
+    assert 0 < told[0][1] <= stop_at
+    assert max(done for stage, done, _ in told if stage == "directions") == sum(levels.counts)
+    np.testing.assert_array_equal(again.sets, prepare_colors(levels, space, QUICK).sets)
+
+
+def test_views_are_joined_by_the_larger_class() -> None:
+    row = np.zeros((2, 10), np.uint8)
+    row[:, 0] = 1, 2
+    one = CellView(np.array([0, 1], np.int32), np.array([2, 0], np.uint8), row, 6, 0.5)
+    other = CellView(np.array([1, 2], np.int32), np.array([1, 3], np.uint8), row, 4, 0.9)
+    view = joined([one, other], [np.array([0, 3, 5]), np.array([1, 3, 4])], 6)
+    assert view.ids.tolist() == [0, 3, 4]
+    assert view.classes.tolist() == [2, 1, 3]
+    assert view.directions[:, 0].tolist() == [1, 3, 2]
+    assert (view.viewpoints, view.growth) == (6, 0.5)
+    assert joined([one], [np.arange(3)], 3) is one
+    assert len(as_levels(setting()[0].union)) == 1
