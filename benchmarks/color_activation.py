@@ -59,8 +59,8 @@ from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.walk import PAPER_WALK, WalkConfig
 from gsvis.render import rasterize, view_weights
 from gsvis.render.metrics import flip_map, psnr
-from gsvis.scene import corridor
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.corridor import corridor
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath

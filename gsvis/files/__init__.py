@@ -1,1 +1,7 @@
 """Bytes on disk that are no scene: atomic writes, locks, the Arrow container, limits, caches, kept results."""
+
+_MODULES = ("archive", "arrow", "atomic", "cache", "fields", "kept", "limits", "locks", "output")
+
+
+def __dir__() -> list[str]:
+    return list(_MODULES)

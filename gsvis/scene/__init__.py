@@ -3,6 +3,7 @@
 _MODULES = (
     "cameras",
     "content",
+    "corridor",
     "gaussians",
     "icosphere",
     "inspection",
@@ -14,6 +15,8 @@ _MODULES = (
     "retarget",
     "sh",
     "similarity",
+    "solid",
+    "view_sampling",
 )
 
 

@@ -18,7 +18,7 @@ from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
-from gsvis.scene import corridor
+from gsvis.scene.corridor import corridor
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gsvis.errors import SceneError
 from gsvis.pvs import CellGrid
-from gsvis.scene import corridor
+from gsvis.scene.corridor import corridor
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
