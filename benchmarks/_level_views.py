@@ -89,7 +89,7 @@ def bonsai(scene: Path, photos: Path | None) -> Case:
 
 
 def standing_cameras(space: NavigableSpace, count: int, seed: int) -> Cameras:
-    """Cameras of 480 x 360 at eyes 1.6 above the main floor, to within 10%, in scenes whose unit is a metre."""
+    """Cameras of 480 x 360 at eyes 1.6 above the main floor, to within 10%, in scenes whose unit is a meter."""
     rng = np.random.default_rng(seed)
     eyes = space.sample_viewpoints(64 * count + 4096, rng)
     standing = Floors.below(eyes, space).at_height(EYE_HEIGHT, 1.0)

@@ -41,8 +41,8 @@ def edge(inside: F64, softness: float) -> F64:
 def degrees_from(x: F64, polar: float, azimuth: float) -> F64:
     """Angle between x and the direction at these two angles, all in degrees."""
     t, p = np.radians([polar, azimuth])
-    centre = np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
-    return np.degrees(np.arctan2(np.linalg.norm(np.cross(x, centre), axis=1), x @ centre))
+    center = np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(x, center), axis=1), x @ center))
 
 
 def three_lamps(x: F64) -> F64:
@@ -61,7 +61,7 @@ def window(x: F64) -> F64:
 
 
 def sky_and_ground(x: F64) -> F64:
-    """Sky brighter towards the horizon, dark ground, softness 4 between them, and a sun of radius 8, softness 2.5."""
+    """Sky brighter toward the horizon, dark ground, softness 4 between them, and a sun of radius 8, softness 2.5."""
     height = np.degrees(np.arcsin(np.clip(x[:, 2], -1.0, 1.0)))
     sky = 0.5 + 0.3 * np.exp(-np.maximum(height, 0.0) / 25.0)
     return 0.12 + edge(height, 4.0) * (sky - 0.12) + 1.2 * edge(8.0 - degrees_from(x, 50.0, 30.0), 2.5)

@@ -46,7 +46,7 @@ def octree(g: Gaussians, count: int) -> Gaussians:
     and to hit a count the side is bisected.
 
     References:
-        Ren et al., "Octree-GS: Towards consistent real-time rendering with LOD-structured 3D Gaussians", 2024;
+        Ren et al., "Octree-GS: Toward consistent real-time rendering with LOD-structured 3D Gaussians", 2024;
         SRBF-Gaussian, section 3.2 and figures 4 and 18.
     """
     return merged(g, count)

@@ -45,11 +45,11 @@ VIEW = FieldOfView.of_degrees(90, 70, margin=8)
 class NearestCells:
     """Cells that see what is nearest to them."""
 
-    def __init__(self, means: np.ndarray, centres: np.ndarray, share: float, terms: int) -> None:
+    def __init__(self, means: np.ndarray, centers: np.ndarray, share: float, terms: int) -> None:
         rng = np.random.default_rng(0)
         self._members = []
-        for centre in centres:
-            apart = np.linalg.norm(means - centre, axis=1)
+        for center in centers:
+            apart = np.linalg.norm(means - center, axis=1)
             ids = np.flatnonzero(apart <= np.partition(apart, int(share * len(apart)) - 1)[int(share * len(apart)) - 1])
             classes = rng.integers(0, 4, len(ids)).astype(np.uint8)
             self._members.append(CellMembers.of(ids, len(means), classes))
@@ -81,7 +81,7 @@ def synthetic(levels: Levels, shares: list[float]) -> dict[str, SceneIndex]:
     offsets, weights = 3 * np.arange(len(means) + 1), [0.008, 0.03, 0.12, 0.5]
     return {
         f"cells see {100 * share:g}%": SceneIndex.from_levels(
-            levels, grid, NearestCells(means, grid.centres, share, 3 * len(means)), term_offsets=offsets,
+            levels, grid, NearestCells(means, grid.centers, share, 3 * len(means)), term_offsets=offsets,
             class_weights=weights,
         )
         for share in shares
@@ -89,12 +89,12 @@ def synthetic(levels: Levels, shares: list[float]) -> dict[str, SceneIndex]:
 
 
 def walks_of(data: Path, index: SceneIndex, seconds: float, count: int) -> list[HeadPath]:
-    """Recorded walks, ten poses a second, their middle where the middle cell has its centre."""
+    """Recorded walks, ten poses a second, their middle where the middle cell has its center."""
     files = sorted((data / "traces" / "eyenav_rutgers" / "room").glob("*.csv.gz"))[:count]
     out, grid = [], index.grid
     for file in files:
         walk = read_eyenav(file).cut(0.0, seconds).resampled(10.0)
-        shift = grid.centres[len(grid) // 2] - walk.positions.mean(axis=0)
+        shift = grid.centers[len(grid) // 2] - walk.positions.mean(axis=0)
         out.append(HeadPath(walk.times - walk.times[0], walk.positions + shift, walk.quats))
     return out
 

@@ -3,7 +3,7 @@
 SRBF-Gaussian, section 7.3.1 and figure 13: 3.58% of the SRBFs sent at the start of a walk, 22.39% after 30 s, while
 86.85% of the Gaussians have been sent. Three parts, on nika LOD 0:
 
-Two rules. "gaussian", the paper's: a term is active where it changes the colour of its Gaussian by more than epsilon.
+Two rules. "gaussian", the paper's: a term is active where it changes the color of its Gaussian by more than epsilon.
 "pixel": where it changes a pixel by more than epsilon, the change of the Gaussian times its largest blending weight (by
 cells: the most that its weight class allows).
 
@@ -18,7 +18,7 @@ cells: the most that its weight class allows).
    `--pvs-size` pixels from at most `--viewpoints` viewpoints a cell), and the terms active for any eye in the cell.
 3. What the walker sees: at eight poses the image with the terms sent so far against all terms.
 
-Without `--colors` the colours are fitted here: over all directions, terms where they count most in seeded cameras.
+Without `--colors` the colors are fitted here: over all directions, terms where they count most in seeded cameras.
 
 Given: nika LOD 0, its fitted terms, epsilon from the staircase, two to four recorded walks.
 Measured: share of terms active by camera, which takes an oracle that knows every eye, and by cell, which is what a
@@ -76,7 +76,7 @@ CAP = 99.0
 
 @dataclass(frozen=True)
 class Subject:
-    """A scene with its colours, ready to be drawn."""
+    """A scene with its colors, ready to be drawn."""
 
     g: Gaussians
     colors: SrbfColors
@@ -111,7 +111,7 @@ class View:
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--scene", default="nika_sh3:0", metavar="NAME:LOD", help="folder of scenes/, or a path")
-    parser.add_argument("--colors", type=Path, help="SRBF colours of the scene, as `gsvis color` writes them")
+    parser.add_argument("--colors", type=Path, help="SRBF colors of the scene, as `gsvis color` writes them")
     parser.add_argument("--variant", default=FitConfig.variant, help="of the fit, without --colors")
     parser.add_argument("--terms", type=float, default=4.0, help="mean terms a Gaussian, without --colors")
     parser.add_argument("--epsilon", type=float, help="threshold; without it, of the staircase with FLIP")
@@ -131,7 +131,7 @@ def main() -> None:
     g = load_scene(path, lod=int(lod) if lod else None)
     space = NavigableSpace.from_scene(g)
     size = {"width": config.width, "height": config.height, "fov": config.fov}
-    fitted, colors = colours(g, space, options)
+    fitted, colors = load_or_fit(g, space, options)
     subject = Subject(g, colors, Evaluator(colors))
     log(f"{g}, {colors}: {colors.num_terms / max(1, len(g)):.2f} terms a Gaussian")
 
@@ -190,12 +190,14 @@ def main() -> None:
     write_result(options.out, question, figures, details)
 
 
-def colours(g: Gaussians, space: NavigableSpace, options: argparse.Namespace) -> tuple[dict[str, Any], SrbfColors]:
-    """The colours of the scene, and how they came about."""
+def fitted_colors(
+    g: Gaussians, space: NavigableSpace, options: argparse.Namespace
+) -> tuple[dict[str, Any], SrbfColors]:
+    """The colors of the scene, and how they came about."""
     if options.colors is not None:
         loaded, colors = load_srbf(options.colors)
         if not np.array_equal(loaded.means, g.means):
-            raise SystemExit(f"error: {options.colors}: expected the colours of {options.scene}, got those of another")
+            raise SystemExit(f"error: {options.colors}: expected the colors of {options.scene}, got those of another")
         return {"file": options.colors.name}, colors
     cameras = space.sample_cameras(24, np.random.default_rng(3), width=320, height=240, fov=options.fov)
     importance = view_weights(g, cameras).summed.sum(axis=0)

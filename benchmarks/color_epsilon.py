@@ -1,6 +1,6 @@
 """Does the paper's epsilon of 0.01 to 0.05 come out of the staircase, with FLIP in place of a person?
 
-SRBF-Gaussian, section 6.2. The scene is drawn from seeded cameras in navigable space, with all terms of its colours and
+SRBF-Gaussian, section 6.2. The scene is drawn from seeded cameras in navigable space, with all terms of its colors and
 with those that are active at epsilon. The observer notices the difference where the 99th percentile of a view's FLIP
 map is above `FLIP_JND` in any view. That is a convention (see `gsvis.color.FLIP_JND`), so the same images are judged by
 other thresholds, percentiles, viewing distances and by the middle view instead of the worst, and by observers with a
@@ -8,7 +8,7 @@ spread who guess, as people in a two-alternative test do. These take the differe
 straight lines in logarithms.
 
 PSNR and the share of active terms at each epsilon are over the same cameras; values are clipped to [0, 1] as a display
-does. Without `--colors` the colours are fitted here, over the directions and by the importance of other seeded cameras.
+does. Without `--colors` the colors are fitted here, over the directions and by the importance of other seeded cameras.
 
 Given: rendered views, the FLIP metric as observer, the threshold on its 99th percentile.
 Measured: the epsilon at which the staircase settles; PSNR and share of active terms there.
@@ -95,7 +95,7 @@ class Views:
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="NAME:LOD", help="folders of scenes/, or paths")
-    parser.add_argument("--colors", type=Path, help="SRBF colours of the one scene, as `gsvis color` writes them")
+    parser.add_argument("--colors", type=Path, help="SRBF colors of the one scene, as `gsvis color` writes them")
     parser.add_argument("--variant", default=FitConfig.variant, help="of the fit, without --colors")
     parser.add_argument("--terms", type=float, default=4.0, help="mean terms a Gaussian, without --colors")
     parser.add_argument("--views", type=int, default=6)
@@ -125,7 +125,7 @@ def measured(name: str, options: argparse.Namespace, page: Path | None) -> dict[
     path = Path(label) if Path(label).exists() else realdata() / "scenes" / label / "lod-meta.json"
     g = load_scene(path, lod=int(lod) if lod else None)
     space = NavigableSpace.from_scene(g)
-    fitted, colors = colours(g, space, options)
+    fitted, colors = load_or_fit(g, space, options)
     scene = label + (f" LOD {lod}" if lod else "")
     log(f"{scene}: {colors}, {colors.num_terms / max(1, len(g)):.2f} terms a Gaussian")
     size = {"width": options.width, "height": options.height, "fov": options.fov}
@@ -200,12 +200,14 @@ def nearest(epsilon: float, views: Views) -> float:
     return float(known[np.abs(np.log(known / epsilon)).argmin()])
 
 
-def colours(g: Gaussians, space: NavigableSpace, options: argparse.Namespace) -> tuple[dict[str, Any], SrbfColors]:
-    """The colours of the scene, and how they came about."""
+def fitted_colors(
+    g: Gaussians, space: NavigableSpace, options: argparse.Namespace
+) -> tuple[dict[str, Any], SrbfColors]:
+    """The colors of the scene, and how they came about."""
     if options.colors is not None:
         loaded, colors = load_srbf(options.colors)
         if not np.array_equal(loaded.means, g.means):
-            raise SystemExit(f"error: {options.colors}: expected the colours of the scene, got those of another")
+            raise SystemExit(f"error: {options.colors}: expected the colors of the scene, got those of another")
         return {"file": options.colors.name}, colors
     cameras = space.sample_cameras(64, np.random.default_rng(3), width=320, height=240, fov=90.0)
     seen = importance_from_views(g, cameras)

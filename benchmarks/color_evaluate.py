@@ -1,6 +1,6 @@
-"""What do SRBF colours cost for a new eye point, against spherical harmonics of degree 3?
+"""What do SRBF colors cost for a new eye point, against spherical harmonics of degree 3?
 
-A million Gaussians; terms at random centres, exactly 4 or on average 1 each; all take the same means, and new eyes turn
+A million Gaussians; terms at random centers, exactly 4 or on average 1 each; all take the same means, and new eyes turn
 by turn. Bytes that each must read and write, and a sum over as many, tell what memory alone would allow.
 
 Given: random terms and SH of a million Gaussians.
@@ -84,7 +84,7 @@ def main() -> None:
     in_torch = measure(lambda: evaluate_torch(tensors, torch_means, [0.1, 0.2, 3.0]), repeats=3)
     read = np.ones(64 * 2**20, np.float32)  # 256 MiB
     rate = read.nbytes / measure(lambda: read.sum(), repeats=5).median  # one core's
-    # Means, colours out; then coefficients and ids, or base, order, offsets, and 28 bytes a term.
+    # Means, colors out; then coefficients and ids, or base, order, offsets, and 28 bytes a term.
     traffic = {"SH degree 3": 24 + 192 + 4} | {
         name: 24 + 12 + 1 + 8 + 28 * value.num_terms / n for name, value in colors.items()
     }
@@ -112,7 +112,7 @@ def main() -> None:
     ]
     write_result(
         options.out,
-        "What do SRBF colours cost for a new eye point, against spherical harmonics of degree 3?",
+        "What do SRBF colors cost for a new eye point, against spherical harmonics of degree 3?",
         figures,
         {"gaussians": n, "threads": threads, "timings": timings, "one_thread": alone, "bytes_per_gaussian": traffic,
          "read_rate_one_core": rate, "prepare": prepare, "torch": in_torch, "to_sh": back},

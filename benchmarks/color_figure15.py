@@ -7,7 +7,7 @@ Gaussians of nika LOD 0 that images show most of, each scaled to unit variance. 
 
 - search: `fit_function`, each number of terms with a fit of its own: lobes added and taken away, all of them moved. It
   takes half a minute a function, and no command uses it;
-- pursuit: orthogonal matching pursuit over 972 atoms (162 centres, decays 1, 3, ..., 243), intensities fitted together;
+- pursuit: orthogonal matching pursuit over 972 atoms (162 centers, decays 1, 3, ..., 243), intensities fitted together;
 - command, for the Gaussians of nika: `fit_srbf`, which `gsvis color` and `gsvis prepare` call, with its default variant
   and as many terms as asked for. The lightness is that of its colors.
 

@@ -1,7 +1,7 @@
 """How long does it take to fit a million Gaussians, and how much memory?
 
 Nika LOD 0 and as many turned copies of it as make a million Gaussians of SH degree 3, each with a direction set that
-tracing gave (one Gaussian in eight is traced, its neighbours in the file borrow; turning a set would only rename its
+tracing gave (one Gaussian in eight is traced, its neighbors in the file borrow; turning a set would only rename its
 faces). The variant is the paper's: two functions, hue fixed, up to 4 terms for each function of every Gaussian, no
 thrift. The fit runs in a process of its own, whose peak memory is measured; so does the pursuit on atoms alone.
 

@@ -1,10 +1,10 @@
-"""How faithful are SRBF colours on cameras that the fit never saw, by variant, by number of terms and by bytes?
+"""How faithful are SRBF colors on cameras that the fit never saw, by variant, by number of terms and by bytes?
 
 One scene a run. Directions: traced outward, one ray a face, joined with those that 160 fitting cameras (480 x 360,
 drawn from seed 7 in navigable space) see; what a Gaussian counts comes from the same cameras. Twelve held-out cameras
 (640 x 480, seed 99) draw the SH scene and the SRBF scene; PSNR is that of the images as they are, not clipped above,
-mean over cameras. "wire" colours are rounded to the records that travel, whose size is counted before entropy coding.
-The ceiling of a variant is what its space can say at all: exact functions of direction in place of terms, base colours
+mean over cameras. "wire" colors are rounded to the records that travel, whose size is counted before entropy coding.
+The ceiling of a variant is what its space can say at all: exact functions of direction in place of terms, base colors
 and axes as fitted.
 
 Given: a scene, the number of terms asked for, direction sets and importance from fitting cameras.
@@ -29,7 +29,7 @@ from gsvis.color import (
     fit_srbf,
     hsl_to_rgb,
     hsv_to_rgb,
-    quantise,
+    quantize,
     record_bytes,
     rgb_to_hsl,
     save_srbf,
@@ -66,7 +66,7 @@ def psnr_of(images: Images, reference: Images) -> NDArray[np.float64]:
 
 
 def ceiling(g: Gaussians, colors: SrbfColors, cameras: Cameras) -> Images:
-    """Images of what a variant could show at best: exact functions of direction, its base colours and axes."""
+    """Images of what a variant could show at best: exact functions of direction, its base colors and axes."""
     kind = VARIANTS[colors.variant]
     shown = []
     for eye in cameras.viewpoints:
@@ -109,7 +109,7 @@ def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--scene", choices=tuple(SCENES), default="nika")
     parser.add_argument("--variants", nargs="+", choices=tuple(POINTS), default=list(POINTS))
-    parser.add_argument("--colors", type=Path, help="folder that keeps the fitted colours of the default variant")
+    parser.add_argument("--colors", type=Path, help="folder that keeps the fitted colors of the default variant")
     arguments = parser.parse_args()
     folder, lod = SCENES[arguments.scene]
     g = load_scene(realdata() / "scenes" / folder / "lod-meta.json", lod=lod)
@@ -132,7 +132,7 @@ def main() -> None:
             )
             colors = fit.colors
             images = rasterize(g, held_out, colors=colors).images.numpy()
-            wire = rasterize(g, held_out, colors=quantise(colors, "wire").dequantised()).images.numpy()
+            wire = rasterize(g, held_out, colors=quantize(colors, "wire").dequantized()).images.numpy()
             exact, rounded = psnr_of(images, reference), psnr_of(wire, reference)
             counts = colors.counts
             row = {
@@ -197,7 +197,7 @@ def report(
         "bytes_at_db": {str(db): {name: bytes_at(curve, db) for name, curve in curves.items()} for db in LEVELS},
         "curves": curves,
     }
-    write_result(arguments.out, "How faithful are SRBF colours on cameras that the fit never saw?", figures, details)
+    write_result(arguments.out, "How faithful are SRBF colors on cameras that the fit never saw?", figures, details)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Showroom LOD 3, eyes drawn in its navigable space. Truth are ray-traced weights in all directions: six faces of
 384 x 384 rays, and beside it rays to every Gaussian. The z-buffer, hidden point removal for Gaussians, hidden point
-removal of the centres and the hybrid are measured against it: weighted recall is the weight kept over all weight,
+removal of the centers and the hybrid are measured against it: weighted recall is the weight kept over all weight,
 largest weights of the Gaussians and their sums over the rays.
 
 Given: showroom LOD 3, eyes drawn in navigable space.
@@ -77,7 +77,7 @@ def main() -> None:
             "z-buffer": seen.ids[seen.weights >= np.float32(TAU)],
             "hybrid": hybrid(g, splats, eye, size=size).ids,
             "hidden point removal": visible_gaussians(g, eye),
-            "centres alone, radius for recall 0.99": hidden_point_removal(g.means, eye, radius),
+            "centers alone, radius for recall 0.99": hidden_point_removal(g.means, eye, radius),
         }
         rows.append({"eye": eye, "seconds": seconds, **{name: worth(ids, truth) for name, ids in sets.items()}})
         print(rows[-1], file=sys.stderr)
@@ -102,7 +102,7 @@ def main() -> None:
         {"name": "hybrid: time over casting 128 x 128 rays a face", "target": None,
          "reached": ratio("hybrid", "pixel rays, 128"), "unit": "ratio", "better": "lower"},
     ]  # fmt: skip
-    for way in ("z-buffer", "hidden point removal", "centres alone, radius for recall 0.99", "hybrid"):
+    for way in ("z-buffer", "hidden point removal", "centers alone, radius for recall 0.99", "hybrid"):
         for figure in ("recall of largest weights, Gaussian rays", "precision"):
             figures.append({"name": f"{way}: {figure}", "target": None, "reached": mean(way, figure), "unit": "share",
                             "better": "higher"})  # fmt: skip

@@ -2,7 +2,7 @@
 
 Three kinds of cloud from inside and a shell from outside, at two radii, ours and Open3D's in turn, the sets compared
 index by index (and by position where points coincide). Then showroom LOD 3 and nika LOD 2 from eyes in their navigable
-space: weighted recall and precision against traced weights (a ray to every Gaussian) of the operator on the centres,
+space: weighted recall and precision against traced weights (a ray to every Gaussian) of the operator on the centers,
 with a radius calibrated on those very weights, and of its adaptation to Gaussians with its defaults; and the time of
 tracing a cubemap beside theirs.
 
@@ -86,7 +86,7 @@ def worth(ids: np.ndarray, weights: np.ndarray) -> dict[str, Any]:
 
 
 def on_gaussians(g: Gaussians, eyes: np.ndarray) -> dict[str, Any]:
-    """Operator on centres and adaptation, each beside traced weights, averaged over the eyes."""
+    """Operator on centers and adaptation, each beside traced weights, averaged over the eyes."""
     tracer = Tracer(EllipsoidProxies.from_scene(g))
     visible_from(tracer, eyes[:1], size=16)
     rows = []
@@ -100,12 +100,12 @@ def on_gaussians(g: Gaussians, eyes: np.ndarray) -> dict[str, Any]:
             {
                 "eye": eye.tolist(),
                 "truly_visible": int(np.count_nonzero(weights >= TAU)),
-                "centres, best F1": worth(hidden_point_removal(g.means, eye, found.radius), weights),
-                "centres, recall 0.99": worth(hidden_point_removal(g.means, eye, wanted.radius), weights),
-                "centres, radius of best F1 over the farthest": found.radius / found.tried[0].radius,
+                "centers, best F1": worth(hidden_point_removal(g.means, eye, found.radius), weights),
+                "centers, recall 0.99": worth(hidden_point_removal(g.means, eye, wanted.radius), weights),
+                "centers, radius of best F1 over the farthest": found.radius / found.tried[0].radius,
                 "adapted": worth(adapted, weights),
                 "trace_s": traced,
-                "centres_s": measure(lambda e=eye, r=found.radius: hidden_point_removal(g.means, e, r), 3, 0).median,
+                "centers_s": measure(lambda e=eye, r=found.radius: hidden_point_removal(g.means, e, r), 3, 0).median,
                 "adapted_s": measure(lambda e=eye: visible_gaussians(g, e), 3, 0).median,
             }
         )
@@ -114,9 +114,9 @@ def on_gaussians(g: Gaussians, eyes: np.ndarray) -> dict[str, Any]:
     def mean(way: str, figure: str) -> float:
         return float(np.mean([row[way][figure] for row in rows]))
 
-    ways = ("centres, best F1", "centres, recall 0.99", "adapted")
+    ways = ("centers, best F1", "centers, recall 0.99", "adapted")
     means = {way: {name: mean(way, name) for name in ("weighted_recall", "precision", "count")} for way in ways}
-    seconds = {name: float(np.median([row[name] for row in rows])) for name in ("trace_s", "centres_s", "adapted_s")}
+    seconds = {name: float(np.median([row[name] for row in rows])) for name in ("trace_s", "centers_s", "adapted_s")}
     return {"gaussians": len(g), "means": means, "seconds": seconds, "eyes": rows}
 
 

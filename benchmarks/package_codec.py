@@ -1,10 +1,10 @@
 """What do records of 16 bytes cost: bytes a Gaussian, image quality, and time to be ready to draw?
 
-One scene a run, as one level, its colours without view dependence, or the SRBF colours that `gsvis color` wrote
+One scene a run, as one level, its colors without view dependence, or the SRBF colors that `gsvis color` wrote
 (`--colors FILE`). Cameras: drawn from seed 3 in navigable space, 480 x 360. Bytes: parts as they lie on disk, rows of
 chunks included. Time: 50,000 Gaussians spread over all chunks, from the bytes of a batch (planes under zstd) to the
-arrays that a rasteriser takes; against that, the bare decompression of the same bytes. Beside it the same scene as SPZ
-and SOG, without and with its SH colours, and all bytes of a package that `gsvis prepare` made of it (`--package DIR`).
+arrays that a rasterizer takes; against that, the bare decompression of the same bytes. Beside it the same scene as SPZ
+and SOG, without and with its SH colors, and all bytes of a package that `gsvis prepare` made of it (`--package DIR`).
 
 Given: a scene as one level, the record of 16 bytes.
 Measured: bytes, PSNR of held-out cameras against the unrounded scene, time until 50,000 Gaussians can be drawn.
@@ -22,7 +22,7 @@ import numpy as np
 import zstandard
 from _harness import add_arguments, measure_in_turn, realdata, write_result
 
-from gsvis.color import FitConfig, SrbfColors, fit_srbf, load_srbf, quantise
+from gsvis.color import FitConfig, SrbfColors, fit_srbf, load_srbf, quantize
 from gsvis.io import load_scene, save_scene
 from gsvis.package import (
     RECORD_BYTES,
@@ -43,8 +43,8 @@ from gsvis.scene.sh import SH_C0
 SCENES = {"showroom": ("showroom", 3, "+z"), "nika": ("nika_sh3", 0, "-y"), "nika-small": ("nika_sh3", 2, "-y")}
 BATCH = 50_000
 TOLD = {
-    "spz_base": "SPZ, base colours alone",
-    "sog_base": "SOG, base colours alone",
+    "spz_base": "SPZ, base colors alone",
+    "sog_base": "SOG, base colors alone",
     "spz_sh": "SPZ with SH",
     "sog_sh": "SOG with SH",
 }
@@ -72,7 +72,7 @@ def main() -> None:
     single = Levels.single(g)
     permutation = PackageOrder.of(single).permutation
     levels, colors = in_package_order(single), colors[permutation]
-    packed = quantise(colors, "wire")
+    packed = quantize(colors, "wire")
     contents = Contents.of(levels, packed)
     cost = measure_cost(levels, colors, packed, cameras)
     with tempfile.TemporaryDirectory() as place:
@@ -119,7 +119,7 @@ def main() -> None:
         options.out,
         "What do records of 16 bytes cost in bytes, image quality and time?",
         [
-            {"name": f"record of geometry and base colour, {name}", "target": 16, "reached": RECORD_BYTES,
+            {"name": f"record of geometry and base color, {name}", "target": 16, "reached": RECORD_BYTES,
              "unit": "bytes", "better": "lower"},
             {"name": f"on disk, with rows of chunks, {name}", "target": None, "reached": geometry + tables,
              "unit": "bytes a Gaussian", "better": "lower"},

@@ -1,6 +1,6 @@
 """Of a package, how much is as it was after a small edit of the scene?
 
-One scene a run, as one level, colours without view dependence, no visible sets. The edit: all Gaussians in a box around
+One scene a run, as one level, colors without view dependence, no visible sets. The edit: all Gaussians in a box around
 the one in the middle, as large as takes 1% of them, are moved by a tenth of the box, made half as opaque, or deleted.
 Counted are parts and bytes of the new package that stood in the old one under the same name, so that they are neither
 written nor, by whoever has the old package, read again.
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.color import SrbfColors, quantise
+from gsvis.color import SrbfColors, quantize
 from gsvis.io import load_scene
 from gsvis.package import in_package_order, write_package
 from gsvis.scene.gaussians import Gaussians
@@ -64,7 +64,7 @@ def written(folder: Path, g: Gaussians) -> dict[str, int]:
     """Names and sizes of the parts of a package."""
     levels = in_package_order(Levels.single(g))
     colors = SrbfColors.without_terms(np.maximum(0.5 + SH_C0 * levels.union.sh0[:, 0], 0.0))
-    with write_package(folder, levels, quantise(colors, "wire")) as package:
+    with write_package(folder, levels, quantize(colors, "wire")) as package:
         return {part.name: part.nbytes for part in package.manifest.parts()}
 
 

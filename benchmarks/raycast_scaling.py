@@ -69,7 +69,7 @@ def draw(rows: list[dict[str, float]], path: str) -> None:
     axes[0].loglog(n, [row["microseconds_per_ray"] for row in rows], "o-", label="cost per ray (µs)")
     axes[0].loglog(n, [row["hits_per_ray"] for row in rows], "s--", label="hits per ray")
     first = rows[0]["microseconds_per_ray"]
-    axes[0].loglog(n, [first * k / n[0] for k in n], ":", color="grey", label="linear in N")
+    axes[0].loglog(n, [first * k / n[0] for k in n], ":", color="gray", label="linear in N")
     axes[0].set(xlabel="Gaussians", title="Cost of a ray, showroom LOD 2 subsets")
     axes[0].legend()
     axes[1].semilogx(n, [row["nanoseconds_per_hit_and_level"] for row in rows], "o-")

@@ -1,7 +1,7 @@
 """How fast is the CPU rasterizer on the standard workload, and how far is it from its own innermost arithmetic?
 
 `garden_points.npz`, camera 0, 648 x 420: opacity 0.8, isotropic scale = root mean square distance to the 3 nearest
-neighbours. OpenSplat's CPU code took 0.71 s forward with projection and 1.06 s forward plus backward there, on a
+neighbors. OpenSplat's CPU code took 0.71 s forward with projection and 1.06 s forward plus backward there, on a
 machine of this size in another run (DESIGN.md); the target is ten times its speed. The portable figure is time over
 that of a bare kernel that evaluates as many (pixel, Gaussian) exponentials as the image blends and blends them, in full
 vectors, from arrays that hold nothing but what it needs, on the same threads.
@@ -59,8 +59,8 @@ def blend_sixteen(typing_context, powers, start, image, place):  # type: ignore[
         places = [builder.add(args[3], ir.Constant(ir.IntType(64), 16 * k)) for k in range(4)]
         light = lanes.load(pixels, places[3])
         weight = lanes.load(exponents, args[1]).exp2() * light
-        for k, colour in enumerate((0.1, 0.2, 0.3)):
-            lanes.store(weight.times_plus(colour, lanes.load(pixels, places[k])), pixels, places[k])
+        for k, color in enumerate((0.1, 0.2, 0.3)):
+            lanes.store(weight.times_plus(color, lanes.load(pixels, places[k])), pixels, places[k])
         lanes.store(light - weight, pixels, places[3])
         return context.get_dummy_value()
 

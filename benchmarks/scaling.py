@@ -73,7 +73,7 @@ def memory(path: Path) -> dict[str, float]:
     senders = []
     for k in range(CLIENTS):
         sender = Sender(scene, VIEW)
-        sender.on_pose(0.0, scene.index.grid.centres[k % len(scene.index.grid)], (1.0, 0.0, 0.0, 0.0))
+        sender.on_pose(0.0, scene.index.grid.centers[k % len(scene.index.grid)], (1.0, 0.0, 0.0, 0.0))
         while sender.next_message(0.0, 1e6) is not None:
             pass
         senders.append(sender)

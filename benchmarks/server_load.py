@@ -115,8 +115,8 @@ async def crowd(url: str, count: int, package: Path, seconds: float, warm: float
     """Rates of viewers between the warm-up and the end, and what the server counted in between."""
     with Package.open(package) as opened:
         grid = opened.visibility.grid
-        centres, up = grid.centres, grid.up
-    viewers = [Viewer(url, centres, up, seed) for seed in range(count)]
+        centers, up = grid.centers, grid.up
+    viewers = [Viewer(url, centers, up, seed) for seed in range(count)]
     begin = time.monotonic()
     running = [asyncio.create_task(viewer.run(begin + warm + seconds)) for viewer in viewers]
     await asyncio.sleep(warm)

@@ -184,7 +184,7 @@ def measured(
 ) -> tuple[dict[str, Any], Probe, dict[str, int], int]:
     """Run it: what viewers found, samples, counts of the attackers, exit code of the server."""
     with Package.open(package) as opened:
-        stops, up = opened.visibility.grid.centres, opened.visibility.grid.up
+        stops, up = opened.visibility.grid.centers, opened.visibility.grid.up
     tls = unverified() if args.tls else None
     log = folder / "server.log"
     command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", "0", "--json", *args.server_options]

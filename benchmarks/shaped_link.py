@@ -41,9 +41,9 @@ def walk(scenes: Scenes, seconds: float) -> HeadPath:
     """From cell to cell, turning about: nothing recorded, so that it needs no retargeting."""
     grid = next(iter(scenes.values())).scene.index.grid
     rng = np.random.default_rng(0)
-    start = grid.centres[rng.integers(len(grid.centres))]
-    near = np.argsort(np.linalg.norm(grid.centres - start, axis=1))[: min(6, len(grid.centres))]
-    stops = grid.centres[near]
+    start = grid.centers[rng.integers(len(grid.centers))]
+    near = np.argsort(np.linalg.norm(grid.centers - start, axis=1))[: min(6, len(grid.centers))]
+    stops = grid.centers[near]
     times = np.linspace(0.0, seconds, max(len(stops), 2))
     turns = np.linspace(0.0, 2.0, len(times))
     up = grid.up

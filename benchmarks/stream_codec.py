@@ -37,9 +37,9 @@ RECORD = 16
 
 def pose(scene: StreamedScene, k: int) -> tuple[np.ndarray, np.ndarray]:
     """A walk over the cells, one in two seconds, while the head turns."""
-    centres = scene.index.grid.centres
-    at = k / 20 % len(centres)
-    low, high = centres[int(at)], centres[(int(at) + 1) % len(centres)]
+    centers = scene.index.grid.centers
+    at = k / 20 % len(centers)
+    low, high = centers[int(at)], centers[(int(at) + 1) % len(centers)]
     return low + (at % 1.0) * (high - low), exponential(np.array([0.0, 0.06 * k, 0.1 * np.sin(k / 15)]))
 
 

@@ -61,7 +61,7 @@ from gsvis.simulate import (
 )
 from gsvis.stream import StreamedScene
 
-SCENES = {"showroom": ("showroom", 3, 1.0), "nika": ("nika_sh3", 0, None)}  # folder, level of detail, metres per unit
+SCENES = {"showroom": ("showroom", 3, 1.0), "nika": ("nika_sh3", 0, None)}  # folder, level of detail, meters per unit
 WALKS = (
     "room/user103_room", "truck/user102_truck", "room/user105_room", "truck/user107_truck",
     "room/user111_room", "truck/user119_truck", "room/user118_room", "truck/user122_truck",
@@ -169,7 +169,7 @@ def brought(name: str, g: Gaussians, walk: int, start: float, seconds: float) ->
     """The part of a recording that is walked in a scene, and how it came there."""
     recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{WALKS[walk]}.csv.gz")
     start = start if start + seconds <= recording.duration else 0.0
-    config = RetargetConfig(metres_per_unit=SCENES[name][2], project=True, seed=walk)
+    config = RetargetConfig(meters_per_unit=SCENES[name][2], project=True, seed=walk)
     moved = retarget(recording.cut(start, start + seconds), NavigableSpace.from_scene(g), config)
     return moved.path, {"from_s": start, **moved.as_dict()}
 

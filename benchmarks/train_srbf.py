@@ -1,7 +1,7 @@
-"""What do SRBF colours cost on photographs, by variant (tables 2 and 3 of the paper), beside SH?
+"""What do SRBF colors cost on photographs, by variant (tables 2 and 3 of the paper), beside SH?
 
-A bonsai trained by `train_photos.py` with SH of degree 3; colours are fitted where the training cameras see each
-Gaussian, joined with the directions from which neighbouring viewpoints between them see it. SH and SRBF renders are
+A bonsai trained by `train_photos.py` with SH of degree 3; colors are fitted where the training cameras see each
+Gaussian, joined with the directions from which neighboring viewpoints between them see it. SH and SRBF renders are
 both compared with every 8th photograph, which neither training nor the fit has seen; images are clipped to [0, 1].
 FLIP stands in for LPIPS, whose weights are not at hand. "wire" is what arrives after rounding to records.
 
@@ -21,7 +21,7 @@ import numpy as np
 from _harness import add_arguments, need, realdata, write_result
 from numpy.typing import NDArray
 
-from gsvis.color import FitConfig, fit_srbf, quantise, record_bytes, sh_bytes
+from gsvis.color import FitConfig, fit_srbf, quantize, record_bytes, sh_bytes
 from gsvis.io import load_scene
 from gsvis.prepare.importance import importance_from_views
 from gsvis.render import flip, psnr, rasterize, ssim
@@ -45,7 +45,7 @@ PAPER = {"hsv": -1.1532, "yuv": -0.6983, "hsl-l": -0.6593, "hsl": -0.1508}
 
 
 def between(cameras: Cameras) -> Cameras:
-    """Cameras half-way from each to its nearest neighbour, looking as the first does."""
+    """Cameras half-way from each to its nearest neighbor, looking as the first does."""
     eyes = cameras.viewpoints
     away = np.linalg.norm(eyes[:, None] - eyes[None], axis=2)
     np.fill_diagonal(away, np.inf)
@@ -85,7 +85,7 @@ def main() -> None:
             config = FitConfig(variant=name, mean_terms=mean_terms, max_terms=8)
             colors = fit_srbf(g, sets, config, importance=views.importance).colors
             images = rasterize(g, held_out.cameras, colors=colors).images.numpy()
-            wire = rasterize(g, held_out.cameras, colors=quantise(colors, "wire").dequantised()).images.numpy()
+            wire = rasterize(g, held_out.cameras, colors=quantize(colors, "wire").dequantized()).images.numpy()
             row = {
                 "variant": name,
                 "mean_terms": float(colors.counts.mean()),
@@ -107,7 +107,7 @@ def main() -> None:
                 }
             )
             details = {"gaussians": len(g), "sh": sh, "sh_bytes": sh_bytes(3, 16), "rows": rows}
-            write_result(arguments.out, "What do SRBF colours cost on photographs?", figures, details)  # so far
+            write_result(arguments.out, "What do SRBF colors cost on photographs?", figures, details)  # so far
 
 
 if __name__ == "__main__":

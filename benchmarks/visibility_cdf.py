@@ -12,7 +12,7 @@ SRBF-Gaussian, section 3.1, on scenes of ours, beside the paper's figures. Three
 
 A way has settled when its last step (twice the viewpoints, four times the rays) moves no point of the CDF by 2%. The
 first comes down to the second from above, slowly: the rare directions of a Gaussian are those that few places share.
-Gathering casts one ray from each viewpoint to the centre of each Gaussian of the sample: it has no resolution, and a
+Gathering casts one ray from each viewpoint to the center of each Gaussian of the sample: it has no resolution, and a
 fixed sample is what lets many viewpoints be tried.
 
 Given: three scenes, 32 views of 256 x 192 in navigable space, 16,384 viewpoints, 64 rays a face.

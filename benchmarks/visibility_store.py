@@ -130,10 +130,10 @@ def build(path: Path, cells: int, eyes: int) -> Path:
 
 def seen(g: Gaussians, space: NavigableSpace, grid: CellGrid, eyes: int, directions: np.ndarray) -> Iterator[CellSet]:
     rng = np.random.default_rng(0)
-    centres = space.origin + space.voxel_size * (np.argwhere(space.free) + 0.5)
-    home = grid.cell_at(centres)
+    centers = space.origin + space.voxel_size * (np.argwhere(space.free) + 0.5)
+    home = grid.cell_at(centers)
     for cell in range(len(grid)):
-        inside = centres[home == cell]
+        inside = centers[home == cell]
         largest = np.zeros(len(g), np.float32)
         for eye in inside[rng.integers(len(inside), size=eyes)]:
             weights = view_weights(g, Cameras.cubemap(eye[None], 128)).largest.max(axis=0)

@@ -2,7 +2,7 @@
 
 SRBF-Gaussian, section 3.1 (20.21% of the Gaussians visible per view on average, 33.58% in one view) and figure 13
 (86.85% after 30 s of walking), beside walks that people made with a headset (EyeNavGS, `room` and `truck`), brought
-into our scenes by the similarity transforms in the details. In the showroom they keep their size (a unit is a metre);
+into our scenes by the similarity transforms in the details. In the showroom they keep their size (a unit is a meter);
 elsewhere, where the unit is not known, they are about as large as fits with 99% of the positions in navigable space,
 and placed so that they look at the scene.
 
@@ -34,7 +34,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.retarget import RetargetConfig, retarget
 
 SCENES = ("showroom:3", "nika_sh3:1", "flowers_sh2:1")
-METRES = {"showroom": 1.0}
+METERS = {"showroom": 1.0}
 WALKS = ("room/user111_room", "truck/user107_truck", "room/user120_room", "truck/user122_truck")
 
 
@@ -82,7 +82,7 @@ def measured(name: str, walks: tuple[str, ...], config: WalkConfig, store: Path 
     taken: list[dict[str, Any]] = []
     for seed, walk in enumerate(walks):
         recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{walk}.csv.gz").cut(0.0, config.seconds)
-        placed = retarget(recording, navigable, RetargetConfig(metres_per_unit=METRES.get(label), seed=seed))
+        placed = retarget(recording, navigable, RetargetConfig(meters_per_unit=METERS.get(label), seed=seed))
         start = time.perf_counter()
         seen = seen_over_walk(g, placed.path, config)
         seconds = time.perf_counter() - start

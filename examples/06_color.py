@@ -14,13 +14,13 @@ rooms = two_rooms(5000, sh_degree=3)
 scene, space = rooms.gaussians, rooms.navigable
 
 config = ColorConfig(FitConfig(mean_terms=3.0), ViewSampling(count=24, width=160, height=120))
-colors = prepare_colors(scene, space, config).fit.colors  # base colours and terms, the most useful first
+colors = prepare_colors(scene, space, config).fit.colors  # base colors and terms, the most useful first
 each = record_bytes(colors) / len(scene)
-print(f"{colors.num_terms / len(scene):.1f} terms a Gaussian: {each:.0f} bytes of colour instead of {sh_bytes(3):.0f}.")
+print(f"{colors.num_terms / len(scene):.1f} terms a Gaussian: {each:.0f} bytes of color instead of {sh_bytes(3):.0f}.")
 
 others = ViewSampling(count=4, width=160, height=120, stream=1).cameras(scene, space)  # the fit has not seen these
 found = measure_colors(scene, colors, others, ColorQualityConfig(counts=(), epsilons=(0.02,), flip=False))
-print(f"Against SH: {found.all_terms.psnr.mean():.1f} dB; base colours alone: {found.base_only.psnr.mean():.1f} dB.")
+print(f"Against SH: {found.all_terms.psnr.mean():.1f} dB; base colors alone: {found.base_only.psnr.mean():.1f} dB.")
 
 needed = active(colors, scene.means, rooms.viewpoints[0], epsilon=0.02)
 print(f"One eye needs {needed.mean():.0%} of the terms; without the others: {found.active_psnr.mean():.1f} dB.")

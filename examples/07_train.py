@@ -1,4 +1,4 @@
-"""Can a scene be had from photographs of it? Two rooms are photographed, and trained anew from a few coloured points.
+"""Can a scene be had from photographs of it? Two rooms are photographed, and trained anew from a few colored points.
 
 Photographs of your own, with a COLMAP model: `gsvis train FOLDER -o scene.ply`, or `load_photos(FOLDER)` in place of
 what is made up here. Run it with `python examples/07_train.py`; the name of a PLY to write may follow.

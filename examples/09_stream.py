@@ -10,7 +10,7 @@ import numpy as np
 
 from gsvis.abr import FieldOfView
 from gsvis.color.fit import FitConfig, fit_srbf
-from gsvis.color.records import quantise
+from gsvis.color.records import quantize
 from gsvis.package import in_package_order, write_package
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
@@ -29,7 +29,7 @@ def look(t):
 
 
 with tempfile.TemporaryDirectory() as folder:
-    write_package(Path(folder) / "rooms.gsvis", levels, quantise(colors)).close()
+    write_package(Path(folder) / "rooms.gsvis", levels, quantize(colors)).close()
     with (
         open_scenes([Path(folder) / "rooms.gsvis"]) as scenes,
         Server(scenes, address=Address(port=0)).running() as url,

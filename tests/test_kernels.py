@@ -67,17 +67,17 @@ def draw() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ..
     g = Gaussians(*shape, rng.normal(size=(9, 1, 3)))
     view = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 1, width=16, height=16)
     tensors = GaussianTensors.from_gaussians(g, torch.float32)
-    kernels = _kernels_project.project, _kernels_tiles.order_ties, _kernels_sh.colours_from_sh
+    kernels = _kernels_project.project, _kernels_tiles.order_ties, _kernels_sh.colors_from_sh
     return lambda: rasterize(g, view), lambda: rasterize(tensors, view), kernels
 
 
 def evaluate() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ...]]:
-    """Centres that can be written and that cannot."""
+    """Centers that can be written and that cannot."""
     rng = np.random.default_rng(0)
     maker, means = Evaluator(random_colors(rng, 20, "axes")), rng.normal(size=(20, 3)).astype(np.float32)
     (fixed,) = _check.read_only(means)
     eye = np.zeros(3)
-    return lambda: maker.colors(means, eye), lambda: maker.colors(fixed, eye), (_kernels_srbf.colours_from_eye,)
+    return lambda: maker.colors(means, eye), lambda: maker.colors(fixed, eye), (_kernels_srbf.colors_from_eye,)
 
 
 @pytest.mark.parametrize("case", [draw, evaluate])

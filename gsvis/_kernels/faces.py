@@ -1,7 +1,7 @@
 """Kernel of the direction set: which of the 80 faces of the icosahedron holds a direction.
 
-The faces of a regular icosahedron are the Voronoi cells of their centres, so the face of a direction is the nearest
-centre; three planes then say which of its four parts.
+The faces of a regular icosahedron are the Voronoi cells of their centers, so the face of a direction is the nearest
+center; three planes then say which of its four parts.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from numba import njit
 
 
 @njit(cache=True)
-def face_of(x, y, z, centres, planes):
+def face_of(x, y, z, centers, planes):
     """The face in [0, 80) that holds the direction (x, y, z), of any length."""
     best, most = 0, -np.inf
     for f in range(20):
-        along = x * centres[f, 0] + y * centres[f, 1] + z * centres[f, 2]
+        along = x * centers[f, 0] + y * centers[f, 1] + z * centers[f, 2]
         if along > most:
             best, most = f, along
     for k in range(3):

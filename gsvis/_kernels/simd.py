@@ -1,6 +1,6 @@
 """Explicit vectors inside numba kernels: a thin layer over LLVM's fixed-width vector types.
 
-numba's loop vectoriser gives up on the short, branchy loops that rays and tiles are made of, so the innermost code is
+numba's loop vectorizer gives up on the short, branchy loops that rays and tiles are made of, so the innermost code is
 written as vectors of a stated width. LLVM lowers them to what the machine has (AVX-512, AVX2, SSE, NEON). A `Vector` is
 a value under construction, not an array: operators append instructions to the function being built.
 """
@@ -145,7 +145,7 @@ class Builder:
         return Vector(self, self.ir.call(function, [a.value for a in arguments]))
 
     def load(self, pointer: Any, offset: Any, element: str | None = None) -> Vector:
-        """`lanes` neighbours from `offset` elements behind `pointer`, widened from float32 if asked."""
+        """`lanes` neighbors from `offset` elements behind `pointer`, widened from float32 if asked."""
         kind = ir.FloatType() if element == "float32" else self.element
         address = self.ir.bitcast(self.ir.gep(pointer, [offset]), ir.VectorType(kind, self.lanes).as_pointer())
         value = self.ir.load(address, align=4)

@@ -1,7 +1,7 @@
-"""What may be sent to a client in a cell: units of Gaussians that the cell and its neighbours see.
+"""What may be sent to a client in a cell: units of Gaussians that the cell and its neighbors see.
 
 Made once for a cell and shared by all clients in it; what changes with a client, where it looks and what it holds, is
-not known here. Rings are 0 for the cell itself and 1, 2, 3 for neighbours by face, edge and corner; a Gaussian is in
+not known here. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner; a Gaussian is in
 the first ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3).
 """
 
@@ -34,7 +34,7 @@ RINGS = 4
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """U units of a cell and its neighbours, in S words.
+    """U units of a cell and its neighbors, in S words.
 
     Attributes:
         cell: Its number.
@@ -267,9 +267,9 @@ def strengths(index: SceneIndex, pixel: float) -> F32:
 
 
 def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
-    """The cell, and its neighbours by face, by edge and by corner: four lists."""
+    """The cell, and its neighbors by face, by edge and by corner: four lists."""
     rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
-    others = grid.neighbours(cell)
+    others = grid.neighbors(cell)
     steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)
     for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
         rings[ring].append(other)

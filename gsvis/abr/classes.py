@@ -1,7 +1,7 @@
 """FoV, Peripheral and Adjacent Gaussians (section 6.3): from a pose, what it can see, and the cells around it.
 
 A Gaussian is in the field of view when the sphere in which it ends touches the frustum, widened by a margin; it is
-Peripheral when the cell of the eye sees it from elsewhere, Adjacent when only a neighbouring cell sees it. Scene frame
+Peripheral when the cell of the eye sees it from elsewhere, Adjacent when only a neighboring cell sees it. Scene frame
 and units; cameras in OpenCV axes.
 """
 
@@ -123,7 +123,7 @@ class Classes:
     Attributes:
         classes: (N,) uint8: FOV, PERIPHERAL, ADJACENT, or NONE for what no cell around sees.
         distances: (N,) float32, from the cell of the eye to the nearest of the cells looked at that sees each, between
-            their centres, scene units: 0 for FoV and Peripheral, inf for NONE.
+            their centers, scene units: 0 for FoV and Peripheral, inf for NONE.
     """
 
     classes: U8

@@ -34,7 +34,7 @@ class Ewma:
     """The lower of two exponentially weighted means, a quick and a slow one, as dash.js and hls.js do.
 
     A transfer counts by its duration: after `half_life` seconds of transfers what was before counts half. Both means
-    are freed of the bias towards 0 with which they begin.
+    are freed of the bias toward 0 with which they begin.
 
     Args:
         fast: Half-life of the quick one, seconds of transfers.

@@ -1,6 +1,6 @@
 """What a scheduler has to know of a scene: places, sizes, levels and bytes of its records, and what each cell sees.
 
-Plain arrays without geometry or colours, so a package can give them from a part of its files. Scene frame and units,
+Plain arrays without geometry or colors, so a package can give them from a part of its files. Scene frame and units,
 bytes as they travel. Any order of ids is served right; 64 with consecutive ids are ranked together, so records should
 stand in the order of a package (`gsvis.package.order`). This module knows no file and no client.
 """
@@ -32,7 +32,7 @@ U32 = NDArray[np.uint32]
 Words = NDArray[np.uint64]
 
 EXTENT = 3.0
-"""Standard deviations from its centre at which a Gaussian ends, where it is asked whether it is in view."""
+"""Standard deviations from its center at which a Gaussian ends, where it is asked whether it is in view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class CellSets(Protocol):
         ...
 
     def words(self, cell: int, /) -> Words:
-        """The words of `members` alone: of neighbours no classes are asked for."""
+        """The words of `members` alone: of neighbors no classes are asked for."""
         ...
 
     def terms(self, cell: int, /) -> U32:
@@ -87,11 +87,11 @@ class SceneIndex:
     """N Gaussians of all levels and their T terms, as records to be sent, and C cells.
 
     Args:
-        means: (N, 3) centres.
-        radii: (N,) distance from the centre at which each ends, scene units.
+        means: (N, 3) centers.
+        radii: (N,) distance from the center at which each ends, scene units.
         areas: (N,) mean cross-section, scene units squared.
         importance: (N,) >= 0, blending weight of each where it is seen, or a factor to that of its class in a cell.
-        gaussian_bytes: (N,) bytes of the record of geometry and base colour, >= 1; one number for all.
+        gaussian_bytes: (N,) bytes of the record of geometry and base color, >= 1; one number for all.
         first: (N,) uint8 lowest level that has it.
         last: (N,) uint8 highest level that has it.
         level_names: L names, lowest first.
@@ -231,14 +231,14 @@ class SceneIndex:
         return _offsets(self.replacement_ids, n), owners[order]
 
     def cell_of(self, position: NDArray[np.float64]) -> int:
-        """The cell that serves a position (3,): the one it is in, or the one with the nearest centre."""
+        """The cell that serves a position (3,): the one it is in, or the one with the nearest center."""
         grid = self.grid
         with np.errstate(over="ignore"):
             boxes = np.floor((position - grid.origin) / grid.cell_size).tolist()
         found = self._boxes.get(tuple(boxes))
         if found is not None:
             return found
-        apart = np.clip(grid.centres - position, -1e100, 1e100)  # squares that do not overflow
+        apart = np.clip(grid.centers - position, -1e100, 1e100)  # squares that do not overflow
         return int(np.linalg.norm(apart, axis=1).argmin())
 
     @cached_property

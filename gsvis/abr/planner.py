@@ -29,7 +29,7 @@ class Batch:
     """What is sent at once.
 
     Attributes:
-        gaussians: (G,) int32 ids of the records of geometry and base colour, in order.
+        gaussians: (G,) int32 ids of the records of geometry and base color, in order.
         terms: (M,) uint32 ids of the records of terms, in order; their Gaussians are in this batch or before it.
         dropped: (D,) int32 ids of Gaussians that the client is to show no more: their replacements are all there.
         bytes: Of the records.

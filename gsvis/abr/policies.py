@@ -1,7 +1,7 @@
 """In which order records go: policies by name, and how they bend to the bandwidth (section 6.3, DESIGN decision 7).
 
 A policy is a table: what is added to the bucket of a record's gain for its group (in view, out of view, rings 1 to 3
-of neighbouring cells), the level at which it enters, and its kind (geometry, or active terms, which follow it). The
+of neighboring cells), the level at which it enters, and its kind (geometry, or active terms, which follow it). The
 smaller the sum, the sooner. The two orders of the paper add whole ranks, so that gain only decides within one;
 `utility` adds the logarithm of a factor, so that all is weighed in one currency, weight gained for each byte.
 """
@@ -36,7 +36,7 @@ class UtilityConfig:
 
     Attributes:
         peripheral: Out of view, seen from the cell.
-        adjacent: Seen from a neighbour by face only; by edge and by corner it is the second and third power of its
+        adjacent: Seen from a neighbor by face only; by edge and by corner it is the second and third power of its
             share in `peripheral`, times that.
         terms: Active terms of a Gaussian against its geometry.
         beyond: Above the level that a regime of less bandwidth is after.
@@ -156,7 +156,7 @@ def table(
 
     And how many keys there are.
 
-    What is not sent, terms of what neighbours see and Gaussians that end below `lowest_last`, has a key that is none.
+    What is not sent, terms of what neighbors see and Gaussians that end below `lowest_last`, has a key that is none.
     """
     found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)

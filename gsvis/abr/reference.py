@@ -66,7 +66,7 @@ def order_records(
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         if ends < top:
             continue
-        alike = range(64 * word, min(64 * word + 64, len(index)))  # of neighbours all that are alike in the word count
+        alike = range(64 * word, min(64 * word + 64, len(index)))  # of neighbors all that are alike in the word count
         alike_too = [g for g in alike if (index.first[g], index.last[g]) == (enters, ends)]
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
         gain = _gain(store, word, [strength[g] for g in (alike_too if ring else members)], view.eye, weight)
@@ -98,7 +98,7 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
         for g in sorted(here):
             key = ring, g >> 6, here[g], int(index.first[g]), int(index.last[g])
             found.setdefault(key, []).append(g)
-    whole: dict[tuple[int, int, int], int] = {}  # units of neighbours stand as those of the whole scene
+    whole: dict[tuple[int, int, int], int] = {}  # units of neighbors stand as those of the whole scene
     for g in range(len(index)):
         whole.setdefault((g >> 6, int(index.first[g]), int(index.last[g])), g)
 

@@ -27,7 +27,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis render scene.ply -o orbit.gif --orbit 36
   gsvis pvs scene.ply -o scene.pvs           what can be seen from each cell
   gsvis pvs-report scene.pvs scene.ply -o report
-  gsvis color scene.ply -o scene.arrow       colour that can be sent in pieces
+  gsvis color scene.ply -o scene.arrow       color that can be sent in pieces
   gsvis train photos -o scene.ply            photographs to a scene
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
   gsvis convert scene.ply small.spz --min-opacity 0.02

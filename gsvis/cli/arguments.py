@@ -17,7 +17,7 @@ from gsvis.cli.readers import (
     BOX,
     BYTES,
     CELLS,
-    COLOUR,
+    COLOR,
     COUNTED,
     DEGREES,
     DISTANCE,
@@ -162,8 +162,8 @@ class Render:
     """Pixels down."""
     fov: Annotated[float | None, DEGREES, hint("60; with --camera its own")] = None
     """Horizontal field of view."""
-    background: Annotated[tuple[float, ...], COLOUR, hint("0 0 0")] = (0.0, 0.0, 0.0)
-    """Colour behind everything, each channel in [0, 1]."""
+    background: Annotated[tuple[float, ...], COLOR, hint("0 0 0")] = (0.0, 0.0, 0.0)
+    """Color behind everything, each channel in [0, 1]."""
     sh_degree: Annotated[int | None, SH_DEGREE, hint("all there is")] = None
     """Highest degree of spherical harmonics to evaluate."""
     antialiased: Flag = False
@@ -195,7 +195,7 @@ class Convert:
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     crop: Annotated[tuple[float, ...] | None, BOX, hint("no crop")] = None
-    """Keep the Gaussians whose centre lies in this box, in the frame of IN."""
+    """Keep the Gaussians whose center lies in this box, in the frame of IN."""
     min_opacity: Annotated[float, OPACITY] = 0.0
     """Drop Gaussians fainter than this."""
     max_sh_degree: Annotated[int, SH_DEGREE] = 3
@@ -298,20 +298,20 @@ class PvsReport:
 
 @dataclass(frozen=True)
 class Color:
-    """Put a base colour and a few terms in place of SH colours, to be sent in pieces."""
+    """Put a base color and a few terms in place of SH colors, to be sent in pieces."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
-    """The Arrow file to write, such as scene.arrow: geometry, base colours and terms; replaced if it exists."""
+    """The Arrow file to write, such as scene.arrow: geometry, base colors and terms; replaced if it exists."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: directions are traced)")] = None
     """Visible sets of this scene (gsvis pvs): they tell from where each Gaussian is seen."""
     variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
-    """How colours are split; the first four are the paper's. (default: rgb)"""
+    """How colors are split; the first four are the paper's. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("8")] = None
-    """Most terms of each function of a Gaussian; 0 leaves base colours alone."""
+    """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
     """Terms a Gaussian on average; they go where they serve most. With all, each that lowers an error."""
     no_refine: Flag = False
@@ -331,7 +331,7 @@ class Color:
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], PLAIN] = "wire"
     """Bits of what is written; exact keeps 32 bits a number. (default: wire)"""
     epsilon: Annotated[float | None, EPSILON, hint("auto where it is needed")] = None
-    """Change of colour from which a term is active; auto asks the metric FLIP what an eye would see."""
+    """Change of color from which a term is active; auto asks the metric FLIP what an eye would see."""
     active: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write the terms that each cell of --pvs needs, such as scene.terms.arrow."""
     report: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
@@ -361,7 +361,7 @@ class Train:
     iterations: Annotated[int, STEPS] = 7000
     """Steps, one photograph each. The schedule of 3DGS is shortened with them."""
     sh_degree: Annotated[int, SH_DEGREE] = 3
-    """Degree of spherical harmonics that colours grow to."""
+    """Degree of spherical harmonics that colors grow to."""
     max_gaussians: Annotated[int | None, COUNTED, hint("5000000")] = None
     """Add no more once there are so many."""
     hold_out: Annotated[int, WHOLE] = 8

@@ -36,7 +36,7 @@ __all__ = ["Prepare", "Unpack", "Verify"]
 
 @dataclass(frozen=True)
 class Prepare:
-    """Make a package of a scene that can be served: levels, visible sets, colours."""
+    """Make a package of a scene that can be served: levels, visible sets, colors."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json, levels) or builtin:NAME."""
@@ -69,16 +69,16 @@ class Prepare:
     max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
     """Viewpoints after which a cell is done in any case."""
     variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
-    """How colours are split. (default: rgb)"""
+    """How colors are split. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("8")] = None
-    """Most terms of each function of a Gaussian; 0 leaves base colours alone."""
+    """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
     """Terms a Gaussian on average; they go where they serve most. With all, each that lowers an error."""
     epsilon: Annotated[float | None, CHANGE, hint("0.02")] = None
-    """Change of a colour that a term must make to be sent; gsvis color --epsilon auto finds that of a scene."""
+    """Change of a color that a term must make to be sent; gsvis color --epsilon auto finds that of a scene."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y."""
-    metres_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
+    meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
     """Size of a scene unit, kept in the package."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same package."""
@@ -116,8 +116,8 @@ class Unpack:
     """Folder of a package, such as scene.gsvis."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for low.ply, ... and levels.arrow, the map of reuse; made if missing."""
-    sh_degree: Annotated[int | None, SH_DEGREE, hint("3, 0 where colours have no terms")] = None
-    """Degree of the spherical harmonics that terms are fitted with; 0 keeps base colours alone."""
+    sh_degree: Annotated[int | None, SH_DEGREE, hint("3, 0 where colors have no terms")] = None
+    """Degree of the spherical harmonics that terms are fitted with; 0 keeps base colors alone."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     debug: Flag = False

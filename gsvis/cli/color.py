@@ -1,4 +1,4 @@
-"""`gsvis color`: base colours and a few terms in place of SH colours, as a file, with how good they are."""
+"""`gsvis color`: base colors and a few terms in place of SH colors, as a file, with how good they are."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _checked(command: Color) -> ColorConfig:
 
 
 def fit_config(command: Color | Prepare) -> FitConfig:
-    """The colours that are asked for."""
+    """The colors that are asked for."""
     from gsvis.color.fit import FitConfig
 
     chosen: dict[str, Any] = {name: getattr(command, name) for name in ("variant", "max_terms", "mean_terms")}
@@ -163,7 +163,7 @@ def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None,
     source = load_source(command.scene, command.lod)
     g = source.gaussians
     if len(g) == 0:
-        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to colour")
+        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to color")
     if store is not None:
         store.check_scene(source.whole)
     status("reading", 1, 1)
@@ -181,8 +181,8 @@ def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None,
         )
     if g.sh_degree == 0:
         remarks.append(
-            " The scene has SH degree 0: no colour depends on direction, so there is nothing to fit. The file holds the"
-            " base colours and no terms."
+            " The scene has SH degree 0: no color depends on direction, so there is nothing to fit. The file holds the"
+            " base colors and no terms."
         )
     return _Plan(source, store, space, config, remarks)
 
@@ -296,7 +296,7 @@ def _written(
 
 
 def _looked_at(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> FittedColors:
-    """What is made of the colours once they are safe."""
+    """What is made of the colors once they are safe."""
     g, colors, epsilon = fitted.gaussians, fitted.colors, fitted.epsilon
     if command.active is not None and plan.store is not None and epsilon is not None:
         from gsvis.prepare.active_terms import build_active_terms

@@ -23,7 +23,7 @@ def tell_result(
     Args:
         command: What was asked for.
         source: The scene.
-        fitted: Its colours.
+        fitted: Its colors.
         remarks: Lines for people.
         seconds: How long each stage took.
     """
@@ -67,14 +67,14 @@ def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tupl
         ("directions", f"{seen['from']}; {seen['mean_share']:.1%} on average"),
     ]
     if seen["without_any"]:
-        rows.append(("seen from nowhere", f"{seen['without_any']:,}: they get base colours"))
+        rows.append(("seen from nowhere", f"{seen['without_any']:,}: they get base colors"))
     rows.append(("terms", f"{terms['mean']:.2f} a Gaussian on average, variant {document['variant']}"))
     if terms["total"]:
         told = f"{terms['share_none']:.1%}, {terms['share_1_to_4']:.1%}, {terms['share_more']:.1%}"
         rows.append(("no term, 1 to 4, more", f"{told} of the Gaussians"))
     compared = ", ".join(f"{sizes[f'sh_{bits}']:g} with {bits} bits" for bits in (32, 16, 8))
     rows += [
-        ("bytes of a colour", f"{sizes['records']:.1f} as {document['precision']} records; SH: {compared}"),
+        ("bytes of a color", f"{sizes['records']:.1f} as {document['precision']} records; SH: {compared}"),
         ("file", f"{Path(command.out).name}, {size_of(document['file_bytes'])} with geometry"),
     ]
     if document["epsilon"]:
@@ -104,7 +104,7 @@ def _header(quality: dict[str, Any]) -> tuple[str, ...]:
 
 def _likeness(quality: dict[str, Any]) -> list[tuple[str, ...]]:
     rows = []
-    for name, key in (("all terms", "all_terms"), ("base colours alone", "base_only")):
+    for name, key in (("all terms", "all_terms"), ("base colors alone", "base_only")):
         row = [name]
         for measure, digits in (("psnr", 1), ("ssim", 4), ("flip", 4)):
             if measure in quality[key]:

@@ -43,8 +43,8 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
         return rows
     rows += [
         ("likely up axis", f"{report['up']}, confidence {report['up_confidence']:.0%}"),
-        ("middle 98% of centres", _box(report["robust_bounds"])),
-        ("all centres", _box(report["bounds"])),
+        ("middle 98% of centers", _box(report["robust_bounds"])),
+        ("all centers", _box(report["bounds"])),
         ("opacity", _quantiles(report["opacities"])),
         ("largest scale", _quantiles(report["scales"])),
         ("opacity >= 1/2", f"{report['opaque_share']:.1%}"),

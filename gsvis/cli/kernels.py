@@ -47,7 +47,7 @@ def warm_sets(config: PvsConfig, status: Status) -> None:
 
 
 def warm_colors(config: ColorConfig, status: Status) -> None:
-    """Those that fit colours."""
+    """Those that fit colors."""
     from gsvis.color.activation import Activation
     from gsvis.color.evaluate import evaluate
     from gsvis.prepare.colors import ColorConfig, prepare_colors

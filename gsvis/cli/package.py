@@ -38,7 +38,7 @@ def run_verify(command: Verify) -> None:
         )
         return
     cost = manifest.info.cost
-    metres = manifest.info.metres_per_unit
+    meters = manifest.info.meters_per_unit
     rows = [
         ("Gaussians", f"{found.gaussians:,}"),
         ("levels", ", ".join(f"{n} {c:,}" for n, c in zip(manifest.names, manifest.counts, strict=True))),
@@ -47,7 +47,7 @@ def run_verify(command: Verify) -> None:
         ("parts", f"{found.parts:,}, {size_of(found.nbytes)}"),
         *sizes_told(manifest),
         ("up", ", ".join(f"{v:g}" for v in manifest.info.up)),
-        ("metres per unit", f"{metres:g}" if metres else "not known"),
+        ("meters per unit", f"{meters:g}" if meters else "not known"),
         ("cost of rounding", f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}" if cost else "not measured"),
     ]
     strays = [f" {found.strays:,} files that no part of it needs lie beside the parts."] if found.strays else []
@@ -126,6 +126,6 @@ def _facts(manifest: Manifest) -> dict[str, Any]:
         "variant": manifest.grids.variant,
         "sizes": manifest.sizes(),
         "up": list(info.up),
-        "metres_per_unit": info.metres_per_unit,
+        "meters_per_unit": info.meters_per_unit,
         "cost": None if info.cost is None else asdict(info.cost),
     }

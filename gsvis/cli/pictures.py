@@ -1,6 +1,6 @@
 """Pictures into files: a PNG, a numbered sequence or an animated GIF, with depth beside it; whole or not at all.
 
-Colours of trained scenes are display-referred already: clipped to [0, 1] and written in 8 bits.
+Colors of trained scenes are display-referred already: clipped to [0, 1] and written in 8 bits.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
 
 _MARK = "gsvis"  # in the pictures that are ours, and so may be replaced
 _SEEN = 1.0 / 255.0  # alpha from which a pixel has a depth
-_RANGE = (0.01, 0.99)  # quantiles of the depths of a frame that the colours span
+_RANGE = (0.01, 0.99)  # quantiles of the depths of a frame that the colors span
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
         fps: Frames a second of an animation.
 
     Returns:
-        Depths, in scene units, of the first and the last colour in the depth pictures, the same in all of them; None
+        Depths, in scene units, of the first and the last color in the depth pictures, the same in all of them; None
         without them or where nothing is seen.
     """
     animation: list[Image.Image] = []
@@ -138,7 +138,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
                 place(target.files[i]).write_bytes(_png(picture))
             if depth:
                 z = np.where(frame.alpha >= _SEEN, frame.depth, 0.0).astype(np.float32)
-                with output_errors(kept, remedy=TEMPORARY):  # colours span all frames: they are known after the last
+                with output_errors(kept, remedy=TEMPORARY):  # colors span all frames: they are known after the last
                     (kept / f"{i}.npy").write_bytes(_npy(z))
                 if z.any():
                     low, high = np.quantile(z[z > 0.0], _RANGE).tolist()
@@ -173,7 +173,7 @@ def _write_depths(
         f"expected depth (camera z, scene units) in viridis, linear from near={near:.9g} to far={far:.9g}; black: none"
     )
     texts = {"gsvis:near": f"{near:.9g}", "gsvis:far": f"{far:.9g}", "Description": said}
-    pictures = (Image.fromarray(_coloured(np.load(path), near, far)) for path in kept)
+    pictures = (Image.fromarray(_colored(np.load(path), near, far)) for path in kept)
     if target.kind == "gif":
         _save_animation(place(target.depth_files[0]), [each.quantize(256) for each in pictures], fps, said)
         return
@@ -223,11 +223,11 @@ def eight_bit(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0), np.uint8)
 
 
-def _coloured(depth: NDArray[np.float32], near: float, far: float) -> NDArray[np.uint8]:
+def _colored(depth: NDArray[np.float32], near: float, far: float) -> NDArray[np.uint8]:
     """(H, W, 3) viridis from near to far; black where the depth is 0."""
     from matplotlib import colormaps
 
-    colours = np.asarray(colormaps["viridis"](np.arange(256), bytes=True)[:, :3], np.uint8)
+    colors = np.asarray(colormaps["viridis"](np.arange(256), bytes=True)[:, :3], np.uint8)
     share = np.clip((depth - near) / max(far - near, 1e-12), 0.0, 1.0)
-    colours = colours[np.rint(share * 255.0).astype(np.intp)]
-    return np.asarray(colours * (depth > 0.0)[..., None], np.uint8)
+    colors = colors[np.rint(share * 255.0).astype(np.intp)]
+    return np.asarray(colors * (depth > 0.0)[..., None], np.uint8)

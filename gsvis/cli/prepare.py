@@ -120,7 +120,7 @@ def _checked(command: Prepare) -> PrepareConfig:
         colors=ColorConfig(fit_config(command), ViewSampling(seed=command.seed)),
         epsilon=command.epsilon or PrepareConfig.epsilon,
         epsilon_from="given" if command.epsilon else PrepareConfig.epsilon_from,
-        metres_per_unit=command.metres_per_unit or 0.0,
+        meters_per_unit=command.meters_per_unit or 0.0,
     )
 
 

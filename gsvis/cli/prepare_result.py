@@ -19,7 +19,7 @@ __all__ = ["tell_estimate", "tell_result"]
 _CALLED = {
     "levels": "levels",
     "sets": "visible sets",
-    "colors": "colours",
+    "colors": "colors",
     "terms": "active terms",
     "cost": "cost of rounding",
     "package": "package",
@@ -44,7 +44,7 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
                 "terms": m.terms,
                 "variant": m.grids.variant,
                 "up": list(m.info.up),
-                "metres_per_unit": m.info.metres_per_unit,
+                "meters_per_unit": m.info.meters_per_unit,
                 "cost": None if cost is None else asdict(cost),
                 "parts": prepared.parts,
                 "parts_kept": prepared.parts_kept,
@@ -59,12 +59,12 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
         )
         return
     sizes = ", ".join(f"{row['name']} {row['gaussians']:,}" for row in levels)
-    metres = m.info.metres_per_unit
+    meters = m.info.meters_per_unit
     rows = [
         ("Gaussians", f"{m.gaussians:,}" + (f" in levels {sizes}" if len(levels) > 1 else "")),
         *_quality(prepared.quality, m.names),
         ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
-        ("up", f"{_axis(m.info.up)}; " + (f"{metres:g} metres a unit" if metres else "metres a unit not known")),
+        ("up", f"{_axis(m.info.up)}; " + (f"{meters:g} meters a unit" if meters else "meters a unit not known")),
         ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
     ]
     if cost is not None:

@@ -137,7 +137,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         for each in quality["classes"]
     ]
     worst = ", ".join(
-        f"{row['cell']} at ({', '.join(f'{x:.2f}' for x in row['centre'])})"
+        f"{row['cell']} at ({', '.join(f'{x:.2f}' for x in row['center'])})"
         for cell in quality["worst_cells"][:3]
         for row in quality["cells"]
         if row["cell"] == cell

@@ -18,7 +18,7 @@ __all__ = [
     "BYTES",
     "CELLS",
     "CHANGE",
-    "COLOUR",
+    "COLOR",
     "COUNTED",
     "DEGREES",
     "DISTANCE",
@@ -184,7 +184,7 @@ def _read_epsilon(words: list[str]) -> float:
     except ValueError:
         value = -1.0
     if not (0.0 < value <= 1.0 or words[0] == "auto"):
-        raise ValueError(f"expected a change of colour in (0, 1] or auto, got {words[0]!r}")
+        raise ValueError(f"expected a change of color in (0, 1] or auto, got {words[0]!r}")
     return value
 
 
@@ -199,7 +199,7 @@ SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
 FACE_RAYS = _spec(1, "K", _read_face_rays)
 BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
 POINT = _numbers("X Y Z")
-COLOUR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
+COLOR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
 INDICES = _spec("*", "I [I ...]", _read_indices)
 PIXEL = _spec(1, "X,Y", _read_pixel)
 DISTANCE = _number("R", float, 1e-12, 1e12, "a distance above 0")
@@ -219,7 +219,7 @@ PORT = _number("N", int, 0, 65535, "a port of 0 to 65535")
 SECONDS = _number("S", float, 0.01, 86400.0, "seconds in [0.01, 86400]")
 CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
-CHANGE = _number("E", float, 1e-4, 1.0, "a change of colour in [0.0001, 1]")
+CHANGE = _number("E", float, 1e-4, 1.0, "a change of color in [0.0001, 1]")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
 EPSILON = _spec(1, "E|auto", _read_epsilon)
 SIZE = _spec(1, "WxH", _read_size)

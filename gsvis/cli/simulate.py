@@ -175,7 +175,7 @@ def _file_size(command: Simulate, which: int, g: Gaussians) -> tuple[int, str]:
     with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
         with output_errors(folder, remedy=TEMPORARY):
             save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
-        told = "before it was packaged" if command.scene else "the package's highest level, base colours alone"
+        told = "before it was packaged" if command.scene else "the package's highest level, base colors alone"
         return (Path(folder) / "scene.sog").stat().st_size, f"SOG as gsvis writes it, of the scene: {told}"
 
 
@@ -189,8 +189,8 @@ def _walked(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> tup
         return part, {**told, "rule": "left as it is"}
     from gsvis.scene.retarget import RetargetConfig, retarget
 
-    metres = place.scene.package.manifest.info.metres_per_unit
-    config = RetargetConfig(metres_per_unit=metres or None, project=True, seed=command.seed + visit)
+    meters = place.scene.package.manifest.info.meters_per_unit
+    config = RetargetConfig(meters_per_unit=meters or None, project=True, seed=command.seed + visit)
     moved = retarget(part, place.space, config)
     return moved.path, {**told, **moved.as_dict()}
 

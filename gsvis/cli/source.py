@@ -84,7 +84,7 @@ class Source:
         return self.gaussians if self.levels is None else self.levels.union
 
     def shown(self, colors: SrbfColors) -> SrbfColors:
-        """Of colours of the union, those of `gaussians`."""
+        """Of colors of the union, those of `gaussians`."""
         return colors if self.levels is None else colors[self.levels.member(len(self.levels) - 1)]
 
 

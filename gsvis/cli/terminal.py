@@ -213,7 +213,7 @@ def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = (""
 
 
 def show(*parts: Table | str) -> None:
-    """Tables and lines on stdout, in at most 80 columns, in colour only on a terminal."""
+    """Tables and lines on stdout, in at most 80 columns, in color only on a terminal."""
     from rich.console import Console
 
     console = Console(width=min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80, highlight=False)

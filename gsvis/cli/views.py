@@ -17,7 +17,7 @@ __all__ = ["camera_count", "check_views", "given_cameras", "placed_cameras"]
 F64 = NDArray[np.float64]
 
 _WIDTH, _HEIGHT, _FOV, _ELEVATION = 640, 480, 60.0, 20.0
-_SHOWN = 0.9  # share of the centres that an orbit shows
+_SHOWN = 0.9  # share of the centers that an orbit shows
 _SURE = 0.6  # confidence from which an up axis is not doubted, as in inspection
 
 

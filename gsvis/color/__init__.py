@@ -1,4 +1,4 @@
-"""Colour that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
+"""Color that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +22,11 @@ from gsvis.color.records import (
     PRECISIONS,
     Grids,
     Precision,
-    QuantisedColors,
+    QuantizedColors,
     bytes_per_base,
     bytes_per_term,
-    quantise,
-    quantise_centres,
+    quantize,
+    quantize_centers,
     record_bytes,
     sh_bytes,
 )
@@ -70,7 +70,7 @@ __all__ = [
     "MetricObserver",
     "Observer",
     "Precision",
-    "QuantisedColors",
+    "QuantizedColors",
     "SparseCodes",
     "SphereConfig",
     "SphereFit",
@@ -96,8 +96,8 @@ __all__ = [
     "hue_vector",
     "load_srbf",
     "orthogonal_matching_pursuit",
-    "quantise",
-    "quantise_centres",
+    "quantize",
+    "quantize_centers",
     "record_bytes",
     "replay",
     "rgb_by_hsl_lightness",

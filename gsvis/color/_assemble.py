@@ -24,7 +24,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Colours of n Gaussians as `SrbfColors` has them, with counts in place of offsets, and their errors."""
+    """Colors of n Gaussians as `SrbfColors` has them, with counts in place of offsets, and their errors."""
 
     base: F32
     scales: F32
@@ -67,7 +67,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     if not linear:
         order, kept = np.zeros((n, len(lobes) * most), np.int64), np.zeros(n, np.int64)
         order_lobes(
-            SPACES[kind.space], directions, fitted.colours, fitted.weights, split.base, split.scales, v, amplitudes,
+            SPACES[kind.space], directions, fitted.colors, fitted.weights, split.base, split.scales, v, amplitudes,
             counts, order, kept,
         )  # fmt: skip
     rows = np.repeat(np.arange(n), kept)
@@ -80,7 +80,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     units = np.stack([f.unit for f in split.functions])[function, rows]
     base_errors, errors = np.empty(n, np.float32), np.empty(n, np.float32)
     shown_errors(
-        SPACES[kind.space], directions, fitted.colours, fitted.weights, split.base, split.scales, v, amplitudes,
+        SPACES[kind.space], directions, fitted.colors, fitted.weights, split.base, split.scales, v, amplitudes,
         order, kept, base_errors, errors,
     )  # fmt: skip
     return Terms(

@@ -1,6 +1,6 @@
-"""Which kind of array a colour function was given: one formula serves NumPy and torch.
+"""Which kind of array a color function was given: one formula serves NumPy and torch.
 
-Colours have three channels on the last axis. NumPy arguments are checked whole; tensors are checked by shape and type
+Colors have three channels on the last axis. NumPy arguments are checked whole; tensors are checked by shape and type
 only, because looking at values would wait for the device. Nothing here imports torch: whoever passes a tensor has.
 """
 

@@ -1,6 +1,6 @@
 """The search for the lobes of one function, in float64: added and taken away one by one, all moved after each change.
 
-A lobe is exp(v.x - |v|); v is its centre times its decay. This is the patient relative of the kernels that fit whole
+A lobe is exp(v.x - |v|); v is its center times its decay. This is the patient relative of the kernels that fit whole
 scenes: small ridge, no rounding to float32, so that lobes that nearly cancel (a flat top, a sharp edge) can be used.
 """
 
@@ -38,7 +38,7 @@ class Fit:
 
     Attributes:
         error: Squared error over that of no lobes.
-        v: (K, 3) decay times centre.
+        v: (K, 3) decay times center.
         intensities: (K,).
         left: (D,) what is left, times the roots of the weights.
     """
@@ -200,6 +200,6 @@ class LobeSearch:
 
 
 def atoms(subdivisions: int, most_decay: float) -> F64:
-    """(A, 3) decay times centre of the atoms: vertices of an icosphere, decays 1, 3, 9, ... up to the largest."""
+    """(A, 3) decay times center of the atoms: vertices of an icosphere, decays 1, 3, 9, ... up to the largest."""
     decays = 3.0 ** np.arange(1 + int(np.log(max(most_decay, 1.0)) / np.log(3.0) + 1e-9))
     return np.asarray((decays[:, None, None] * icosphere(subdivisions)[0]).reshape(-1, 3))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.color._kernels import fit as kernels
-from gsvis.color._split import Function, Split, split_colours
+from gsvis.color._split import Function, Split, split_colors
 from gsvis.color.omp import orthogonal_matching_pursuit
 from gsvis.color.variants import VARIANTS
 from gsvis.scene.icosphere import face_directions, icosphere
@@ -31,7 +31,7 @@ class LobeFit:
     """Lobes of one function of n Gaussians.
 
     Attributes:
-        v: (n, K, 3) decay times centre, eye to Gaussian, in the order to send.
+        v: (n, K, 3) decay times center, eye to Gaussian, in the order to send.
         intensities: (n, K, C) in the units of the targets.
         counts: (n,) lobes worth their price.
         curves: (n, K + 1) weighted mean squared RGB error with 0, 1, ... lobes.
@@ -48,13 +48,13 @@ class SplitFit:
     """What was fitted and what was found.
 
     Attributes:
-        colours: (n, 3, D) RGB.
+        colors: (n, 3, D) RGB.
         weights: (n, D).
         split: Bases and functions.
         lobes: One for each function.
     """
 
-    colours: F32
+    colors: F32
     weights: F32
     split: Split
     lobes: tuple[LobeFit, ...]
@@ -85,21 +85,21 @@ class Pursuit:
             config.ridge, _LEAST_DECAY, _MOST_DECAY, config.tolerance, float(config.steps), config.emphasis,
         )  # fmt: skip
 
-    def fit(self, colours: F32, weights: F32, importance: F64, price: float, nowhere: NDArray[np.bool_]) -> SplitFit:
+    def fit(self, colors: F32, weights: F32, importance: F64, price: float, nowhere: NDArray[np.bool_]) -> SplitFit:
         """Find the terms of n Gaussians.
 
         Args:
-            colours: (n, 3, D) RGB >= 0.
+            colors: (n, 3, D) RGB >= 0.
             weights: (n, D) >= 0, some above 0 in each row.
             importance: (n,) what an error counts.
             price: Importance times error that a term has to lower.
             nowhere: (n,) Gaussians that get no terms.
         """
-        split = split_colours(self.kind, colours.copy(), weights)
+        split = split_colors(self.kind, colors.copy(), weights)
         most = np.where(nowhere, 0, self.config.max_terms)
         search = self._refined if self.config.refine else self._on_atoms
         lobes = tuple(search(f, importance, price, np.where(f.unit != 0, most, 0)) for f in split.functions)
-        return SplitFit(colours, weights, split, lobes)
+        return SplitFit(colors, weights, split, lobes)
 
     def _refined(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
         n, channels, _ = function.targets.shape

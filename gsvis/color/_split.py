@@ -11,7 +11,7 @@ from gsvis.color._kernels import split as kernels
 from gsvis.color.spaces import rgb_to_yuv
 from gsvis.color.variants import Variant
 
-__all__ = ["Function", "Split", "split_colours"]
+__all__ = ["Function", "Split", "split_colors"]
 
 F32 = NDArray[np.float32]
 
@@ -33,7 +33,7 @@ class Function:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Base colours and what is left.
+    """Base colors and what is left.
 
     Attributes:
         base: (n, 3) in the variant's space.
@@ -48,40 +48,40 @@ class Split:
     functions: tuple[Function, ...]
 
 
-def split_colours(kind: Variant, colours: F32, weights: F32) -> Split:
-    """Split RGB colours over directions.
+def split_colors(kind: Variant, colors: F32, weights: F32) -> Split:
+    """Split RGB colors over directions.
 
     Args:
         kind: The variant.
-        colours: (n, 3, D) RGB >= 0; overwritten.
+        colors: (n, 3, D) RGB >= 0; overwritten.
         weights: (n, D) >= 0, some above 0 in each row.
     """
-    n, _, directions = colours.shape
+    n, _, directions = colors.shape
     base, scales = np.empty((n, 3), np.float32), np.ones(n, np.float32)
     axes = np.zeros((n, kind.num_axes, 3), np.float32)
     ones = np.ones(n, np.float32)
     if kind.space in ("hsl", "hsv"):
         planes = [np.empty((n, directions), np.float32) for _ in range(4)]
         if kind.space == "hsv":
-            kernels.split_hsv(colours, weights, scales, base, *planes[:2])
+            kernels.split_hsv(colors, weights, scales, base, *planes[:2])
             return Split(base, scales, axes, (Function(planes[0][:, None], planes[1], base[:, 2]),))
-        kernels.split_hsl(colours, weights, scales, base, *planes)
+        kernels.split_hsl(colors, weights, scales, base, *planes)
         if len(kind.functions) == 1:
-            kernels.hold_saturation(colours, weights, scales, base, *planes[2:])
+            kernels.hold_saturation(colors, weights, scales, base, *planes[2:])
         saturation = Function(planes[0][:, None], planes[1], base[:, 1])
         lightness = Function(planes[2][:, None], planes[3], base[:, 2])
         return Split(base, scales, axes, (saturation, lightness)[-len(kind.functions) :])
     covariance = np.empty((n, 3, 3))
-    kernels.split_linear(colours, weights, base, covariance)
+    kernels.split_linear(colors, weights, base, covariance)
     if kind.space == "yuv":
-        grey = colours.mean(axis=1)  # with U and V held, this step in Y is nearest in RGB, not that of luma
+        gray = colors.mean(axis=1)  # with U and V held, this step in Y is nearest in RGB, not that of luma
         base = np.asarray(rgb_to_yuv(base), np.float32)
         every_channel = np.float32(3.0)  # a step in Y moves R, G and B alike
-        return Split(base, scales, axes, (Function(grey[:, None], every_channel * weights, base[:, 0]),))
+        return Split(base, scales, axes, (Function(gray[:, None], every_channel * weights, base[:, 0]),))
     if kind.num_axes == 0:
-        return Split(base, scales, axes, (Function(colours, weights, ones),))
+        return Split(base, scales, axes, (Function(colors, weights, ones),))
     axes = _principal_axes(covariance, kind.num_axes)
-    along = np.matmul(axes, colours)
+    along = np.matmul(axes, colors)
     if len(kind.functions) == 1:
         return Split(base, scales, axes, (Function(along, weights, ones),))
     parts = (np.ascontiguousarray(along[:, k : k + 1]) for k in range(kind.num_axes))

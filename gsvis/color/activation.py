@@ -1,6 +1,6 @@
 """Which terms matter: equation 7 of the paper, for one eye and for all eyes in a box.
 
-A term's contribution is the largest absolute change that it makes in a channel of its Gaussian's RGB colour, where 1 is
+A term's contribution is the largest absolute change that it makes in a channel of its Gaussian's RGB color, where 1 is
 white; it is active where that is above epsilon. Scene frame and units. Knows nothing of what can be seen.
 """
 
@@ -20,7 +20,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDING = 1e-4  # relative, and 4 float32 steps of the colour: what the conversion of a space may add to a change
+_ROUNDING = 1e-4  # relative, and 4 float32 steps of the color: what the conversion of a space may add to a change
 _STEPS = 4.0 * float(np.finfo(np.float32).eps)
 _MARGIN = 4e-6  # of logarithms that are kept as float32
 _WIDEST = 1e30
@@ -31,7 +31,7 @@ class Activation:
 
     Args:
         colors: N Gaussians with T terms.
-        means: (N, 3) centres of the Gaussians.
+        means: (N, 3) centers of the Gaussians.
         epsilon: Contribution above which a term is active, >= 0.
 
     Attributes:
@@ -49,7 +49,7 @@ class Activation:
         if not isinstance(colors, SrbfColors):
             raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
         if not (isinstance(epsilon, int | float | np.floating) and 0.0 <= epsilon < np.inf):
-            raise ValueError(f"epsilon: expected a finite change of colour of at least 0, got {epsilon!r}")
+            raise ValueError(f"epsilon: expected a finite change of color of at least 0, got {epsilon!r}")
         self.colors, self.epsilon = colors, float(epsilon)
         self._means = _check.floats("means", means, ("N", 3))
         _check.same_length(colors=colors.base, means=self._means)
@@ -153,12 +153,12 @@ def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
     """What each term changes in what an eye sees.
 
     Where terms add in RGB it is the largest amplitude times the lobe, G(x; c, lambda): what the term adds before
-    negative colours are clipped, and thus never too little. In HSL, HSV and YUV it is the largest difference of the
-    final colour with all terms and with all but this one.
+    negative colors are clipped, and thus never too little. In HSL, HSV and YUV it is the largest difference of the
+    final color with all terms and with all but this one.
 
     Args:
         colors: N Gaussians with T terms.
-        means: (N, 3) centres of the Gaussians.
+        means: (N, 3) centers of the Gaussians.
         eye: (3,) position.
 
     Returns:
@@ -178,9 +178,9 @@ def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float)
 
     Args:
         colors: N Gaussians with T terms.
-        means: (N, 3) centres of the Gaussians.
+        means: (N, 3) centers of the Gaussians.
         eye: (3,) position.
-        epsilon: Change of colour from which a term matters, >= 0.
+        epsilon: Change of color from which a term matters, >= 0.
 
     Examples:
         >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0],

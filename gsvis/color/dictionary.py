@@ -1,4 +1,4 @@
-"""A dictionary of spherical radial basis functions: every centre with every decay, as values along directions."""
+"""A dictionary of spherical radial basis functions: every center with every decay, as values along directions."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Dictionary:
 
     Attributes:
         centers: (A, 3) float64, unit.
-        decays: (A,) float64, rising in steps: all centres with the first decay, then all with the next.
-        values: (D, A) float64, 1 at the centre, falling to 0.
+        decays: (A,) float64, rising in steps: all centers with the first decay, then all with the next.
+        values: (D, A) float64, 1 at the center, falling to 0.
     """
 
     centers: F64
@@ -34,7 +34,7 @@ class Dictionary:
 
 
 def srbf_dictionary(directions: ArrayLike, centers: ArrayLike, decays: ArrayLike) -> Dictionary:
-    """Values of G(x; c, lambda) = exp(lambda (x . c - 1)) for every centre c and every decay lambda.
+    """Values of G(x; c, lambda) = exp(lambda (x . c - 1)) for every center c and every decay lambda.
 
     Args:
         directions: (D, 3), scaled to unit length.
@@ -46,7 +46,7 @@ def srbf_dictionary(directions: ArrayLike, centers: ArrayLike, decays: ArrayLike
         A = V * L atoms.
 
     Raises:
-        ValueError: If a direction or a centre is zero, or a decay negative.
+        ValueError: If a direction or a center is zero, or a decay negative.
 
     References:
         SRBF-Gaussian, equation 3.

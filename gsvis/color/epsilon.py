@@ -1,4 +1,4 @@
-"""Epsilon of equation 7: which changes of colour an observer notices, found by a weighted up-down staircase.
+"""Epsilon of equation 7: which changes of color an observer notices, found by a weighted up-down staircase.
 
 Epsilon is the strength of the stimulus: the larger it is, the more terms are left out and the easier that is to see.
 It moves in equal steps of its logarithm, one down when the difference was noticed and three up when not, so it comes to
@@ -35,7 +35,7 @@ UP_STEPS = 3
 """Steps up for each step down; equilibrium is where p / (1 - p) is this, p = 0.75."""
 
 STUCK = 8
-"""Trials in a row at a bound, all answered towards it, after which the staircase gives up."""
+"""Trials in a row at a bound, all answered toward it, after which the staircase gives up."""
 
 MOST_AT_BOUND = 0.25
 """Largest share of the counted reversals that may lie at a bound."""
@@ -57,7 +57,7 @@ DEFAULT_EPSILON = 0.02
 """Epsilon for scenes that nobody calibrates, and where it comes from.
 
 The staircase with FLIP as observer (99th percentile of the error map of the worst of 6 views, `FLIP_JND`, 67 pixels per
-degree) came to 0.022 on flowers LOD 1 and 0.034 on nika LOD 0, with colours of the `rgb` variant of 4 terms a Gaussian
+degree) came to 0.022 on flowers LOD 1 and 0.034 on nika LOD 0, with colors of the `rgb` variant of 4 terms a Gaussian
 (`benchmarks/color_epsilon.py`); this is the smaller one, rounded down. There it keeps about 49 dB against all terms in
 the worst view. No person has been asked yet. Thresholds of 0.058 and 0.2 in place of 0.1 give 0.010 to 0.013 and 0.057
 to 0.114: what counts as noticed decides more than the scene does.
@@ -136,7 +136,7 @@ class StaircaseRule:
 
     @property
     def rungs(self) -> F64:
-        """All epsilons that trials can have, falling; neighbours are one step apart, save the ends, cut by a bound."""
+        """All epsilons that trials can have, falling; neighbors are one step apart, save the ends, cut by a bound."""
         return self.start * np.exp(self.down_step * np.arange(self.above, -self.below - 1, -1, dtype=np.float64)).clip(
             self.lowest / self.start, self.highest / self.start
         )

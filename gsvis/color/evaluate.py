@@ -1,6 +1,6 @@
-"""SRBF colours of all Gaussians from one eye, or of each along directions that all share.
+"""SRBF colors of all Gaussians from one eye, or of each along directions that all share.
 
-A colour is its base plus its terms in the variant's space, brought to RGB: clipped below at 0, never above except as
+A color is its base plus its terms in the variant's space, brought to RGB: clipped below at 0, never above except as
 HSL and HSV limit saturation, lightness and value to [0, 1] before they are scaled. Directions run from the eye to the
 Gaussian. `gsvis.color.reference` is the plain twin.
 """
@@ -63,10 +63,10 @@ class Evaluator:
     def colors(
         self, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None, ids: ArrayLike | None = None
     ) -> F32:
-        """Colours as one eye sees them.
+        """Colors as one eye sees them.
 
         Args:
-            means: (N, 3) centres of the Gaussians, world frame. An eye at a centre looks along +z.
+            means: (N, 3) centers of the Gaussians, world frame. An eye at a center looks along +z.
             eye: (3,) viewpoint.
             active: (T,) bool, the terms that there are, as received or as active; None means all.
             ids: (M,) which Gaussians, in any order; None means all. The fewer, the less work.
@@ -77,23 +77,23 @@ class Evaluator:
         Raises:
             ValueError: If a shape does not fit, a value is not finite or an id is none of the N.
         """
-        (centres,) = _check.read_only(_check.floats("means", means, (len(self), 3)))
+        (centers,) = _check.read_only(_check.floats("means", means, (len(self), 3)))
         viewpoint = _check.floats("eye", eye, (3,), np.float64)
         mask = _mask(active, self.source.num_terms)
         if ids is None:
             out = np.empty((len(self), 3), np.float32)
             windows = np.arange(len(self._packed[4]))
-            _kernels_srbf.colours_from_eye(windows, centres, viewpoint, self._space, self._packed, mask, out)
+            _kernels_srbf.colors_from_eye(windows, centers, viewpoint, self._space, self._packed, mask, out)
             return out
         chosen = _check.integers("ids", ids, ("M",))
         _check.in_range("ids", chosen, 0, len(self) - 1)
         windows, places = np.unique(chosen // _kernels_srbf.WINDOW, return_inverse=True)
         out = np.empty((len(windows) * _kernels_srbf.WINDOW, 3), np.float32)
-        _kernels_srbf.colours_from_eye(windows, centres, viewpoint, self._space, self._packed, mask, out)
+        _kernels_srbf.colors_from_eye(windows, centers, viewpoint, self._space, self._packed, mask, out)
         return np.asarray(out[places * _kernels_srbf.WINDOW + chosen % _kernels_srbf.WINDOW])
 
     def along(self, directions: ArrayLike) -> F32:
-        """Colours along directions that all Gaussians share.
+        """Colors along directions that all Gaussians share.
 
         Args:
             directions: (D, 3) from the eye to the Gaussian, of any length > 0.
@@ -108,7 +108,7 @@ class Evaluator:
         padded = np.zeros((3, -(-len(units) // _kernels_srbf.LANES) * _kernels_srbf.LANES), np.float32)
         padded[:, : len(units)] = units.T
         out = np.empty((len(self), len(units), 3), np.float32)
-        _kernels_srbf.colours_along(padded, self._space, self._packed, out)
+        _kernels_srbf.colors_along(padded, self._space, self._packed, out)
         return out
 
 
@@ -119,11 +119,11 @@ def evaluate(
 @overload
 def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F32: ...
 def evaluate(colors: Any, means: Any, eye: Any, *, active: Any = None) -> Any:
-    """Colours of all Gaussians as one eye sees them; `Evaluator` is faster for more than one eye.
+    """Colors of all Gaussians as one eye sees them; `Evaluator` is faster for more than one eye.
 
     Args:
         colors: N Gaussians with T terms, as arrays or, with means that are a tensor, as `SrbfTensors`.
-        means: (N, 3) centres of the Gaussians, world frame. An eye at a centre looks along +z.
+        means: (N, 3) centers of the Gaussians, world frame. An eye at a center looks along +z.
         eye: (3,) viewpoint.
         active: (T,) bool, the terms that there are, as received or as active; None means all.
 
@@ -150,7 +150,7 @@ def evaluate(colors: Any, means: Any, eye: Any, *, active: Any = None) -> Any:
 
 
 def evaluate_along(colors: SrbfColors, directions: ArrayLike) -> F32:
-    """(N, D, 3) colours along (D, 3) directions that all Gaussians share; slice `colors` where that is too much."""
+    """(N, D, 3) colors along (D, 3) directions that all Gaussians share; slice `colors` where that is too much."""
     return Evaluator(colors).along(directions)
 
 

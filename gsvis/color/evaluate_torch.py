@@ -1,4 +1,4 @@
-"""SRBF colours in plain torch: any float type, any device, gradients by everything that is not an integer.
+"""SRBF colors in plain torch: any float type, any device, gradients by everything that is not an integer.
 
 The twin of `gsvis.color.evaluate` for training and for other devices: same values, frame and conventions. Nothing else
 in this room imports torch before it is asked for tensors.
@@ -26,18 +26,18 @@ _INTEGERS = ("offsets", "functions")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SrbfTensors:
-    """Colours of N Gaussians, a base and T terms, as tensors on one device; names and meaning as in `SrbfColors`.
+    """Colors of N Gaussians, a base and T terms, as tensors on one device; names and meaning as in `SrbfColors`.
 
     Shapes are checked here, values are not: a training step need not pay for that. `to_colors` does it.
 
     Args:
         variant: One of `VARIANTS`.
-        base: (N, 3) base colours in the variant's space.
+        base: (N, 3) base colors in the variant's space.
         scales: (N,) > 0; what RGB was divided by to fit its space.
-        axes: (N, num_axes, 3) RGB directions along which terms move the colour.
+        axes: (N, num_axes, 3) RGB directions along which terms move the color.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
         functions: (T,) int64, index into the variant's functions.
-        centers: (T, 2) polar angle and azimuth of the centre, radians.
+        centers: (T, 2) polar angle and azimuth of the center, radians.
         decays: (T,) lambda of equation 3, > 0.
         intensities: (T, I), I as the variant has it.
 
@@ -78,13 +78,13 @@ class SrbfTensors:
         device: torch.device | str = "cpu",
         requires_grad: bool = False,
     ) -> SrbfTensors:
-        """A copy of colours as leaf tensors.
+        """A copy of colors as leaf tensors.
 
         Args:
-            colors: The colours.
-            dtype: A float type; the colours hold float32.
+            colors: The colors.
+            dtype: A float type; the colors hold float32.
             device: Where the tensors live.
-            requires_grad: Whether base, axes, centres, decays and intensities gather gradients; scales do not.
+            requires_grad: Whether base, axes, centers, decays and intensities gather gradients; scales do not.
         """
         fields = {
             name: torch.tensor(
@@ -152,16 +152,16 @@ class SrbfTensors:
 def evaluate_torch(
     colors: SrbfTensors, means: Tensor, eye: ArrayLike | Tensor, *, active: ArrayLike | Tensor | None = None
 ) -> Tensor:
-    """Colours of all Gaussians as one eye sees them. Shapes are checked, values are not.
+    """Colors of all Gaussians as one eye sees them. Shapes are checked, values are not.
 
     Args:
         colors: N Gaussians with T terms.
-        means: (N, 3) centres of the Gaussians, world frame. An eye at a centre looks along +z.
+        means: (N, 3) centers of the Gaussians, world frame. An eye at a center looks along +z.
         eye: (3,) viewpoint; a tensor keeps its gradient.
         active: (T,) bool, the terms that there are; None means all.
 
     Returns:
-        (N, 3) RGB, >= 0, of the dtype and device of `colors`, with gradients by its floats, means and eye. A colour
+        (N, 3) RGB, >= 0, of the dtype and device of `colors`, with gradients by its floats, means and eye. A color
         that is cut off has none.
 
     Raises:

@@ -1,4 +1,4 @@
-"""SRBF colours of a scene: SH colours over the directions from which each Gaussian is seen, fitted by few terms.
+"""SRBF colors of a scene: SH colors over the directions from which each Gaussian is seen, fitted by few terms.
 
 Directions are given as the direction sets of `gsvis.raycast` or `gsvis.pvs` have them: from the Gaussian to the
 eye, by the 80 faces. Terms are chosen from a dictionary and then moved to where they serve best; how many a Gaussian
@@ -34,7 +34,7 @@ _SAMPLE = 6144
 _CAUTION = 0.98
 """Aimed at that share of the wanted mean: a sample errs by a percent or two, and "at most" should stay true."""
 _PARTS = 4
-"""Parts of a face at whose centres colours are fitted: face corners, where a set is ambiguous, stay out."""
+"""Parts of a face at whose centers colors are fitted: face corners, where a set is ambiguous, stay out."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class FitConfig:
         max_terms: Most terms of each function of a Gaussian, 0 to 32.
         mean_terms: Terms per Gaussian, over all its functions, to aim at: terms go where they lower the error (times
             importance) most. None gives every Gaussian all the terms that lower its error.
-        refine: Move centres, widths and intensities continuously after each choice; without it terms stay on the atoms
+        refine: Move centers, widths and intensities continuously after each choice; without it terms stay on the atoms
             that orthogonal matching pursuit chooses.
-        decays: Decays of the atoms; centres are the 42 vertices of the once-subdivided icosahedron if `refine`, else
+        decays: Decays of the atoms; centers are the 42 vertices of the once-subdivided icosahedron if `refine`, else
             the 162 of the twice-subdivided one.
         ridge: Added to the squared norm of each lobe, relative to the weights: keeps intensities small.
         emphasis: How much the error after fewer terms counts in a fit of more, to begin with: what makes terms useful
@@ -92,8 +92,8 @@ class SrbfFit:
     """What a fit found.
 
     Attributes:
-        colors: The colours.
-        base_errors: (N,) float32, mean squared RGB error (summed over channels) of the base colour alone over the
+        colors: The colors.
+        base_errors: (N,) float32, mean squared RGB error (summed over channels) of the base color alone over the
             visible directions.
         errors: (N,) float32, the same with all terms.
         price: Fall of error times importance that a term had to be worth.
@@ -140,11 +140,11 @@ def fit_srbf(
     importance: ArrayLike | None = None,
     progress: Progress = silent,
 ) -> SrbfFit:
-    """Base colours and SRBF terms in place of the SH colours of a scene.
+    """Base colors and SRBF terms in place of the SH colors of a scene.
 
-    Colours below 0 count as 0, as they are shown; those above 1 count in full. Along the order of its terms the mean
+    Colors below 0 count as 0, as they are shown; those above 1 count in full. Along the order of its terms the mean
     squared RGB error of a Gaussian over its visible directions never rises (for variants that live in RGB or YUV:
-    before colours below 0 are cut off).
+    before colors below 0 are cut off).
 
     Args:
         g: N Gaussians.
@@ -180,13 +180,13 @@ def fit_srbf(
     return _joined(config, terms, price, int((weights.max(axis=1, initial=0.0) <= 0.0).sum()))
 
 
-def sampled_colours(g: Gaussians) -> F32:
-    """(N, 3, 320) RGB towards the centres of the parts of the faces, nowhere below 0."""
+def sampled_colors(g: Gaussians) -> F32:
+    """(N, 3, 320) RGB toward the centers of the parts of the faces, nowhere below 0."""
     basis = sh_basis(-face_directions(_PARTS).reshape(-1, 3), g.sh_degree).astype(np.float32)
     coefficients = np.concatenate([g.sh0, g.shN], axis=1)
-    colours = np.matmul(np.ascontiguousarray(coefficients.transpose(0, 2, 1)), basis.T)
-    colours += np.float32(0.5)
-    shown: F32 = np.maximum(colours, np.float32(0.0), out=colours)
+    colors = np.matmul(np.ascontiguousarray(coefficients.transpose(0, 2, 1)), basis.T)
+    colors += np.float32(0.5)
+    shown: F32 = np.maximum(colors, np.float32(0.0), out=colors)
     return shown
 
 
@@ -195,7 +195,7 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
     weights = (faces[:, :, None] * (NUM_FACES * _PARTS * shares)).reshape(len(faces), -1)
     nowhere = weights.max(axis=1) <= 0.0
     weights[nowhere] = 1.0
-    return pursuit.fit(sampled_colours(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
+    return pursuit.fit(sampled_colors(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
 
 
 def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_terms: float, progress: Progress) -> float:

@@ -1,6 +1,6 @@
-"""Rising tables of numbers that quantised values point into, and the nearest entry of a value.
+"""Rising tables of numbers that quantized values point into, and the nearest entry of a value.
 
-A table is made of a few parameters, holds its ends exactly, and is all a decoder needs. Nothing here knows colours.
+A table is made of a few parameters, holds its ends exactly, and is all a decoder needs. Nothing here knows colors.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ F64 = NDArray[np.float64]
 U16 = NDArray[np.uint16]
 
 
-def bent(low: float, high: float, centre: float, knee: float, bits: int) -> F32:
-    """(2^bits,) from low to high: evenly spaced within `knee` of the centre, in even ratios outside.
+def bent(low: float, high: float, center: float, knee: float, bits: int) -> F32:
+    """(2^bits,) from low to high: evenly spaced within `knee` of the center, in even ratios outside.
 
-    The spacing d where it is even follows from the range; outside it is d |x - centre| / knee.
+    The spacing d where it is even follows from the range; outside it is d |x - center| / knee.
 
     Args:
         low: First entry.
         high: Last entry, >= low.
-        centre: Middle of the even part.
+        center: Middle of the even part.
         knee: Half its width, > 0.
         bits: 1 to 16.
     """
-    ends = np.array([low, high]) - centre
+    ends = np.array([low, high]) - center
     far = knee * (1.0 + np.log(np.maximum(np.abs(ends) / knee, 1.0)))
     start, stop = np.where(np.abs(ends) <= knee, ends, np.sign(ends) * far)
     places = np.linspace(start, stop, 1 << bits)
     outside = np.sign(places) * knee * np.exp(np.maximum(np.abs(places) / knee, 1.0) - 1.0)
-    return _with_ends(centre + np.where(np.abs(places) <= knee, places, outside), low, high)
+    return _with_ends(center + np.where(np.abs(places) <= knee, places, outside), low, high)
 
 
 def geometric(low: float, high: float, bits: int) -> F32:
@@ -96,7 +96,7 @@ def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
 
 
 def unoctahedral(cells: NDArray[np.integer[Any]], bits: int) -> F32:
-    """(..., 3) unit vectors at the centres of the cells of `octahedral`."""
+    """(..., 3) unit vectors at the centers of the cells of `octahedral`."""
     xy = (cells.astype(np.float64) + 0.5) * 2.0 / (1 << bits) - 1.0
     z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
     unfolded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)

@@ -1,6 +1,6 @@
-"""Base colours and terms as they travel: integers of a few bits that point into tables, and what they cost.
+"""Base colors and terms as they travel: integers of a few bits that point into tables, and what they cost.
 
-Tables are made of a handful of numbers for the whole scene (`Grids`), so quantising what was dequantised gives the
+Tables are made of a handful of numbers for the whole scene (`Grids`), so quantizing what was dequantized gives the
 same integers. Sizes are those of the records themselves, before any entropy coding. Nothing here writes a file.
 """
 
@@ -22,11 +22,11 @@ __all__ = [
     "PRECISIONS",
     "Grids",
     "Precision",
-    "QuantisedColors",
+    "QuantizedColors",
     "bytes_per_base",
     "bytes_per_term",
-    "quantise",
-    "quantise_centres",
+    "quantize",
+    "quantize_centers",
     "record_bytes",
     "sh_bytes",
 ]
@@ -38,7 +38,7 @@ Range = tuple[float, float]
 INTENSITY_FLOOR = 0.1
 """Size of an intensity from which its steps grow with it."""
 BASE_KNEE = 0.5
-"""Half the width of the interval in which base colours have even steps: [0, 1], or [-1/2, 1/2] for U and V."""
+"""Half the width of the interval in which base colors have even steps: [0, 1], or [-1/2, 1/2] for U and V."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Precision:
 
     Attributes:
         name: For reports.
-        base: Each component of a base colour.
+        base: Each component of a base color.
         scale: The scale of a Gaussian, in variants that have one.
         axis: Each of the two octahedral coordinates of an axis.
-        center: Polar angle of a term's centre; its azimuth has one more, which leaves the least mean error.
+        center: Polar angle of a term's center; its azimuth has one more, which leaves the least mean error.
         decay: Decay of a term.
         intensity: Each intensity of a term.
 
@@ -126,7 +126,7 @@ class Grids:
 
     @classmethod
     def of(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
-        """The narrowest ranges that hold all values of these colours: nothing is ever clipped."""
+        """The narrowest ranges that hold all values of these colors: nothing is ever clipped."""
         turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
         ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
         return cls(
@@ -140,15 +140,15 @@ class Grids:
         return variant(self.variant)
 
     def base_table(self, component: int) -> F32:
-        """(2^bits,) values of a component of base colours."""
+        """(2^bits,) values of a component of base colors."""
         bits, space = self.precision.base, self.kind.space
         if space in ("hsl", "hsv") and component == 0:
             return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
-        centre = 0.0 if space == "yuv" and component > 0 else 0.5
-        return _grids.bent(*self.base[component], centre, BASE_KNEE, bits)
+        center = 0.0 if space == "yuv" and component > 0 else 0.5
+        return _grids.bent(*self.base[component], center, BASE_KNEE, bits)
 
     def scale_table(self) -> F32:
-        """(2^bits,) scales, in even steps up to 1: what matters is the error of the colour, not of the scale."""
+        """(2^bits,) scales, in even steps up to 1: what matters is the error of the color, not of the scale."""
         return _grids.bent(*self.scales, 0.0, 1.0, self.precision.scale)
 
     def theta_table(self) -> F32:
@@ -170,8 +170,8 @@ class Grids:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class QuantisedColors:
-    """Colours of N Gaussians and their T terms as integers, validated, read-only.
+class QuantizedColors:
+    """Colors of N Gaussians and their T terms as integers, validated, read-only.
 
     Args:
         grids: What the integers point into.
@@ -229,7 +229,7 @@ class QuantisedColors:
 
     def __repr__(self) -> str:
         g, sizes = self.grids, f"{len(self):,} Gaussians, {self.num_terms:,} terms"
-        return f"QuantisedColors({g.variant!r}, {g.precision.name!r}, {sizes})"
+        return f"QuantizedColors({g.variant!r}, {g.precision.name!r}, {sizes})"
 
     @property
     def num_terms(self) -> int:
@@ -241,8 +241,8 @@ class QuantisedColors:
         """Bytes of all records, packed bit by bit."""
         return _packed(self.grids.kind, self.grids.precision, self.offsets)
 
-    def dequantised(self) -> SrbfColors:
-        """The colours that the records stand for."""
+    def dequantized(self) -> SrbfColors:
+        """The colors that the records stand for."""
         g = self.grids
         base = np.stack([g.base_table(k)[self.base[:, k]] for k in range(3)], axis=1)
         scales = g.scale_table()[self.scales] if has_scales(g.kind) else np.ones(len(self), np.float32)
@@ -253,16 +253,16 @@ class QuantisedColors:
         )  # fmt: skip
 
 
-def quantise(
+def quantize(
     colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True, grids: Grids | None = None
-) -> QuantisedColors:
-    """Round colours to what records can say.
+) -> QuantizedColors:
+    """Round colors to what records can say.
 
-    With `refit`, intensities are first adapted to the rounded centres and decays, and then rounded one after the other,
+    With `refit`, intensities are first adapted to the rounded centers and decays, and then rounded one after the other,
     the largest of a Gaussian first, each making up for what rounding did to those before. Both are least squares in
     the mean over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
 
-    A centre moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
+    A center moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
     a base component in [0, 1] by half an even step, an axis by at most 4.3 / 2^axis radians. Without `refit` an
     intensity a moves by at most (|a| + 0.1) (exp(k / 2) - 1), k = log(1 + largest / 0.1) / (2^(intensity - 1) - 1).
 
@@ -270,15 +270,15 @@ def quantise(
         colors: What to round.
         precision: A name from `PRECISIONS`, or bits of one's own.
         refit: Adapt intensities; False rounds each number by itself.
-        grids: Tables to use instead of the colours' own, such as those of a larger scene; `precision` is then
+        grids: Tables to use instead of the colors' own, such as those of a larger scene; `precision` is then
             not looked at. Values outside their ranges are refused.
 
     Raises:
-        ValueError: If the variant lives in RGB and a scale is not 1, or `grids` do not hold the colours.
+        ValueError: If the variant lives in RGB and a scale is not 1, or `grids` do not hold the colors.
 
     Examples:
-        >>> packed = quantise(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
-        >>> packed.nbytes, packed.dequantised().base.round(3).tolist()
+        >>> packed = quantize(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
+        >>> packed.nbytes, packed.dequantized().base.round(3).tolist()
         (4, [[0.0, 0.5, 1.0]])
     """
     own = Grids.of(colors, precision)
@@ -306,19 +306,19 @@ def quantise(
         intensities = _grids.nearest(values, g.intensity_table())
     scales = _grids.nearest(colors.scales, g.scale_table()) if has_scales(kind) else np.zeros(0, np.uint16)
     axes = _grids.octahedral(colors.axes, g.precision.axis)
-    return QuantisedColors(g, base, scales, axes, colors.offsets, colors.functions, centers, decays, intensities)
+    return QuantizedColors(g, base, scales, axes, colors.offsets, colors.functions, centers, decays, intensities)
 
 
-def quantise_centres(colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True) -> SrbfColors:
-    """The colours with centres and decays as records can say them, and everything else exact.
+def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True) -> SrbfColors:
+    """The colors with centers and decays as records can say them, and everything else exact.
 
-    A fit that knows directions and colours can then find intensities once more before `quantise` rounds them; it finds
-    the same centres and decays.
+    A fit that knows directions and colors can then find intensities once more before `quantize` rounds them; it finds
+    the same centers and decays.
 
     Args:
         colors: What to round.
         precision: A name from `PRECISIONS`, or bits of one's own.
-        refit: Adapt intensities as `quantise` does; False leaves them.
+        refit: Adapt intensities as `quantize` does; False leaves them.
     """
     g = Grids.of(colors, precision)
     places, decay_places = _round_lobes(colors, g)
@@ -331,7 +331,7 @@ def quantise_centres(colors: SrbfColors, precision: Precision | str = "wire", *,
 
 
 def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:
-    """Bytes of one term of a variant: function where there are several, centre, decay, intensities.
+    """Bytes of one term of a variant: function where there are several, center, decay, intensities.
 
     Args:
         name: The variant.
@@ -345,7 +345,7 @@ def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> flo
 
 
 def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> float:
-    """Bytes of what a Gaussian has besides terms: base colour, and scale and axes where the variant has them.
+    """Bytes of what a Gaussian has besides terms: base color, and scale and axes where the variant has them.
 
     Args:
         name: The variant.
@@ -354,20 +354,20 @@ def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> flo
     return _base_bits(variant(name), None if precision is None else _precision(precision)) / 8
 
 
-def record_bytes(colors: SrbfColors | QuantisedColors, precision: Precision | str | None = "wire") -> int:
-    """Bytes of the records of colours: bases, terms, and the bits that count the terms of each Gaussian.
+def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | str | None = "wire") -> int:
+    """Bytes of the records of colors: bases, terms, and the bits that count the terms of each Gaussian.
 
     Args:
         colors: Whose.
-        precision: As in `bytes_per_term`; not looked at for colours that are quantised.
+        precision: As in `bytes_per_term`; not looked at for colors that are quantized.
     """
-    if isinstance(colors, QuantisedColors):
+    if isinstance(colors, QuantizedColors):
         return colors.nbytes
     return _packed(colors.kind, None if precision is None else _precision(precision), colors.offsets)
 
 
 def sh_bytes(degree: int, bits: int = 32) -> float:
-    """Bytes of the colour of one Gaussian as spherical harmonics, for comparison.
+    """Bytes of the color of one Gaussian as spherical harmonics, for comparison.
 
     Args:
         degree: 0 to 3.
@@ -429,7 +429,7 @@ def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: i
 
 
 def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
-    """Places of centres (T, 2) and decays (T,)."""
+    """Places of centers (T, 2) and decays (T,)."""
     theta, phi = np.moveaxis(spherical_coordinates(unit_vectors(colors.centers)), -1, 0)
     bits = g.precision.center
     places = np.clip(np.floor(theta * ((1 << bits) / np.pi)), 0, (1 << bits) - 1)
@@ -442,7 +442,7 @@ def _centers_of(places: U16, g: Grids) -> F32:
 
 
 def _lobes(centers: F32, decays: F32) -> NDArray[np.float64]:
-    """(T, 4) decay times centre, and decay."""
+    """(T, 4) decay times center, and decay."""
     lengths = decays.astype(np.float64)[:, None]
     return np.concatenate([unit_vectors(centers) * lengths, lengths], axis=1)
 

@@ -19,7 +19,7 @@ F64 = NDArray[np.float64]
 
 
 def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F64:
-    """(N, 3) colours as one eye sees them; arguments as `gsvis.color.evaluate`."""
+    """(N, 3) colors as one eye sees them; arguments as `gsvis.color.evaluate`."""
     offsets = np.asarray(means, np.float64).reshape(-1, 3) - np.asarray(eye, np.float64)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     directions = np.where(lengths > 0, offsets / np.where(lengths > 0, lengths, 1.0), [0.0, 0.0, 1.0])
@@ -94,7 +94,7 @@ def refine(
         targets: (D, C) what to meet.
         directions: (D, 3) unit vectors.
         weights: (D,) >= 0.
-        v: (K, 3) decay times centre of the lobes to start from.
+        v: (K, 3) decay times center of the lobes to start from.
         ridge: Cost of a squared intensity.
 
     Returns:

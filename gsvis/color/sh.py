@@ -1,6 +1,6 @@
-"""Colours of Gaussians from their spherical harmonics: from one eye, or along many directions at once.
+"""Colors of Gaussians from their spherical harmonics: from one eye, or along many directions at once.
 
-Colour is 0.5 plus the sum of coefficients times harmonics, clipped below at 0 and never above. Harmonics are evaluated
+Color is 0.5 plus the sum of coefficients times harmonics, clipped below at 0 and never above. Harmonics are evaluated
 at the unit vector from the eye to the Gaussian, scene frame; direction sets point the other way, and `towards_gaussian`
 is where the sign changes. The basis itself lives in `gsvis.scene.sh`.
 """
@@ -40,7 +40,7 @@ def towards_gaussian(directions: Tensor) -> Tensor: ...
 @overload
 def towards_gaussian(directions: ArrayLike) -> NDArray[np.floating[Any]]: ...
 def towards_gaussian(directions: Any) -> Any:
-    """Directions of a direction set (Gaussian to eye) as colour functions take them (eye to Gaussian).
+    """Directions of a direction set (Gaussian to eye) as color functions take them (eye to Gaussian).
 
     Args:
         directions: (..., 3) from the Gaussian to the eye.
@@ -64,7 +64,7 @@ def sh_colors(
     g: _Tensors, eye: ArrayLike | Tensor, *, sh_degree: int | None = None, clipped: bool = True
 ) -> Tensor: ...
 def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool = True) -> Any:
-    """Colours of all Gaussians from one eye.
+    """Colors of all Gaussians from one eye.
 
     Args:
         g: N Gaussians, as arrays or as tensors.
@@ -74,7 +74,7 @@ def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool =
 
     Returns:
         (N, 3) RGB: float32, or a tensor of the dtype and device of `g` with gradients by means, sh0, shN and eye. A
-        Gaussian centred at the eye is seen along +z.
+        Gaussian centerd at the eye is seen along +z.
 
     Raises:
         ValueError: If the eye is not three finite numbers or the degree is not one of `g`.
@@ -88,11 +88,11 @@ def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool =
 
         return sh_colors_torch(g.means, g.sh0, g.shN[:, : (degree + 1) ** 2 - 1], eye, clipped=clipped)
     viewpoint = _check.floats("eye", eye, (3,), np.float64)
-    colours = np.empty((len(g.means), 3), np.float32)
+    colors = np.empty((len(g.means), 3), np.float32)
     lowest = np.float32(0.0 if clipped else -np.inf)
     every = np.arange(len(g.means), dtype=np.int32)
-    _kernels_sh.colours_from_sh(every, *_check.read_only(g.means, g.sh0, g.shN), degree, viewpoint, lowest, colours)
-    return colours
+    _kernels_sh.colors_from_sh(every, *_check.read_only(g.means, g.sh0, g.shN), degree, viewpoint, lowest, colors)
+    return colors
 
 
 def write_sh_colors(
@@ -111,7 +111,7 @@ def write_sh_colors(
         eye: (3,) viewpoint, world frame.
         out: (M, at least 3); the first three columns are written, cut off below at 0.
     """
-    _kernels_sh.colours_from_sh(ids, *_check.read_only(*coefficients), degree, eye, np.float32(0.0), out)
+    _kernels_sh.colors_from_sh(ids, *_check.read_only(*coefficients), degree, eye, np.float32(0.0), out)
 
 
 def write_sh_gradients(
@@ -133,7 +133,7 @@ def write_sh_gradients(
         out: Gradients by sh0, shN and means; those of `ids` are written (means: added).
     """
     v_sh0, v_shN, v_means = out
-    _kernels_sh.colours_from_sh_backward(ids, *coefficients, degree, eye, *colors, v_sh0, v_shN, v_means)
+    _kernels_sh.colors_from_sh_backward(ids, *coefficients, degree, eye, *colors, v_sh0, v_shN, v_means)
 
 
 def sh_colors_along(
@@ -143,7 +143,7 @@ def sh_colors_along(
     *,
     clipped: bool = True,
 ) -> NDArray[np.float32]:
-    """Colours of all Gaussians along shared directions, by one matrix product.
+    """Colors of all Gaussians along shared directions, by one matrix product.
 
     The result takes 12 N D bytes: give slices of a large scene.
 
@@ -151,7 +151,7 @@ def sh_colors_along(
         sh0: (N, 1, 3) constant coefficients.
         shN: (N, K-1, 3) higher coefficients, K in {1, 4, 9, 16}.
         directions: (D, 3) of any length > 0, from the eye to the Gaussian; see `towards_gaussian`.
-        clipped: Cut off below at 0. A fit of smooth functions to colours may rather not.
+        clipped: Cut off below at 0. A fit of smooth functions to colors may rather not.
 
     Returns:
         (N, D, 3) float32 RGB.
@@ -170,7 +170,7 @@ def sh_colors_along(
     rows[:, 3:-1] = higher.reshape(count, 3 * size - 3)
     matrix = np.full((3 * size + 1, 3 * len(basis)), 0.5, np.float32)
     matrix[:-1] = np.einsum("dk,ce->kcde", basis, np.eye(3)).reshape(3 * size, 3 * len(basis))
-    colours: NDArray[np.float32] = rows @ matrix
+    colors: NDArray[np.float32] = rows @ matrix
     if clipped:
-        np.maximum(colours, 0.0, out=colours)
-    return colours.reshape(count, len(basis), 3)
+        np.maximum(colors, 0.0, out=colors)
+    return colors.reshape(count, len(basis), 3)

@@ -1,4 +1,4 @@
-"""Spherical harmonics and the colours they make, in plain torch: any float type, any device, with gradients.
+"""Spherical harmonics and the colors they make, in plain torch: any float type, any device, with gradients.
 
 Directions run from the eye to the Gaussian, scene frame. The twin of `gsvis.scene.sh` and of the kernels behind
 `gsvis.color.sh_colors`, from its own formulas, so that each can be held against the other.
@@ -53,17 +53,17 @@ def sh_colors_torch(
     *,
     clipped: bool = True,
 ) -> Tensor:
-    """Colours of all Gaussians from one eye. Shapes are checked, values are not.
+    """Colors of all Gaussians from one eye. Shapes are checked, values are not.
 
     Args:
-        means: (N, 3) centres, world frame.
+        means: (N, 3) centers, world frame.
         sh0: (N, 1, 3) constant coefficients.
         shN: (N, K-1, 3) higher coefficients, K in {1, 4, 9, 16}.
         eye: (3,) viewpoint, world frame; a tensor keeps its gradient.
-        clipped: Cut off below at 0; a colour that is cut off has no gradient.
+        clipped: Cut off below at 0; a color that is cut off has no gradient.
 
     Returns:
-        (N, 3) RGB, of the dtype and device of `means`. A Gaussian centred at the eye is seen along +z.
+        (N, 3) RGB, of the dtype and device of `means`. A Gaussian centerd at the eye is seen along +z.
 
     Raises:
         ValueError: If a shape is wrong, or an eye that is no tensor is not finite.
@@ -71,8 +71,8 @@ def sh_colors_torch(
     for name, value, shape in (("means", means, (3,)), ("sh0", sh0, (1, 3)), ("shN", shN, (None, 3))):
         fits = value.ndim == 1 + len(shape) and all(w in (None, h) for w, h in zip(shape, value.shape[1:], strict=True))
         if not fits or len(value) != len(means):
-            spelt = ", ".join(str(s) if s is not None else "K-1" for s in (len(means), *shape))
-            raise ValueError(f"{name}: expected shape ({spelt}), got {tuple(value.shape)}")
+            spelled = ", ".join(str(s) if s is not None else "K-1" for s in (len(means), *shape))
+            raise ValueError(f"{name}: expected shape ({spelled}), got {tuple(value.shape)}")
     if isinstance(eye, Tensor):
         if tuple(eye.shape) != (3,):
             raise ValueError(f"eye: expected shape (3,), got {tuple(eye.shape)}")
@@ -84,5 +84,5 @@ def sh_colors_torch(
     ahead = offsets.new_tensor([0.0, 0.0, 1.0])
     directions = torch.where(squared > 0, offsets / torch.where(squared > 0, squared, 1.0).sqrt(), ahead)
     basis = sh_basis_torch(directions, sh_degree_of(1 + shN.shape[1]))
-    colours = 0.5 + (basis[:, :, None] * torch.cat([sh0, shN], dim=1)).sum(dim=1)
-    return colours.clamp(min=0.0) if clipped else colours
+    colors = 0.5 + (basis[:, :, None] * torch.cat([sh0, shN], dim=1)).sum(dim=1)
+    return colors.clamp(min=0.0) if clipped else colors

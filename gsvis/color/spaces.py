@@ -1,6 +1,6 @@
-"""Colour spaces: HSL, HSV and YUV, the way back to RGB, and how RGB changes along it.
+"""Color spaces: HSL, HSV and YUV, the way back to RGB, and how RGB changes along it.
 
-RGB values are those a scene's colours come in (sRGB, 0 black, 1 white), channels last; hue is in turns. Every function
+RGB values are those a scene's colors come in (sRGB, 0 black, 1 white), channels last; hue is in turns. Every function
 takes NumPy arrays (float64 stays, all else becomes float32) and gives NumPy arrays, or takes torch tensors and gives
 tensors of their dtype on their device, with gradients that are finite everywhere. It knows no Gaussians.
 """
@@ -37,7 +37,7 @@ Floats = NDArray[np.floating[Any]]
 _RED, _GREEN, _BLUE = 0.299, 0.587, 0.114
 """Shares of luma: ITU-R BT.601-7, section 2.5.1."""
 _INF = float("inf")
-_SCALE = "divide the colours of each Gaussian by their largest value and keep that scale"
+_SCALE = "divide the colors of each Gaussian by their largest value and keep that scale"
 
 
 def _hsl(hsl: Any) -> Any:
@@ -58,7 +58,7 @@ def rgb_to_hsl(rgb: ArrayLike) -> Floats: ...
 def rgb_to_hsl(rgb: Any) -> Any:
     """Hue, saturation, lightness.
 
-    L = (max + min) / 2, S = (max - min) / (1 - |2 L - 1|). Grey has hue 0 and saturation 0, black and white included.
+    L = (max + min) / 2, S = (max - min) / (1 - |2 L - 1|). Gray has hue 0 and saturation 0, black and white included.
     There, and where max - min is below 16 times the smallest normal number, hue and saturation carry no gradient.
 
     Args:
@@ -110,18 +110,18 @@ def rgb_to_hsv(rgb: Tensor) -> Tensor: ...
 @overload
 def rgb_to_hsv(rgb: ArrayLike) -> Floats: ...
 def rgb_to_hsv(rgb: Any) -> Any:
-    """Hue, saturation, value: V = max, S = (max - min) / max. Colours may exceed 1, and V then does.
+    """Hue, saturation, value: V = max, S = (max - min) / max. Colors may exceed 1, and V then does.
 
     Args:
         rgb: (..., 3), >= 0. Tensors are not checked: below 0 the result is finite and means nothing.
 
     Returns:
-        (..., 3) hue in turns [0, 1), saturation in [0, 1], value. Grey and black as in `rgb_to_hsl`.
+        (..., 3) hue in turns [0, 1), saturation in [0, 1], value. Gray and black as in `rgb_to_hsl`.
 
     Raises:
         ValueError: If the shape is wrong or an array has values that are not finite or negative.
     """
-    xp, r, g, b = channels("rgb", rgb, (0.0,) * 3, (_INF,) * 3, "clip the colours below at 0")
+    xp, r, g, b = channels("rgb", rgb, (0.0,) * 3, (_INF,) * 3, "clip the colors below at 0")
     most, least = _extremes(xp, r, g, b)
     return xp.concatenate([_hue(xp, r, g, b), _ratio(xp, most - least, most), most], -1)
 
@@ -151,7 +151,7 @@ def rgb_to_yuv(rgb: Tensor) -> Tensor: ...
 @overload
 def rgb_to_yuv(rgb: ArrayLike) -> Floats: ...
 def rgb_to_yuv(rgb: Any) -> Any:
-    """Luma and two colour differences, linear in RGB, full range.
+    """Luma and two color differences, linear in RGB, full range.
 
     Y = 0.299 R + 0.587 G + 0.114 B, U = (B - Y) / 1.772, V = (R - Y) / 1.402.
 
@@ -159,16 +159,16 @@ def rgb_to_yuv(rgb: Any) -> Any:
         rgb: (..., 3), any finite numbers.
 
     Returns:
-        (..., 3) Y, U, V; for colours in [0, 1] Y lies in [0, 1], U and V in [-1/2, 1/2], 0 for grey.
+        (..., 3) Y, U, V; for colors in [0, 1] Y lies in [0, 1], U and V in [-1/2, 1/2], 0 for gray.
 
     Raises:
         ValueError: If the shape is wrong or an array has values that are not finite.
 
     References:
-        ITU-R BT.601-7, section 2.5; U and V are its C_B and C_R before quantisation, as in ITU-T T.871.
+        ITU-R BT.601-7, section 2.5; U and V are its C_B and C_R before quantization, as in ITU-T T.871.
     """
     xp, r, g, b = channels("rgb", rgb, (-_INF,) * 3, (_INF,) * 3, "")
-    # Differences to green: a grey of any value has U and V exactly 0.
+    # Differences to green: a gray of any value has U and V exactly 0.
     red, blue = r - g, b - g
     above_green = _RED * red + _BLUE * blue
     u, v = (blue - above_green) / (2 - 2 * _BLUE), (red - above_green) / (2 - 2 * _RED)
@@ -186,7 +186,7 @@ def yuv_to_rgb(yuv: Any) -> Any:
         yuv: (..., 3), any finite numbers.
 
     Returns:
-        (..., 3) RGB; not every Y, U, V in range is a colour in range.
+        (..., 3) RGB; not every Y, U, V in range is a color in range.
 
     Raises:
         ValueError: If the shape is wrong or an array has values that are not finite.
@@ -201,7 +201,7 @@ def hue_vector(hue: Tensor) -> Tensor: ...
 @overload
 def hue_vector(hue: ArrayLike) -> Floats: ...
 def hue_vector(hue: Any) -> Any:
-    """h(H), the fully saturated colour of a hue: the RGB of saturation 1 and lightness 1/2.
+    """h(H), the fully saturated color of a hue: the RGB of saturation 1 and lightness 1/2.
 
     Args:
         hue: (...) in turns, any finite number.
@@ -283,12 +283,12 @@ def _extremes(xp: Any, r: Any, g: Any, b: Any) -> tuple[Any, Any]:
 def _ratio(xp: Any, part: Any, whole: Any) -> Any:
     """Part over whole; 0 without gradient where the part is next to nothing, and 1 where it is more than the whole."""
     something = part > 16 * xp.finfo(part.dtype).tiny
-    divisor = xp.where(whole >= part, whole, part)  # differs from the whole only for colours out of range
+    divisor = xp.where(whole >= part, whole, part)  # differs from the whole only for colors out of range
     return xp.where(something, part / xp.where(something, divisor, xp.ones_like(part)), xp.zeros_like(part))
 
 
 def _hue(xp: Any, r: Any, g: Any, b: Any) -> Any:
-    """Turns in [0, 1); 0 for grey."""
+    """Turns in [0, 1); 0 for gray."""
     by_red = (r >= g) & (r >= b)
     by_green = ~by_red & (g >= b)
     # One channel is the largest, even of two alike: hue has a gradient where the maximum itself has none.
@@ -296,8 +296,8 @@ def _hue(xp: Any, r: Any, g: Any, b: Any) -> Any:
     apart = most - xp.minimum(xp.minimum(r, g), b)
     after = xp.where(by_red, g - b, xp.where(by_green, b - r, r - g))
     start = xp.where(by_red, xp.zeros_like(r), xp.where(by_green, xp.full_like(r, 2.0), xp.full_like(r, 4.0)))
-    coloured = apart > 16 * xp.finfo(apart.dtype).tiny
-    turns = (start + after / xp.where(coloured, apart, xp.ones_like(apart))) / 6
+    colored = apart > 16 * xp.finfo(apart.dtype).tiny
+    turns = (start + after / xp.where(colored, apart, xp.ones_like(apart))) / 6
     turns = turns - xp.floor(turns)
     turns = xp.where(turns < 1, turns, turns - 1)  # a negative next to 0 is rounded up to 1
-    return xp.where(coloured, turns, xp.zeros_like(turns))
+    return xp.where(colored, turns, xp.zeros_like(turns))

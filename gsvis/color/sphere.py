@@ -1,7 +1,7 @@
 """One function on the sphere as a sum of few lobes, as well as a patient search can: the experiment of figure 15.
 
 A function is given by its values along directions, unit vectors in any frame; nothing here knows of Gaussians or
-colours. Each number of terms has a fit of its own. Scenes, a million functions at a time, are for `fit_srbf`.
+colors. Each number of terms has a fit of its own. Scenes, a million functions at a time, are for `fit_srbf`.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class SphereConfig:
     """How hard to search.
 
     Args:
-        refine: Move centres and decays continuously, and add and take away lobes; without it terms are the atoms that
+        refine: Move centers and decays continuously, and add and take away lobes; without it terms are the atoms that
             orthogonal matching pursuit chooses.
-        subdivisions: Of the icosphere whose vertices are the centres of the atoms, 0 to 4.
+        subdivisions: Of the icosphere whose vertices are the centers of the atoms, 0 to 4.
         max_decay: Narrowest lobe, above 1; None for D / 4 pi, a lobe about as wide as the spacing of D even directions.
         ridge: Cost of a squared intensity beside the mean squared error, for values of unit variance.
         steps: Most steps of refinement after each change.

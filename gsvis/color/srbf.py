@@ -1,4 +1,4 @@
-"""Colours as a base and a few spherical radial basis functions (SRBF) a Gaussian.
+"""Colors as a base and a few spherical radial basis functions (SRBF) a Gaussian.
 
 Directions are unit vectors from the eye to the Gaussian, in the scene's frame, as for SH. A term is one SRBF of one
 function of one Gaussian: two spherical coordinates, a decay, one or more intensities. Terms lie behind each other
@@ -25,11 +25,11 @@ MAX_DECAY = 1e4
 
 
 def srbf(x: ArrayLike, c: ArrayLike, decay: ArrayLike) -> F64:
-    """Value of spherical radial basis functions: exp(decay (x . c - 1)), 1 at the centre.
+    """Value of spherical radial basis functions: exp(decay (x . c - 1)), 1 at the center.
 
     Args:
         x: (..., 3) unit vectors.
-        c: (..., 3) centres, unit vectors.
+        c: (..., 3) centers, unit vectors.
         decay: (...) lambda, > 0; the larger, the narrower.
 
     Returns:
@@ -47,7 +47,7 @@ def srbf(x: ArrayLike, c: ArrayLike, decay: ArrayLike) -> F64:
 
 
 def unit_vectors(coordinates: ArrayLike) -> F64:
-    """(..., 3) unit vectors of (..., 2) spherical coordinates: polar angle from +z, azimuth from +x towards +y."""
+    """(..., 3) unit vectors of (..., 2) spherical coordinates: polar angle from +z, azimuth from +x toward +y."""
     theta, phi = np.moveaxis(np.asarray(coordinates, np.float64), -1, 0)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
@@ -60,16 +60,16 @@ def spherical_coordinates(vectors: ArrayLike) -> F64:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SrbfColors:
-    """Colours of N Gaussians: base colours and T terms, validated, read-only.
+    """Colors of N Gaussians: base colors and T terms, validated, read-only.
 
     Args:
         variant: One of `VARIANTS`.
-        base: (N, 3) base colours in the variant's space: RGB (not clipped), or HSL, HSV, YUV of RGB / `scales`.
+        base: (N, 3) base colors in the variant's space: RGB (not clipped), or HSL, HSV, YUV of RGB / `scales`.
         scales: (N,) > 0; what RGB was divided by to fit its space. 1 for variants whose space is RGB.
-        axes: (N, num_axes, 3) unit RGB directions along which terms move the colour.
+        axes: (N, num_axes, 3) unit RGB directions along which terms move the color.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in the order to be sent.
         functions: (T,) uint8, index into the variant's functions.
-        centers: (T, 2) polar angle and azimuth of the centre, radians.
+        centers: (T, 2) polar angle and azimuth of the center, radians.
         decays: (T,) lambda of equation 3, > 0.
         intensities: (T, I), I as the variant has it.
 
@@ -122,10 +122,10 @@ class SrbfColors:
 
     @classmethod
     def without_terms(cls, rgb: ArrayLike) -> SrbfColors:
-        """Colours that do not depend on direction, as the `rgb` variant.
+        """Colors that do not depend on direction, as the `rgb` variant.
 
         Args:
-            rgb: (N, 3) colours.
+            rgb: (N, 3) colors.
         """
         base = _check.floats("rgb", rgb, ("N", 3))
         n = len(base)
@@ -182,7 +182,7 @@ class SrbfColors:
         return np.asarray(np.einsum("ti,tic->tc", self.intensities, self.axes[ids]))
 
     def __getitem__(self, index: Any) -> SrbfColors:
-        """The colours of the Gaussians at a slice, a mask, an index array, or one integer."""
+        """The colors of the Gaussians at a slice, a mask, an index array, or one integer."""
         if isinstance(index, int | np.integer):
             index = np.asarray([index])
         chosen = np.arange(len(self))[index]
@@ -213,7 +213,7 @@ class SrbfColors:
         )  # fmt: skip
 
     def first(self, count: int) -> SrbfColors:
-        """The first terms of each Gaussian: 0 leaves the base colours, more refine them.
+        """The first terms of each Gaussian: 0 leaves the base colors, more refine them.
 
         Args:
             count: Terms to keep for each Gaussian at most.

@@ -1,6 +1,6 @@
-"""Scenes with SRBF colours as one Arrow file: a row a Gaussian, its terms a list in that row.
+"""Scenes with SRBF colors as one Arrow file: a row a Gaussian, its terms a list in that row.
 
-Any Arrow client reads it. Floats are exact; quantised colours are the integers of `QuantisedColors`, and the header has
+Any Arrow client reads it. Floats are exact; quantized colors are the integers of `QuantizedColors`, and the header has
 what their tables are made of. Frame and units are the scene's own. `gsvis.files.arrow` is what guards the bytes.
 """
 
@@ -17,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gsvis.color.evaluate import evaluate_along
-from gsvis.color.records import Grids, Precision, QuantisedColors, has_scales, quantise
+from gsvis.color.records import Grids, Precision, QuantizedColors, has_scales, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import VARIANTS, Variant
 from gsvis.errors import FormatError
@@ -46,9 +46,9 @@ class SrbfInfo:
         variant: One of `VARIANTS`.
         gaussians: N.
         terms: T.
-        scene: `scene_hash` of the scene that was saved, with the SH colours it had then.
-        grids: What integers point into; None where colours are floats.
-        provenance: How the colours came about, as given to `save_srbf`.
+        scene: `scene_hash` of the scene that was saved, with the SH colors it had then.
+        grids: What integers point into; None where colors are floats.
+        provenance: How the colors came about, as given to `save_srbf`.
         nbytes: Size of the file.
     """
 
@@ -64,35 +64,35 @@ class SrbfInfo:
 def save_srbf(
     path: str | os.PathLike[str],
     g: Gaussians,
-    colors: SrbfColors | QuantisedColors,
+    colors: SrbfColors | QuantizedColors,
     *,
     precision: Precision | str | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the geometry of a scene and its SRBF colours; the file appears whole or not at all.
+    """Write the geometry of a scene and its SRBF colors; the file appears whole or not at all.
 
     Args:
         path: The file, `.arrow` by custom.
-        g: N Gaussians. Their SH colours are not kept; their hash is.
-        colors: Of the same N Gaussians, floats or quantised already.
-        precision: Quantise first, as `quantise` does; None keeps all floats exact.
+        g: N Gaussians. Their SH colors are not kept; their hash is.
+        colors: Of the same N Gaussians, floats or quantized already.
+        precision: Quantize first, as `quantize` does; None keeps all floats exact.
         provenance: Anything that JSON can say, to be kept with the file.
 
     Raises:
-        ValueError: If the numbers of Gaussians differ, colours are to be quantised twice, or `provenance` is no JSON.
+        ValueError: If the numbers of Gaussians differ, colors are to be quantized twice, or `provenance` is no JSON.
         OSError: If the file cannot be written.
     """
     if len(g) != len(colors):
         raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
     if precision is not None:
-        if isinstance(colors, QuantisedColors):
-            raise ValueError(f"precision: expected None for quantised colours, got {precision!r}; quantise them once")
-        colors = quantise(colors, precision)
+        if isinstance(colors, QuantizedColors):
+            raise ValueError(f"precision: expected None for quantized colors, got {precision!r}; quantize them once")
+        colors = quantize(colors, precision)
     try:
         kept = json.loads(json.dumps(dict(provenance or {}), allow_nan=False))
     except (TypeError, ValueError) as error:
         raise ValueError(f"provenance: expected what JSON can say, got {error}") from error
-    grids = colors.grids if isinstance(colors, QuantisedColors) else None
+    grids = colors.grids if isinstance(colors, QuantizedColors) else None
     kind = VARIANTS[grids.variant] if grids else VARIANTS[colors.variant]  # type: ignore[union-attr]
     header = {
         "format": FORMAT,
@@ -101,7 +101,7 @@ def save_srbf(
         "gaussians": len(colors),
         "terms": colors.num_terms,
         "scene": scene_hash(g),
-        "quantised": None if grids is None else asdict(grids),
+        "quantized": None if grids is None else asdict(grids),
         "provenance": kept,
     }
     columns = _schema(kind, grids)
@@ -115,8 +115,8 @@ def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
         path: The file.
 
     Returns:
-        The Gaussians, of SH degree 0: their sh0 is the base colour in RGB, so that a viewer that knows no SRBF shows
-        the scene without its view dependence. And the colours, dequantised where the file has integers.
+        The Gaussians, of SH degree 0: their sh0 is the base color in RGB, so that a viewer that knows no SRBF shows
+        the scene without its view dependence. And the colors, dequantized where the file has integers.
 
     Raises:
         FormatError: If the file is no such file, of a newer version, cut, damaged, or its values contradict each other.
@@ -185,7 +185,7 @@ def _many(kind: pa.DataType, length: int) -> pa.DataType:
     return pa.list_(pa.field("item", kind, nullable=False), length)
 
 
-def _batches(g: Gaussians, colors: SrbfColors | QuantisedColors, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+def _batches(g: Gaussians, colors: SrbfColors | QuantizedColors, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for start in range(0, len(g), ROWS):
         rows = slice(start, min(start + ROWS, len(g)))
         offsets = colors.offsets[rows.start : rows.stop + 1]
@@ -273,8 +273,8 @@ def _colors(
     intensities = columns["terms.intensities"].reshape(t, kind.intensities)
     if grids is None:
         return SrbfColors(kind.name, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
-    packed = QuantisedColors(grids, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
-    return packed.dequantised()
+    packed = QuantizedColors(grids, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
+    return packed.dequantized()
 
 
 def _info(file: ArrowFile) -> SrbfInfo:
@@ -287,32 +287,32 @@ def _info(file: ArrowFile) -> SrbfInfo:
         header.integer("gaussians", 0, _MOST),
         header.integer("terms", 0, _MOST),
         scene,
-        grids_of(header.child("quantised"), name) if "quantised" in header else None,
+        grids_of(header.child("quantized"), name) if "quantized" in header else None,
         header.child("provenance").value,
         file.nbytes,
     )
 
 
-def grids_of(quantised: Fields, name: str) -> Grids:
+def grids_of(quantized: Fields, name: str) -> Grids:
     """The tables that a JSON object of `asdict(grids)` describes, for a variant.
 
     Raises:
         FormatError: If they are no tables.
     """
-    bits = quantised.child("precision")
+    bits = quantized.child("precision")
     label = bits.text("name")
-    base = quantised.items("base", 3)
+    base = quantized.items("base", 3)
     try:
         precision = Precision(label[:100], *(bits.integer(f.name, 2, 16) for f in fields(Precision)[1:]))
-        ranges = [Fields(quantised.path, "base", {"range": pair}).numbers("range", 2).tolist() for pair in base]
-        scales, decays = (quantised.numbers(key, 2).tolist() for key in ("scales", "decays"))
+        ranges = [Fields(quantized.path, "base", {"range": pair}).numbers("range", 2).tolist() for pair in base]
+        scales, decays = (quantized.numbers(key, 2).tolist() for key in ("scales", "decays"))
         return Grids(
             name,
             precision,
             tuple((low, high) for low, high in ranges),  # type: ignore[arg-type]
             (scales[0], scales[1]),
             (decays[0], decays[1]),
-            quantised.number("intensity"),
+            quantized.number("intensity"),
         )
     except ValueError as error:
-        raise FormatError(quantised.path, "quantised", "ranges of tables", str(error)) from error
+        raise FormatError(quantized.path, "quantized", "ranges of tables", str(error)) from error

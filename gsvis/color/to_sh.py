@@ -1,4 +1,4 @@
-"""SRBF colours back to spherical harmonics, for viewers that know nothing else: least squares, and what it loses.
+"""SRBF colors back to spherical harmonics, for viewers that know nothing else: least squares, and what it loses.
 
 Directions run from the eye to the Gaussian, scene frame; `towards_gaussian` turns those of a direction set round.
 """
@@ -23,7 +23,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _NUMBERS = 2_000_000
-"""Values of colours held at a time."""
+"""Values of colors held at a time."""
 
 _LEAST_RIDGE = 1e-6  # of the fit over all directions, which ought to cover the sphere
 
@@ -51,7 +51,7 @@ def to_sh(
     ridge: float = 1e-2,
     progress: Progress = silent,
 ) -> FittedSh:
-    """SH coefficients whose colours come closest to SRBF colours, by weighted least squares.
+    """SH coefficients whose colors come closest to SRBF colors, by weighted least squares.
 
     Args:
         colors: N Gaussians.
@@ -65,14 +65,14 @@ def to_sh(
         progress: Called with stage "harmonics".
 
     Returns:
-        Coefficients and losses; both colours are cut off below at 0 before they are compared.
+        Coefficients and losses; both colors are cut off below at 0 before they are compared.
 
     Raises:
         ValueError: If a shape is wrong, a value is not finite or out of its range.
 
     Examples:
-        >>> grey = SrbfColors.without_terms([[0.5, 0.5, 0.5]])
-        >>> [part.shape for part in to_sh(grey, sh_degree=1)]
+        >>> gray = SrbfColors.without_terms([[0.5, 0.5, 0.5]])
+        >>> [part.shape for part in to_sh(gray, sh_degree=1)]
         [(1, 1, 3), (1, 3, 3), (1,)]
     """
     if not isinstance(colors, SrbfColors):
@@ -92,7 +92,7 @@ def to_sh(
     for first in range(0, n, step):
         part = slice(first, min(first + step, n))
         seen = evaluate_along(colors[part], points)
-        # Differences from the first direction: of a constant colour they are 0, and so is all that varies.
+        # Differences from the first direction: of a constant color they are 0, and so is all that varies.
         apart = seen - seen[:, :1]
         found, chosen = _per_channel(apart, everywhere), np.broadcast_to(shared, (len(seen), d))
         if own is not None:

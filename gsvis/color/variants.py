@@ -1,7 +1,7 @@
-"""The ways to split a colour into a base and functions of direction that spherical radial basis functions describe.
+"""The ways to split a color into a base and functions of direction that spherical radial basis functions describe.
 
-A variant names the space its base colour lives in, its functions, and how many intensities a term of each has. Terms
-add to the base in that space; then the colour goes back to RGB. Table 3 of the paper and our own, side by side.
+A variant names the space its base color lives in, its functions, and how many intensities a term of each has. Terms
+add to the base in that space; then the color goes back to RGB. Table 3 of the paper and our own, side by side.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ __all__ = ["DEFAULT_VARIANT", "VARIANTS", "Variant", "variant"]
 
 @dataclass(frozen=True)
 class Variant:
-    """How base and terms make a colour.
+    """How base and terms make a color.
 
     Attributes:
         name: As given to `fit_srbf`.
-        space: Space of the base colour and of what terms add to it: "rgb", "hsl", "hsv" or "yuv".
+        space: Space of the base color and of what terms add to it: "rgb", "hsl", "hsv" or "yuv".
         functions: Names of the functions that terms belong to.
         intensities: Numbers that a term carries: 1, or one for each axis or channel that shares it.
         components: For each function, the component of the space that it multiplies: f = ref * (1 + sum of terms);
             empty where terms add instead.
-        num_axes: Colour axes stored with each Gaussian, along which terms add.
+        num_axes: Color axes stored with each Gaussian, along which terms add.
     """
 
     name: str
@@ -51,7 +51,7 @@ VARIANTS: dict[str, Variant] = {
 """All variants by name: the paper's first, then ours.
 
 `hsl` fixes hue, `hsl-l` hue and saturation, `hsv` hue and saturation, `yuv` both chroma components (paper, table 3).
-`axis` lets terms move the colour along the first principal direction of its RGB values over the visible directions;
+`axis` lets terms move the color along the first principal direction of its RGB values over the visible directions;
 `axes` along the first two, each term with an intensity for either; `axes-split` has terms of its own for each of the
 two; `rgb` gives each term an RGB intensity and needs no axes.
 """

@@ -1,6 +1,6 @@
-"""Hidden point removal for Gaussians: extent, orientation and opacity count, not only centres.
+"""Hidden point removal for Gaussians: extent, orientation and opacity count, not only centers.
 
-A Gaussian takes a part of the light over a part of the sky. So the points that are flipped are not centres but the
+A Gaussian takes a part of the light over a part of the sky. So the points that are flipped are not centers but the
 places at which light is spent, one in each cell of a cubemap around the eye, and a Gaussian is visible when its nearest
 point lies in front of the hull of these. World frame, scene units.
 """
@@ -37,7 +37,7 @@ class OcclusionHull:
     Attributes:
         viewpoint: (3,) the eye.
         size: Cells along a side of the cubemap's faces.
-        depths: (6 size^2,) distance to which the eye sees in the direction of each cell's centre; `inf` where light is
+        depths: (6 size^2,) distance to which the eye sees in the direction of each cell's center; `inf` where light is
             never spent. Cells lie row by row, faces in the order +x, -x, +y, -y, +z, -z.
         gaussians: The scene.
     """
@@ -56,7 +56,7 @@ class OcclusionHull:
         """Where light is spent around an eye.
 
         Each Gaussian adds its optical thickness to the cells it covers, at its depth: small ones by their solid angle,
-        larger ones by their alpha on the ray through the cell's centre. The depth at which the transmittance of a
+        larger ones by their alpha on the ray through the cell's center. The depth at which the transmittance of a
         cell falls to `spent` is its occluding point. These points are flipped exponentially, d -> d^gamma with gamma
         slightly below 0 (a spherical flip would serve near and far unequally), and the hull of the flips says how far
         the eye sees. It bridges gaps narrower than `margin` allows and never hides a cell's own occluding point.
@@ -66,7 +66,7 @@ class OcclusionHull:
             viewpoint: (3,) the eye; it may lie inside Gaussians, which then dim every direction.
             size: Cells along a side of the cubemap's faces, 4 to 256.
             spent: Transmittance in (0, 1) that counts as none.
-            margin: How far the hull of points at one distance may lie behind them between neighbouring cells, as a
+            margin: How far the hull of points at one distance may lie behind them between neighboring cells, as a
                 share of the distance, in (0, 1]. It plays the part of the radius of the spherical flip.
 
         Raises:
@@ -119,7 +119,7 @@ class OcclusionHull:
 
         Returns:
             (M,) distance of the nearest point where alpha reaches 1/255 over the distance to which the eye sees there,
-            the smallest over the centre and, for large ones, the ends of the axes. Visible up to 1; the farther above,
+            the smallest over the center and, for large ones, the ends of the axes. Visible up to 1; the farther above,
             the surer hidden. 0 around the eye, `inf` for Gaussians too faint to be seen.
 
         Raises:
@@ -190,7 +190,7 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
 def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     """The distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
 
-    Where light never ends, the sky is flipped. It lies 1000 times as far as the farthest of the centres, at `distances`
+    Where light never ends, the sky is flipped. It lies 1000 times as far as the farthest of the centers, at `distances`
     (N,) from the eye, and not at a multiple of the deepest end of light: more opacity moves that, and a sky that comes
     nearer shows more.
     """
@@ -198,7 +198,7 @@ def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     if len(away) == 0 or not depths[np.isfinite(depths)].any():  # nobody asks, open everywhere, or an eye in the dark
         return depths
     directions = np.empty((len(depths), 3))
-    _kernels.centres_of_cells(size, directions)
+    _kernels.centers_of_cells(size, directions)
     gamma = -((np.pi / (2.0 * size)) ** 2) / (8.0 * margin)
     sky = 1e3 * float(away.max())
     dark = 1e-6 * float(np.median(away))  # how far an eye sees in the dark; 0 cannot be flipped

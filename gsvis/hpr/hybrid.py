@@ -1,7 +1,7 @@
 """The z-buffer and hidden point removal together: what one eye sees (paper, section 6.2). World frame, scene units.
 
 The z-buffer says how much light reaches each Gaussian, at the size of its pixels. Where that leaves doubt - a Gaussian
-that light reaches, though no pixel centre shows enough of it - the hull of the places at which light ends decides: in
+that light reaches, though no pixel center shows enough of it - the hull of the places at which light ends decides: in
 front of it the Gaussian lies on a surface that the eye sees, behind it in the depth of one.
 """
 

@@ -41,7 +41,7 @@ def hidden_point_removal_reference(
 def look_around_reference(
     g: Gaussians, viewpoint: NDArray[np.float64], size: int, spent: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Every Gaussian splatted on every pixel of the six faces, nearest centre first.
+    """Every Gaussian splatted on every pixel of the six faces, nearest center first.
 
     Args:
         g: N Gaussians, no two at one distance.
@@ -57,7 +57,7 @@ def look_around_reference(
     depths, left = np.full((6, size, size), np.inf), np.ones((6, size, size))
     toward = g.means.astype(np.float64) - viewpoint
     far = np.linalg.norm(toward, axis=1)
-    centres = np.arange(size) + 0.5
+    centers = np.arange(size) + 0.5
     for i in np.argsort(far):
         for face in range(6):
             axis = face // 2
@@ -71,7 +71,7 @@ def look_around_reference(
             focal = size / 2.0
             jacobian = focal / z * np.array([[1.0, 0.0, -tx], [0.0, 1.0, -ty]]) @ frame
             conic = np.linalg.inv(jacobian @ g.covars()[i] @ jacobian.T + 0.3 * np.eye(2))
-            dx, dy = np.meshgrid(centres - focal * (x / z + 1.0), centres - focal * (y / z + 1.0))
+            dx, dy = np.meshgrid(centers - focal * (x / z + 1.0), centers - focal * (y / z + 1.0))
             power = conic[0, 0] * dx * dx + 2.0 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
             alpha = g.opacities[i] * np.exp(-0.5 * power)
             alpha = np.where(alpha >= 1.0 / 255.0, np.minimum(alpha, 0.999), 0.0)

@@ -128,7 +128,7 @@ class Seen:
 
     Attributes:
         ids: (K,) int64, rising: the Gaussians that some light reaches.
-        weights: (K,) float32, largest weight of each over the pixel centres.
+        weights: (K,) float32, largest weight of each over the pixel centers.
         light: (K,) float32, largest transmittance in front of each, over the pixels it covers; opacity times this is
             the weight its peak would have there.
         zbuffer: Where the light ends.
@@ -166,7 +166,7 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     light[:, :, size:] = 0.0
     depths = np.full((6, size, size), np.inf, np.float32)
     ids, values, counts = np.empty((6, rows), np.int32), np.empty((6, rows, 2), np.float32), np.zeros(6, np.int64)
-    # Threads take neighbours of the six: each half gets full and empty faces.
+    # Threads take neighbors of the six: each half gets full and empty faces.
     crowd = np.argsort([-np.count_nonzero(masks & np.uint8(1 << face)) for face in range(6)], kind="stable")
     work = crowd[[0, 3, 4, 1, 2, 5]], spent, light, depths, ids, values, counts
     kernels.splat_faces(splats.near, splats.covars, at, size, masks, distances.view(np.uint32), *work)
@@ -202,7 +202,7 @@ def _in_order(g: Gaussians, ids: I64) -> I64:
 
 
 def _spread(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The 21 bits of each value, two zeros between neighbours."""
+    """The 21 bits of each value, two zeros between neighbors."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

@@ -61,7 +61,7 @@ def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) ->
 
 
 def sh0_from_rgb(rgb: NDArray[np.floating[Any]]) -> F32:
-    """(N, 1, 3) constant coefficients of (N, 3) base colours, 0 to 1."""
+    """(N, 1, 3) constant coefficients of (N, 3) base colors, 0 to 1."""
     with np.errstate(over="ignore"):  # the infinity that comes of an enormous color is refused later
         return ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None, :]
 

@@ -1,4 +1,4 @@
-"""One plane of a SOG scene: a lossless WebP image whose bytes are data, not colour.
+"""One plane of a SOG scene: a lossless WebP image whose bytes are data, not color.
 
 The size is read from the file's own header and checked before a pixel is decoded, so an image that would unpack to
 gigabytes is refused. This module knows no meta data.

@@ -1,6 +1,6 @@
 """COLMAP sparse models, binary and text: the cameras, images and points of a folder.
 
-Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centres lie at +0.5, as everywhere in
+Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centers lie at +0.5, as everywhere in
 gsvis. Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Tracks are skipped.
 """
 

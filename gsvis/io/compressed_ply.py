@@ -1,7 +1,7 @@
 """PlayCanvas compressed PLY: 16 bytes a Gaussian, in chunks of 256 with their own value ranges.
 
 Elements `chunk` (float minima and maxima), `vertex` (four packed uints) and optionally `sh` (one byte a coefficient,
-channel by channel as in INRIA PLY). Older files have no colour range; their colours lie in [0, 1].
+channel by channel as in INRIA PLY). Older files have no color range; their colors lie in [0, 1].
 """
 
 from __future__ import annotations

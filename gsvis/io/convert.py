@@ -30,7 +30,7 @@ def convert_scene(
 
     Args:
         scene: What to convert; stays as it is.
-        crop: (2, 3) lowest and highest corner of a box in the frame of `scene`; Gaussians whose centre lies in it,
+        crop: (2, 3) lowest and highest corner of a box in the frame of `scene`; Gaussians whose center lies in it,
             borders included, are kept. Infinite corners leave a side open.
         min_opacity: Gaussians of at least this opacity are kept, in [0, 1].
         max_sh_degree: Higher degrees of the spherical harmonics are dropped, 0 to 3.
@@ -106,8 +106,8 @@ def _axis(name: str, axis: str) -> NDArray[np.float64]:
 
 
 def _extent(scene: Gaussians) -> str:
-    """Where the centres and opacities of a scene lie, for an error message."""
+    """Where the centers and opacities of a scene lie, for an error message."""
     if len(scene) == 0:
         return "the scene was empty before"
     low, high = (np.round(corner, 3).tolist() for corner in scene.bounds())
-    return f"98% of the centres lie in {low} to {high}, opacities reach {scene.opacities.max():.3g}"
+    return f"98% of the centers lie in {low} to {high}, opacities reach {scene.opacities.max():.3g}"

@@ -1,6 +1,6 @@
 """EyeNavGS recordings: head poses of people walking through 3DGS scenes with a headset (`user101_room.csv`).
 
-A row is one eye of one frame; `scene_setting.csv` has the tilt and the scale of each scene. What comes out is in metres
+A row is one eye of one frame; `scene_setting.csv` has the tilt and the scale of each scene. What comes out is in meters
 with +y up, x and z level, the head in OpenCV axes.
 
 Two groups published recordings. The first (Rutgers) ends rows with `Timestamp`, gaze position before gaze rotation; the
@@ -16,7 +16,7 @@ The axes, which the data set does not state, follow from the 44 recordings of th
 
 - Positions and quaternions (xyzw) are world from head, in a right-handed frame. The right eye lies at +x of the left
   in the head's axes, by 120 to 138 mm in room (scale 2) and 45 to 53 mm in truck (scale 0.76), constant to a
-  millimetre within a recording: +x is right, and metres are `position / Scale`, as pupils are 59 to 70 mm apart.
+  millimeter within a recording: +x is right, and meters are `position / Scale`, as pupils are 59 to 70 mm apart.
   In the second group it is 70 mm in every recording, by its own scales.
 - Turned by the scene's quaternion, the head's +y is up: its mean lies within 20 degrees of world +y in every recording.
 - People walk forwards and look ahead: -z of the head agrees with the direction of walking (mean cosine 0.4) and with
@@ -77,7 +77,7 @@ class SceneSetting:
 
     Attributes:
         quat: xyzw rotation that levels the scene: raw frame to one with +y up.
-        scale: Raw units in a metre.
+        scale: Raw units in a meter.
     """
 
     quat: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
@@ -98,7 +98,7 @@ def read_eyenav(path: str | os.PathLike[str], setting: SceneSetting | None = Non
             folders above, for the scene in the file's name (`user101_room.csv`), or the folder's.
 
     Returns:
-        The head's path in metres, up +y, from time 0. Stamps that do not rise are dropped.
+        The head's path in meters, up +y, from time 0. Stamps that do not rise are dropped.
 
     Raises:
         FileNotFoundError: If there is no file.
@@ -152,7 +152,7 @@ def path_of_recording(table: Table, setting: SceneSetting | None = None) -> Head
         heads @ level.T / setting.scale,
         quats_from_rotations(rotations),
         up=np.array([0.0, 1.0, 0.0]),
-        metres_per_unit=1.0,
+        meters_per_unit=1.0,
     )
 
 

@@ -1,6 +1,6 @@
-"""Coloured points from the files people have: COLMAP's `points3D`, PLY, and the PLY that a `transforms.json` names.
+"""Colored points from the files people have: COLMAP's `points3D`, PLY, and the PLY that a `transforms.json` names.
 
-Positions come out in the frame of the file, which is that of the cameras beside it; colours are sRGB in [0, 1].
+Positions come out in the frame of the file, which is that of the cameras beside it; colors are sRGB in [0, 1].
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
             `transforms.json` with `ply_file_path`, or its folder.
 
     Returns:
-        The points in file order; mid-grey where a PLY has no colours. A file may hold none.
+        The points in file order; mid-gray where a PLY has no colors. A file may hold none.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
@@ -123,7 +123,7 @@ def _read_ply(header: PlyHeader, stream: BufferedReader) -> PointCloud:
 
 
 def _white(header: PlyHeader, vertex: Element) -> float | None:
-    """The value of white in the colours of a PLY; None where it has none."""
+    """The value of white in the colors of a PLY; None where it has none."""
     assert vertex.row is not None
     have = [name for name in _COLORS if name in vertex.properties]
     if not have:
@@ -137,7 +137,7 @@ def _white(header: PlyHeader, vertex: Element) -> float | None:
 
 
 def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colors: F32) -> None:
-    """Refuse what is no position or no colour, and say where it stands.
+    """Refuse what is no position or no color, and say where it stands.
 
     Args:
         header: Of the file.
@@ -158,7 +158,7 @@ def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colo
     if outside.any():
         row = int(outside.argmax())
         told = " ".join(f"{x:g}" for x in colors[row])
-        raise FormatError(header.path, where(row), "colours from 0 to white (1 where they are floats)", told)
+        raise FormatError(header.path, where(row), "colors from 0 to white (1 where they are floats)", told)
 
 
 def _not_finite(means: NDArray[Any]) -> int | None:

@@ -36,7 +36,7 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
         path: A plain pose file (`read_poses`) or an EyeNavGS recording (`read_eyenav`), gzipped or not.
 
     Returns:
-        The path; `up` and `metres_per_unit` are set where the format states them.
+        The path; `up` and `meters_per_unit` are set where the format states them.
 
     Raises:
         FileNotFoundError: If there is no file.
@@ -66,7 +66,7 @@ def write_poses(poses: HeadPath, path: str | os.PathLike[str]) -> None:
     """Write a path as a plain pose file, whole or not at all; reading it gives the same numbers back.
 
     Args:
-        poses: The path. Its `up` and `metres_per_unit` have no place in the file.
+        poses: The path. Its `up` and `meters_per_unit` have no place in the file.
         path: The file; gzipped where its name ends in `.gz`.
     """
     values = np.column_stack([poses.times, poses.positions, poses.quats])

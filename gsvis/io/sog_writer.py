@@ -1,7 +1,7 @@
 """Writing SOG version 2: WebP planes in a stored zip, the higher SH as a palette found by clustering.
 
 Lossy: 16 bits a coordinate on a logarithmic scale, 8 bits a quaternion component and opacity, 256 values for all
-scales and for all colours, up to 65,536 sets of higher coefficients. The order of the Gaussians is kept.
+scales and for all colors, up to 65,536 sets of higher coefficients. The order of the Gaussians is kept.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.files.atomic import atomic_path
-from gsvis.io._quantise import codebook_of, nearest_entry, palette_of
+from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
 from gsvis.scene.gaussians import Gaussians
 

@@ -1,6 +1,6 @@
 """SPZ, Niantic's compressed scenes, versions 1 to 4, read and written.
 
-Six byte streams (positions, alphas, colours, scales, rotations, SH) behind a header: one gzip stream up to version 3,
+Six byte streams (positions, alphas, colors, scales, rotations, SH) behind a header: one gzip stream up to version 3,
 one zstd stream each from version 4 on. The file's frame is right-up-back; gsvis reads and writes it as the
 right-down-front frame that the same scene has in a PLY, a half turn about x.
 """
@@ -251,7 +251,7 @@ def _smallest_three(stream: U8) -> F32:
 def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = False) -> None:
     """Write an SPZ file, version 4, whole or not at all.
 
-    Lossy: a byte a value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant colour within
+    Lossy: a byte a value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant color within
     +-3.3. Coordinates have 24 bits, up to 16 of them behind the point, as many as the extent leaves.
 
     Args:

@@ -79,10 +79,10 @@ def _intrinsics(
         focal_y = _focal(path, where, height, number("camera_angle_y")) if "camera_angle_y" in values else focal_x
     if focal_x is None or focal_y is None:
         raise FormatError(path, where, "fl_x or camera_angle_x", "neither")
-    centre_x, centre_y = number("cx"), number("cy")
-    centre = [width / 2 if centre_x is None else centre_x, height / 2 if centre_y is None else centre_y]
+    center_x, center_y = number("cx"), number("cy")
+    center = [width / 2 if center_x is None else center_x, height / 2 if center_y is None else center_y]
     pixels = (int(width), int(height))
-    return pinhole(path, where, np.array([focal_x, focal_y]), np.array(centre), pixels), pixels
+    return pinhole(path, where, np.array([focal_x, focal_y]), np.array(center), pixels), pixels
 
 
 def _focal(path: Path, where: str, side: float, angle: float | None) -> float | None:

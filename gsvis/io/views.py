@@ -1,6 +1,6 @@
 """Posed images as a file lists them: names, poses, intrinsics and sizes, checked once for all camera formats.
 
-OpenCV axes, camera from world, intrinsics in pixels with centres at +0.5. A file may mix image sizes, `Cameras`
+OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, `Cameras`
 may not: the change from one to the other happens here. This module knows no format.
 """
 
@@ -71,7 +71,7 @@ class Views:
             raise FormatError(self.path, "", "usable cameras", str(error)) from error
 
 
-def pinhole(path: Path_, where: str, focals: F64, centre: F64, size: tuple[int, int]) -> F64:
+def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, int]) -> F64:
     """(3, 3) intrinsics of two focal lengths and a principal point, all in pixels of an image of `size`.
 
     Raises:
@@ -81,9 +81,9 @@ def pinhole(path: Path_, where: str, focals: F64, centre: F64, size: tuple[int, 
         raise FormatError(path, where, f"an image size of 1 to {MAX_SIDE} pixels", f"{size[0]!s:.20} x {size[1]!s:.20}")
     if not (np.isfinite(focals).all() and focals.min() > 0):
         raise FormatError(path, where, "focal lengths > 0", " ".join(f"{f:g}" for f in focals))
-    if not np.isfinite(centre).all():
-        raise FormatError(path, where, "a finite principal point", " ".join(f"{c:g}" for c in centre))
-    return np.array([[focals[0], 0.0, centre[0]], [0.0, focals[1], centre[1]], [0.0, 0.0, 1.0]])
+    if not np.isfinite(center).all():
+        raise FormatError(path, where, "a finite principal point", " ".join(f"{c:g}" for c in center))
+    return np.array([[focals[0], 0.0, center[0]], [0.0, focals[1], center[1]], [0.0, 0.0, 1.0]])
 
 
 def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64:

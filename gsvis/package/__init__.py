@@ -1,7 +1,7 @@
 """The streamable container: a scene as records in parts of bounded size, each named by its content.
 
-levels = in_package_order(levels)          # before visible sets, colours and active terms are built for its union
-write_package("scene.gsvis", levels, quantise(colors), visibility="scene.pvs", active_terms="scene.terms.arrow")
+levels = in_package_order(levels)          # before visible sets, colors and active terms are built for its union
+write_package("scene.gsvis", levels, quantize(colors), visibility="scene.pvs", active_terms="scene.terms.arrow")
 with Package.open("scene.gsvis") as package:
     some = package.contents.gaussians([4, 8, 15])
 """

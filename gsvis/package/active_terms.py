@@ -65,12 +65,12 @@ class ActiveTermsInfo:
         cells: C.
         terms: T of the whole scene.
         gaussians: N.
-        variant: How the colours are split.
+        variant: How the colors are split.
         epsilon: Contribution above which a term is active.
         provenance: Where epsilon comes from.
         weighted: Whether contributions were multiplied by blending weights.
         scene: `scene_hash` of the scene.
-        colors: `colors_hash` of the colours.
+        colors: `colors_hash` of the colors.
         sets: `sets_hash` of the visible sets.
     """
 
@@ -143,7 +143,7 @@ class ActiveTerms:
         Args:
             path: The file.
             scene: The scene it should belong to, compared by content; None compares nothing. So with the other two.
-            colors: Its colours.
+            colors: Its colors.
             sets: Its visible sets.
 
         Raises:
@@ -159,7 +159,7 @@ class ActiveTerms:
         return store
 
     def close(self) -> None:
-        """Let go of the file; no query works afterwards."""
+        """Let go of the file; no query works afterward."""
         with self._lock:
             self._held, self._stream = None, None
             self._messages.clear()
@@ -225,7 +225,7 @@ class ActiveTerms:
         """
         for name, told, made, given in (
             ("scene", "scene", self.info.scene, None if scene is None else scene_hash(scene)),
-            ("colors", "colours", self.info.colors, None if colors is None else colors_hash(colors)),
+            ("colors", "colors", self.info.colors, None if colors is None else colors_hash(colors)),
             ("sets", "visible sets", self.info.sets, None if sets is None else sets_hash(sets)),
         ):
             if given is not None and given != made:
@@ -387,7 +387,7 @@ def _groups(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[list[tu
 
 
 def colors_hash(colors: SrbfColors) -> str:
-    """SHA-256 over variant, base colours and terms, as 64 hexadecimal digits."""
+    """SHA-256 over variant, base colors and terms, as 64 hexadecimal digits."""
     digest = hashlib.sha256(b"gsvis colors 1\n%s\n" % colors.variant.encode())
     for name in ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities"):
         array = np.ascontiguousarray(getattr(colors, name))

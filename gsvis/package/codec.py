@@ -34,7 +34,7 @@ STEP = 1.0 / 16.0
 SPREAD = 10 * 64
 """By how many 1/64 octaves the largest scales of two Gaussians of a chunk may differ."""
 
-_CUT_PLACES = (1 << 13) - 1  # of the layout with the fewest bits: chunks do not depend on the variant of colours
+_CUT_PLACES = (1 << 13) - 1  # of the layout with the fewest bits: chunks do not depend on the variant of colors
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
 
@@ -124,7 +124,7 @@ class Geometry(NamedTuple):
 
 
 def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0) -> I64:
-    """(C,) the first of each chunk of Gaussians in their order, in which neighbours ought to be near each other.
+    """(C,) the first of each chunk of Gaussians in their order, in which neighbors ought to be near each other.
 
     Args:
         g: N Gaussians.
@@ -187,7 +187,7 @@ def encode_records(
 
     Args:
         g: N Gaussians.
-        colors: (N, 3) uint8 base colours as places in their tables, or (N, 4) with the scale of the colour.
+        colors: (N, 3) uint8 base colors as places in their tables, or (N, 4) with the scale of the color.
         table: Chunks that hold these Gaussians.
         layout: How the bits are used.
         chunks: (N,) row of each; None means that the Gaussians are those of the table, in order.
@@ -245,7 +245,7 @@ def decode_records(
 
 
 def base_colors(records: U8, layout: RecordLayout) -> U8:
-    """(M, 3 or 4) base colours of records as places in their tables."""
+    """(M, 3 or 4) base colors of records as places in their tables."""
     return np.ascontiguousarray(records[:, 1 : layout.packed_from])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color.evaluate import evaluate_along
-from gsvis.color.records import Grids, QuantisedColors, has_scales
+from gsvis.color.records import Grids, QuantizedColors, has_scales
 from gsvis.package.codec import ChunkTable, base_colors, build_chunks, decode_records, encode_records
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.order import PackageOrder
@@ -41,8 +41,8 @@ class Contents:
         records: (N, 16) uint8.
         term_counts: (N,) uint8 terms of each Gaussian.
         term_records: (T, B) uint8, Gaussian by Gaussian, in the order to be sent.
-        axes: (N, 2 A) uint8 colour axes, which travel with the first term of a Gaussian; A is 0 for most variants.
-        grids: What base colours and terms point into.
+        axes: (N, 2 A) uint8 color axes, which travel with the first term of a Gaussian; A is 0 for most variants.
+        grids: What base colors and terms point into.
         starts: (P + 1,) where parts begin.
     """
 
@@ -57,12 +57,12 @@ class Contents:
     starts: I64
 
     @classmethod
-    def of(cls, levels: Levels, colors: QuantisedColors) -> Contents:
+    def of(cls, levels: Levels, colors: QuantizedColors) -> Contents:
         """Records of levels in the order of a package.
 
         Args:
             levels: As `in_package_order` gives them.
-            colors: Of their union, rounded with at most 8 bits for each part of the base colour ("wire", "coarse").
+            colors: Of their union, rounded with at most 8 bits for each part of the base color ("wire", "coarse").
 
         Raises:
             ValueError: If lengths or the order do not fit, or a Gaussian has more than 255 terms.
@@ -121,7 +121,7 @@ class Contents:
         return np.asarray(self.chunk_levels[self.chunks, 1])
 
     def gaussians(self, ids: ArrayLike | None = None) -> Gaussians:
-        """What records stand for, in SH degree 0: base colours and no terms.
+        """What records stand for, in SH degree 0: base colors and no terms.
 
         Args:
             ids: (M,) which; None means all.
@@ -139,13 +139,13 @@ class Contents:
         """All levels, decoded."""
         return Levels(self.gaussians(), self.first, self.last, self.names)
 
-    def colors(self) -> QuantisedColors:
-        """Base colours and all terms, as places in their tables."""
+    def colors(self) -> QuantizedColors:
+        """Base colors and all terms, as places in their tables."""
         n, base = len(self), base_colors(self.records, self.layout).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
         terms = decode_terms(self.term_records, self.grids)
         axes = self.axes.astype(np.uint16).reshape(n, self.grids.kind.num_axes, 2)
-        return QuantisedColors(self.grids, base[:, :3], scales, axes, self.term_offsets, *terms)
+        return QuantizedColors(self.grids, base[:, :3], scales, axes, self.term_offsets, *terms)
 
 
 def base_places(records: U8, grids: Grids) -> U8:
@@ -173,7 +173,7 @@ def base_rgb(records: U8, grids: Grids) -> F32:
     n, none = len(records), np.zeros(0, np.uint16)
     empty = none.reshape(0, grids.kind.intensities)
     offsets, axes = np.zeros(n + 1, np.int64), np.zeros((n, 0, 2), np.uint16)
-    flat = QuantisedColors(
+    flat = QuantizedColors(
         grids, base[:, :3], base[:, 3], axes, offsets, none.astype(np.uint8), none.reshape(0, 2), none, empty
     )
-    return np.ascontiguousarray(evaluate_along(flat.dequantised(), [[0.0, 0.0, 1.0]])[:, 0])
+    return np.ascontiguousarray(evaluate_along(flat.dequantized(), [[0.0, 0.0, 1.0]])[:, 0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gsvis.color.evaluate import Evaluator
-from gsvis.color.records import QuantisedColors
+from gsvis.color.records import QuantizedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.package.contents import Contents
 from gsvis.package.manifest import Cost
@@ -22,7 +22,7 @@ _CAP = 100.0
 def measure_cost(
     levels: Levels,
     exact: SrbfColors,
-    colors: QuantisedColors,
+    colors: QuantizedColors,
     cameras: Cameras,
     *,
     progress: Progress = silent,
@@ -31,7 +31,7 @@ def measure_cost(
 
     Args:
         levels: In the order of a package.
-        exact: Colours of the union before they were rounded.
+        exact: Colors of the union before they were rounded.
         colors: The same, rounded.
         cameras: C > 0 views.
         progress: Called with stage "cost", in views.
@@ -42,11 +42,11 @@ def measure_cost(
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one, got none")
     if len(exact) != len(levels.union):
-        raise ValueError(f"exact: expected colours of {len(levels.union):,} Gaussians, got {len(exact):,}")
+        raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
     contents = Contents.of(levels, colors)
     member = levels.member(len(levels) - 1)
     scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
-    shown = exact[member], contents.colors().dequantised()[member]
+    shown = exact[member], contents.colors().dequantized()[member]
     evaluators = [Evaluator(of) for of in shown]
     found = []
     progress("cost", 0, len(cameras))

@@ -1,7 +1,7 @@
-"""Where the bits of a record are: geometry and base colour of one Gaussian in 16 bytes, and one term in a few.
+"""Where the bits of a record are: geometry and base color of one Gaussian in 16 bytes, and one term in a few.
 
-A record of a Gaussian is, in this order: opacity and three components of the base colour, one byte each; the scale of
-the colour in one byte where the variant has one; then a little-endian string of bits, lowest first: for x, y and z in
+A record of a Gaussian is, in this order: opacity and three components of the base color, one byte each; the scale of
+the color in one byte where the variant has one; then a little-endian string of bits, lowest first: for x, y and z in
 turn the place in the chunk's box, a component of the quaternion, and the log-scale. A record of a term is one such
 string. docs/design/016-package.md says why. This module holds numbers only.
 """
@@ -19,7 +19,7 @@ from gsvis.color.variants import variant
 __all__ = ["RECORD_BYTES", "RecordLayout", "TermLayout"]
 
 RECORD_BYTES = 16
-"""Bytes of geometry and base colour of a Gaussian."""
+"""Bytes of geometry and base color of a Gaussian."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class RecordLayout:
         position: Bits of each coordinate in the box of the chunk.
         rotation: Bits of each of the three smaller components of the quaternion.
         scale: Bits of each log-scale.
-        color_scale: Whether a byte holds the scale of the colour.
+        color_scale: Whether a byte holds the scale of the color.
 
     Examples:
         >>> RecordLayout.of("rgb")
@@ -44,7 +44,7 @@ class RecordLayout:
 
     @classmethod
     def of(cls, name: str) -> RecordLayout:
-        """The layout for a variant of colours; those with a scale have fewer bits for the rest."""
+        """The layout for a variant of colors; those with a scale have fewer bits for the rest."""
         return cls(13, 8, 8, True) if has_scales(variant(name)) else cls(14, 9, 9, False)
 
     @property
@@ -64,7 +64,7 @@ class TermLayout:
 
     Attributes:
         function: Bits of the index of the function; 0 where a variant has one.
-        theta: Bits of the polar angle of the centre.
+        theta: Bits of the polar angle of the center.
         phi: Bits of its azimuth.
         decay: Bits of the decay.
         intensity: Bits of each intensity.
@@ -80,10 +80,10 @@ class TermLayout:
 
     @classmethod
     def of(cls, grids: Grids) -> TermLayout:
-        """The layout for colours that were rounded to these tables.
+        """The layout for colors that were rounded to these tables.
 
         Raises:
-            ValueError: If a term needs more than 64 bits, or a part of a base colour more than 8.
+            ValueError: If a term needs more than 64 bits, or a part of a base color more than 8.
         """
         p, kind = grids.precision, grids.kind
         function = (len(kind.functions) - 1).bit_length()

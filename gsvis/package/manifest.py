@@ -58,7 +58,7 @@ class PackageInfo:
 
     Attributes:
         up: (3,) unit axis that points upwards.
-        metres_per_unit: Size of a scene unit; 0 where nobody knows.
+        meters_per_unit: Size of a scene unit; 0 where nobody knows.
         cost: What rounding costs; None where it was not measured.
         provenance: Anything that JSON can say.
 
@@ -67,15 +67,15 @@ class PackageInfo:
     """
 
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    metres_per_unit: float = 0.0
+    meters_per_unit: float = 0.0
     cost: Cost | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         up = _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0]
         object.__setattr__(self, "up", tuple(float(v) for v in up))
-        if not 0.0 <= self.metres_per_unit < np.inf:
-            raise ValueError(f"metres_per_unit: expected a finite number >= 0, got {self.metres_per_unit!r}")
+        if not 0.0 <= self.meters_per_unit < np.inf:
+            raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
         try:
             kept = json.loads(json.dumps(dict(self.provenance), allow_nan=False))
         except (TypeError, ValueError) as error:
@@ -122,7 +122,7 @@ class Manifest:
         scene: `scene_hash` of the union before it was rounded; visible sets were built for it.
         names: Of the levels, lowest first.
         counts: Gaussians of each.
-        grids: What base colours and terms point into.
+        grids: What base colors and terms point into.
         tables: Parts with the rows of chunks, and how many rows each has.
         blocks: Gaussians and terms.
         visibility: The store of visible sets, or None.
@@ -177,12 +177,12 @@ class Manifest:
             "format": FORMAT,
             "version": VERSION,
             "up": list(self.info.up),
-            "metres_per_unit": self.info.metres_per_unit,
+            "meters_per_unit": self.info.meters_per_unit,
             "gaussians": self.gaussians,
             "terms": self.terms,
             "scene": self.scene,
             "levels": [{"name": name, "count": count} for name, count in zip(self.names, self.counts, strict=True)],
-            "quantisation": {
+            "quantization": {
                 "record": asdict(layout),
                 "term": asdict(TermLayout.of(self.grids)),
                 "colors": asdict(self.grids),
@@ -234,27 +234,27 @@ class Manifest:
 
     @classmethod
     def _of(cls, fields: Fields) -> Manifest:
-        scene, quantised = fields.text("scene"), fields.child("quantisation")
-        colors = quantised.child("colors")
+        scene, quantized = fields.text("scene"), fields.child("quantization")
+        colors = quantized.child("colors")
         name = colors.text("variant", VARIANTS)
         grids = grids_of(colors, name)
         for key, layout in (("record", RecordLayout.of(name)), ("term", TermLayout.of(grids))):
-            if quantised.raw(key) != asdict(layout):
+            if quantized.raw(key) != asdict(layout):
                 raise FormatError(
-                    fields.path, f"quantisation.{key}", f"{asdict(layout)}", repr(quantised.raw(key))[:200]
+                    fields.path, f"quantization.{key}", f"{asdict(layout)}", repr(quantized.raw(key))[:200]
                 )
         levels = _objects(fields, "levels")
         names = tuple(level.text("name")[:100] for level in levels)
         if not 1 <= len(names) <= 16 or len(set(names)) < len(names):
             raise FormatError(fields.path, "levels", "1 to 16 levels of different names", f"{names}"[:200])
-        cost = quantised.child("cost") if "cost" in quantised else None
+        cost = quantized.child("cost") if "cost" in quantized else None
         measured = None
         if cost is not None:
             sizes = (cost.integer(key, 1, _MOST) for key in ("views", "width", "height"))
             measured = Cost(cost.number("psnr"), cost.number("worst"), *sizes)
         up = fields.numbers("up", 3).tolist()
         info = PackageInfo(
-            (up[0], up[1], up[2]), fields.number("metres_per_unit"), measured, fields.child("provenance").value
+            (up[0], up[1], up[2]), fields.number("meters_per_unit"), measured, fields.child("provenance").value
         )
         found = cls(
             info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,

@@ -1,6 +1,6 @@
 """The order of a package: by level, then along a Morton curve, within a chunk by what is seen most; where parts begin.
 
-Gaussians that leave together with an upgrade stand together, and so do neighbours. The order depends on what the
+Gaussians that leave together with an upgrade stand together, and so do neighbors. The order depends on what the
 Gaussians are, never on how they came: a permutation changes nothing. Scene frame and units.
 """
 
@@ -34,7 +34,7 @@ class PackageOrder:
 
     Attributes:
         permutation: (N,) the Gaussians in the order of the package.
-        starts: (P + 1,) where its parts begin, and N: each a cell of the curve, or neighbouring ones of one parent, of
+        starts: (P + 1,) where its parts begin, and N: each a cell of the curve, or neighboring ones of one parent, of
             one first and last level, so that an edit changes the parts that it lies in and no others.
         chunks: (C,) where chunks begin.
     """
@@ -65,7 +65,7 @@ class PackageOrder:
 def in_package_order(levels: Levels) -> Levels:
     """The same levels with their union in the order of a package, which is what `write_package` takes.
 
-    Visible sets, colours and active terms are to be built for what this gives: ids are places in it.
+    Visible sets, colors and active terms are to be built for what this gives: ids are places in it.
 
     Args:
         levels: In any order.
@@ -88,7 +88,7 @@ def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: 
 
 
 def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
-    """Centre (3,) and half width of the curve's even part, rounded so that few edits change them."""
+    """Center (3,) and half width of the curve's even part, rounded so that few edits change them."""
     if len(g) == 0:
         return np.zeros(3), 1.0
     low, high = np.quantile(g.means.astype(np.float64), [0.02, 0.98], axis=0)
@@ -126,7 +126,7 @@ def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
 
 
 def _parts(codes: U64, low: int, high: int, shift: int) -> list[tuple[int, int]]:
-    """Ranges of at most `MOST_GAUSSIANS`, cell by cell; neighbouring small cells of one parent are joined."""
+    """Ranges of at most `MOST_GAUSSIANS`, cell by cell; neighboring small cells of one parent are joined."""
     if high - low <= MOST_GAUSSIANS:
         return [(low, high)]
     if shift < 0:  # all in one smallest cell

@@ -1,4 +1,4 @@
-"""A package on disk, open for reading: records, levels, colours, visible sets and active terms of a scene.
+"""A package on disk, open for reading: records, levels, colors, visible sets and active terms of a scene.
 
 Opening reads the manifest alone. Every part is checked against its name when it is read, and `verify` reads them all.
 Ids are places in the order of the package; scene frame and units.

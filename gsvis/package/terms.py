@@ -1,4 +1,4 @@
-"""Terms of SRBF colours as records of a few bytes, each decodable on its own given the scene's tables, and back."""
+"""Terms of SRBF colors as records of a few bytes, each decodable on its own given the scene's tables, and back."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color.records import Grids, QuantisedColors
+from gsvis.color.records import Grids, QuantizedColors
 from gsvis.package.layout import TermLayout
 
 __all__ = ["Terms", "decode_terms", "encode_terms"]
@@ -33,11 +33,11 @@ class Terms(NamedTuple):
     intensities: U16
 
 
-def encode_terms(colors: QuantisedColors) -> U8:
+def encode_terms(colors: QuantizedColors) -> U8:
     """(T, B) records of all terms, in their order.
 
     Args:
-        colors: Colours that were rounded.
+        colors: Colors that were rounded.
 
     Raises:
         ValueError: If a term needs more than 64 bits.

@@ -15,11 +15,11 @@ __all__ = ["unpack_levels", "unpack_package"]
 
 
 def unpack_levels(package: Package, *, sh_degree: int | None = None, progress: Progress = silent) -> Levels:
-    """What a package stands for, with SH colours.
+    """What a package stands for, with SH colors.
 
     Args:
         package: Open.
-        sh_degree: Degree of the SH that terms are fitted with; 0 keeps base colours alone. None means 3 where there
+        sh_degree: Degree of the SH that terms are fitted with; 0 keeps base colors alone. None means 3 where there
             are terms, 0 elsewhere.
         progress: Called by the fit of the SH.
 
@@ -34,7 +34,7 @@ def unpack_levels(package: Package, *, sh_degree: int | None = None, progress: P
     levels = contents.levels()
     if degree == 0:
         return levels
-    sh = to_sh(contents.colors().dequantised(), sh_degree=degree, progress=progress)
+    sh = to_sh(contents.colors().dequantized(), sh_degree=degree, progress=progress)
     g = levels.union
     union = Gaussians(g.means, g.quats, g.scales, g.opacities, sh.sh0, sh.shN)
     return Levels(union, levels.first, levels.last, levels.names)
@@ -61,6 +61,6 @@ def unpack_package(
     """
     levels = unpack_levels(package, sh_degree=sh_degree, progress=progress)
     info = package.manifest.info
-    extra = {"up": list(info.up), "metres_per_unit": info.metres_per_unit, "scene": package.manifest.scene}
+    extra = {"up": list(info.up), "meters_per_unit": info.meters_per_unit, "scene": package.manifest.scene}
     save_levels(levels, folder, extra)
     return levels

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.color.records import QuantisedColors
+from gsvis.color.records import QuantizedColors
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular
@@ -37,7 +37,7 @@ _ROWS = 1 << 14  # of the table of chunks in a part
 def write_package(
     folder: str | PathLike[str],
     levels: Levels,
-    colors: QuantisedColors,
+    colors: QuantizedColors,
     *,
     info: PackageInfo | None = None,
     visibility: str | PathLike[str] | None = None,
@@ -50,7 +50,7 @@ def write_package(
         folder: Where, `scene.gsvis` by custom; an older package there is replaced when the new one is whole.
         levels: In the order of a package, see `in_package_order`.
         colors: Of their union, rounded.
-        info: Up axis, metres per unit, measured cost, provenance.
+        info: Up axis, meters per unit, measured cost, provenance.
         visibility: The store of visible sets, built for `levels.union`.
         active_terms: The store of active terms, built for the same and for as many terms.
         progress: Called with stage "package", in parts of the scene.
@@ -115,7 +115,7 @@ def _check_stores(
         with ActiveTerms.open(active_terms, scene=levels.union, sets=sets) as active:
             if active.info.terms != len(contents.term_records):
                 wanted, got = f"those of {len(contents.term_records):,} terms", f"{active.info.terms:,}"
-                raise FormatError(active.path, "terms", wanted, got, "build them for the colours of the package")
+                raise FormatError(active.path, "terms", wanted, got, "build them for the colors of the package")
 
 
 def _blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterator[Block]:

@@ -35,7 +35,7 @@ def build_active_terms(
     in its box, so that none that is active for an eye is missing (`Activation.active_in_box`).
 
     Args:
-        colors: Colours of the N Gaussians.
+        colors: Colors of the N Gaussians.
         g: The scene.
         store: Its visible sets.
         epsilon: Contribution above which a term is active, >= 0.

@@ -1,6 +1,6 @@
-"""How good SRBF colours are: images against those of the SH colours, from views that the fit never used.
+"""How good SRBF colors are: images against those of the SH colors, from views that the fit never used.
 
-Images are clipped to what a display shows. Beside all terms: the base colours alone, the first terms of each Gaussian,
+Images are clipped to what a display shows. Beside all terms: the base colors alone, the first terms of each Gaussian,
 and the terms that are active at an epsilon. One view is held at a time.
 """
 
@@ -62,7 +62,7 @@ class ColorQualityConfig:
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """How alike images of C views are to those of the SH colours.
+    """How alike images of C views are to those of the SH colors.
 
     Attributes:
         psnr: (C,) dB, `PSNR_CAP` where they are equal.
@@ -92,7 +92,7 @@ class ColorQuality:
     Attributes:
         cameras: The views.
         all_terms: Likeness with all terms.
-        base_only: Likeness with the base colours alone.
+        base_only: Likeness with the base colors alone.
         counts: (K,) first terms of each Gaussian.
         mean_terms: (K,) how many that leaves on average.
         psnr_by_count: (K, C) against SH.
@@ -153,11 +153,11 @@ def measure_colors(
     *,
     progress: Progress = silent,
 ) -> ColorQuality:
-    """Draw views with SH colours and with SRBF colours, and tell how alike they are.
+    """Draw views with SH colors and with SRBF colors, and tell how alike they are.
 
     Args:
-        g: N Gaussians with their SH colours.
-        colors: SRBF colours of the same.
+        g: N Gaussians with their SH colors.
+        colors: SRBF colors of the same.
         cameras: C > 0 views that the fit did not use.
         config: What to ask; None means `ColorQualityConfig()`.
         progress: Called with stage "colors", in views.

@@ -1,4 +1,4 @@
-"""SRBF colours of a scene from the scene alone: from where each Gaussian can be seen, what it counts, and the fit.
+"""SRBF colors of a scene from the scene alone: from where each Gaussian can be seen, what it counts, and the fit.
 
 Directions are traced outward into navigable space and joined with those of sampled views; how much each Gaussian counts
 comes from the views. Levels are traced and viewed one by one, and fitted once. Scene frame and units. The views
@@ -38,7 +38,7 @@ _BLOCK = 8192  # Gaussians traced before what was found is kept
 
 @dataclass(frozen=True)
 class ColorConfig:
-    """How colours are prepared.
+    """How colors are prepared.
 
     Args:
         fit: What is fitted, and how hard.
@@ -62,12 +62,12 @@ class ColorConfig:
 
 @dataclass(frozen=True, eq=False)
 class ColorPreparation:
-    """Colours, and what they were fitted to.
+    """Colors, and what they were fitted to.
 
     Attributes:
-        fit: The colours and their errors.
+        fit: The colors and their errors.
         sets: (N, 10) uint8 direction sets.
-        importance: (N,) what a squared error of each Gaussian's colour counts; ones where no view was asked.
+        importance: (N,) what a squared error of each Gaussian's color counts; ones where no view was asked.
         views: The views that were asked; their results must not be judged by them.
         sets_from: Where directions come from, as a phrase.
     """
@@ -88,12 +88,12 @@ def prepare_colors(
     keep: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> ColorPreparation:
-    """Directions, importance and fit of the colours of a scene.
+    """Directions, importance and fit of the colors of a scene.
 
-    A scene without view dependence (SH degree 0) gets base colours and no terms; nothing is traced then.
+    A scene without view dependence (SH degree 0) gets base colors and no terms; nothing is traced then.
 
     What hides a Gaussian differs from level to level, so levels are traced and viewed each by itself: the set of a
-    Gaussian holds the directions from which any level shows it. Its colour is fitted once, whichever levels share it.
+    Gaussian holds the directions from which any level shows it. Its color is fitted once, whichever levels share it.
 
     Args:
         g: N Gaussians; or levels of which N are the union.
@@ -118,7 +118,7 @@ def prepare_colors(
     if union.sh_degree == 0 or len(union) == 0:
         fit = fit_srbf(union, None, replace(config.fit, max_terms=0), progress=progress)
         everywhere, ones = np.full((len(union), NUM_FACES // 8), 255, np.uint8), np.ones(len(union))
-        return ColorPreparation(fit, everywhere, ones, None, "none needed: no colour depends on direction")
+        return ColorPreparation(fit, everywhere, ones, None, "none needed: no color depends on direction")
     if navigable is None:
         raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
     kept = Kept(keep, _plan(g, navigable, config, given))

@@ -1,4 +1,4 @@
-"""How a scene becomes a package: which levels, cells and colours, and what is measured."""
+"""How a scene becomes a package: which levels, cells and colors, and what is measured."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class PrepareConfig:
         cells: Most cells to cut the space into; as small as that allows.
         cell_size: Side of a cell instead, scene units.
         sets: How visible sets are found.
-        colors: How colours are fitted.
+        colors: How colors are fitted.
         epsilon: Largest change of an RGB channel, in [0, 1], that a term may make and still be left out of a cell.
         epsilon_from: Where that comes from, in words.
         cost_views: Views in which the cost of rounding is measured.
-        metres_per_unit: Size of a scene unit; 0 where nobody knows.
+        meters_per_unit: Size of a scene unit; 0 where nobody knows.
 
     Raises:
         ValueError: If a value is out of range.
@@ -56,7 +56,7 @@ class PrepareConfig:
     epsilon: float = DEFAULT_EPSILON
     epsilon_from: str = "the default: FLIP as observer on two scenes"
     cost_views: ViewSampling = _COST_VIEWS
-    metres_per_unit: float = 0.0
+    meters_per_unit: float = 0.0
 
     def __post_init__(self) -> None:
         if _check.positive_int("cells", self.cells) > MAX_CELLS:
@@ -65,9 +65,9 @@ class PrepareConfig:
         if self.cell_size is not None and not (np.isfinite(self.cell_size) and self.cell_size > 0):
             raise ValueError(f"cell_size: expected a finite number > 0 or None, got {self.cell_size!r}")
         if not 0.0 < self.epsilon <= 1.0:
-            raise ValueError(f"epsilon: expected a change of colour in (0, 1], got {self.epsilon!r}")
-        if not 0.0 <= self.metres_per_unit < np.inf:
-            raise ValueError(f"metres_per_unit: expected a finite number >= 0, got {self.metres_per_unit!r}")
+            raise ValueError(f"epsilon: expected a change of color in (0, 1], got {self.epsilon!r}")
+        if not 0.0 <= self.meters_per_unit < np.inf:
+            raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
         for name in ("level_views", "cost_views"):
             if getattr(self, name).count == 0:
                 raise ValueError(f"{name}: expected at least one view, got none")

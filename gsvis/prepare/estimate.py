@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gsvis.color.records import bytes_per_term, quantise
+from gsvis.color.records import bytes_per_term, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.package import RECORD_BYTES
@@ -201,18 +201,18 @@ class _Estimator:
         return None, share, disk, cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
-        """The colours if they are there."""
+        """The colors if they are there."""
         stages, fit, degree = self.stages, self.config.colors.fit, self.levels.union.sh_degree
         terms = self._expected_terms()
-        aim = f"up to {terms:,} terms" if terms else "no terms: no colour depends on direction"
-        what = f"{self.union:,} colours, variant {fit.variant}; {aim}"
+        aim = f"up to {terms:,} terms" if terms else "no terms: no color depends on direction"
+        what = f"{self.union:,} colors, variant {fit.variant}; {aim}"
         nbytes = 60 * self.union + 25 * terms
         if store is not None:
             name = stages.colors_name(self.levels, store)
             if stages.work.whole(name):
                 path = stages.work.at(name)
                 exact = load_srbf(path)[1]
-                what = f"{len(exact):,} colours, variant {exact.variant}, {exact.num_terms:,} terms"
+                what = f"{len(exact):,} colors, variant {exact.variant}, {exact.num_terms:,} terms"
                 self.found.append(StageEstimate("colors", "done", what, 0.0, path.stat().st_size))
                 return exact
         seconds = self.union * (_TERMS_FIT if degree else _BASE_FIT) / self.cores
@@ -226,7 +226,7 @@ class _Estimator:
         stages, cells = self.stages, len(self.stages.grid())
         what = f"{terms:,} terms, {cells:,} cells, epsilon {self.config.epsilon:g}"
         if store is not None and exact is not None:
-            name = stages.terms_name(self.levels, quantise(exact, "wire").dequantised(), store.path)
+            name = stages.terms_name(self.levels, quantize(exact, "wire").dequantized(), store.path)
             if stages.work.whole(name):
                 size = stages.work.at(name).stat().st_size
                 self.found.append(StageEstimate("terms", "done", what, 0.0, size))

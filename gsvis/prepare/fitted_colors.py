@@ -1,4 +1,4 @@
-"""A scene whose colours were fitted and rounded to what its file holds, with the figures that are told of it.
+"""A scene whose colors were fitted and rounded to what its file holds, with the figures that are told of it.
 
 Sizes are of records as they travel, before any entropy coding. Nothing here draws or writes.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.color.epsilon import EpsilonCalibration
-from gsvis.color.records import PRECISIONS, bytes_per_base, bytes_per_term, quantise, record_bytes, sh_bytes
+from gsvis.color.records import PRECISIONS, bytes_per_base, bytes_per_term, quantize, record_bytes, sh_bytes
 from gsvis.color.srbf import SrbfColors
 from gsvis.prepare.color_quality import ColorQuality
 from gsvis.prepare.colors import ColorPreparation
@@ -29,21 +29,21 @@ PRECISION_NAMES = (*PRECISIONS, "exact")
 
 
 def rounded(colors: SrbfColors, precision: str) -> SrbfColors:
-    """The colours as records of a precision say them, ready to be saved with `quantise(colors, precision)`.
+    """The colors as records of a precision say them, ready to be saved with `quantize(colors, precision)`.
 
     Args:
         colors: As fitted.
         precision: One of `PRECISION_NAMES`.
     """
-    return colors if precision == "exact" else quantise(colors, precision).dequantised()
+    return colors if precision == "exact" else quantize(colors, precision).dequantized()
 
 
 @dataclass(frozen=True, eq=False)
 class FittedColors:
-    """Colours of N Gaussians and what is known of them.
+    """Colors of N Gaussians and what is known of them.
 
     Attributes:
-        gaussians: The scene, or the union of its levels, with its SH colours.
+        gaussians: The scene, or the union of its levels, with its SH colors.
         colors: As the file holds them.
         preparation: The fit, and what it was fitted to.
         precision: One of `PRECISION_NAMES`.
@@ -68,7 +68,7 @@ class FittedColors:
 
     @property
     def drawn(self) -> tuple[Gaussians, SrbfColors]:
-        """What pictures show: a scene, which a union of levels is not, and its colours."""
+        """What pictures show: a scene, which a union of levels is not, and its colors."""
         whole = self.gaussians, self.colors
         return whole if self.shown is None else (whole[0][self.shown], whole[1][self.shown])
 
@@ -91,7 +91,7 @@ class FittedColors:
         return self.colors.num_terms / max(1, len(self.colors))
 
     def sizes(self) -> dict[str, float]:
-        """Bytes a Gaussian of its colour as records and as SH, and of a term and a base."""
+        """Bytes a Gaussian of its color as records and as SH, and of a term and a base."""
         bits = None if self.precision == "exact" else self.precision
         name, degree = self.colors.variant, self.gaussians.sh_degree
         return {

@@ -1,7 +1,7 @@
-"""How much each Gaussian counts in images, and from which directions: gathered from views, for the fit of colours.
+"""How much each Gaussian counts in images, and from which directions: gathered from views, for the fit of colors.
 
 A view adds, for each Gaussian, the sum over its pixels of the squared blending weight: times the squared error of the
-Gaussian's colour, that is what the error adds to the squared error of the image, other Gaussians being right. Of levels
+Gaussian's color, that is what the error adds to the squared error of the image, other Gaussians being right. Of levels
 each is drawn by itself, and a Gaussian counts what it counts on average in those that have it.
 """
 
@@ -55,7 +55,7 @@ def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: 
     """Squared blending weights of each Gaussian over views, by the face it is seen from.
 
     The squared weights of a view are bounded by the sum of its weights times the largest. The mean over the levels
-    that have a Gaussian is what its colour brings for each time that it is sent to someone who stays at one level.
+    that have a Gaussian is what its color brings for each time that it is sent to someone who stays at one level.
 
     Args:
         g: N Gaussians; or levels of which N are the union.

@@ -1,4 +1,4 @@
-"""From a scene to a package that can be served: levels, visible sets, colours, active terms, records, in this order.
+"""From a scene to a package that can be served: levels, visible sets, colors, active terms, records, in this order.
 
 Everything that has ids is made for the order of the package. What was found on the way stays beside the package: a run
 that is killed goes on, and one after an edit does again only what the edit changed. The same bytes come out whatever
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gsvis import _check
-from gsvis.color import quantise
+from gsvis.color import quantize
 from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package, PackageInfo, write_package
 from gsvis.package.manifest import MANIFEST, Manifest
@@ -108,11 +108,11 @@ def prepare_package(
         sets = stages.sets(levels, workers)
         with VisibilityStore.open(sets, scene=levels.union) as store:
             exact, directions = stages.colors(levels, store)
-            packed = quantise(exact, "wire")
+            packed = quantize(exact, "wire")
             active = stages.terms(levels, packed, store)
         cost = stages.cost(levels, exact, packed)
         provenance = {**(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions}
-        info = PackageInfo(_axis(space), config.metres_per_unit, cost, provenance)
+        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance)
         began = time.perf_counter()
         with write_package(
             target, levels, packed, info=info, visibility=sets, active_terms=active, progress=progress

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from gsvis.color.records import QuantisedColors
+from gsvis.color.records import QuantizedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
@@ -159,14 +159,14 @@ class Stages:
         return self.work.at(name)
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
-        """File of the colours."""
+        """File of the colors."""
         seen = hashlib.sha256(store.direction_sets.tobytes()).hexdigest() if levels.union.sh_degree else None
         space, config = space_hash(self.space), asdict(self.config.colors)
         key = self._key("colors", levels=_content(levels), seen=seen, space=space if seen else None, config=config)
         return f"colors-{key}.arrow"
 
     def colors(self, levels: Levels, store: VisibilityStore) -> tuple[SrbfColors, str]:
-        """Colours of the union before they are rounded, and where the directions come from that they were fitted to."""
+        """Colors of the union before they are rounded, and where the directions come from that they were fitted to."""
         name, sets = self.colors_name(levels, store), store.direction_sets
         found_so_far = self.work.at("directions")  # whatever the variant, it serves: see `prepare_colors`
         kept = kept_beside(levels, self.space, self.config.colors, found_so_far, sets=sets)
@@ -195,9 +195,9 @@ class Stages:
         )
         return f"active-{key}.terms.arrow"
 
-    def terms(self, levels: Levels, packed: QuantisedColors, store: VisibilityStore) -> Path:
+    def terms(self, levels: Levels, packed: QuantizedColors, store: VisibilityStore) -> Path:
         """The store of active terms."""
-        rounded = packed.dequantised()
+        rounded = packed.dequantized()
         name = self.terms_name(levels, rounded, store.path)
         with self._stage("terms") as done:
             if not self.work.whole(name):
@@ -216,7 +216,7 @@ class Stages:
         key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=space)
         return f"cost-{key}.json"
 
-    def cost(self, levels: Levels, exact: SrbfColors, packed: QuantisedColors) -> Cost:
+    def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors) -> Cost:
         """What rounding costs in PSNR."""
         name = self.cost_name(levels, exact)
         with self._stage("cost") as done:

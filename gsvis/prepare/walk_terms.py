@@ -1,4 +1,4 @@
-"""What a walk needs of the colours: the share of a scene's terms that have been active so far, as a curve over time.
+"""What a walk needs of the colors: the share of a scene's terms that have been active so far, as a curve over time.
 
 The second curve of the paper's figure 13, beside that of the Gaussians. A term counts from the first instant at which
 its Gaussian is visible and it is active for the eye, or anywhere in the eye's cell, which is what a server would send.
@@ -110,7 +110,7 @@ def terms_over_walk(
     """Watch a walk and note when each Gaussian is first visible and each of its terms first active.
 
     Args:
-        colors: Colours of the N Gaussians, T terms.
+        colors: Colors of the N Gaussians, T terms.
         scene: The Gaussians.
         path: The walk, in the scene's frame; one shorter than `config.seconds` is watched to its end.
         epsilon: Contribution above which a term is active; or the active terms of cells, with their store as `sets`.

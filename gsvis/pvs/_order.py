@@ -24,7 +24,7 @@ MAX_DEPTH = 4
 """Longest chain of parents, so that no query for classes decodes more than five cells."""
 
 _SIDES = (0, 16, 64, 128)  # numbers of labels tried, as square roots; 0 leaves scene order as it is
-_SAMPLE = 131_072  # signatures that centres are found from
+_SAMPLE = 131_072  # signatures that centers are found from
 _ROUNDS = 8
 _TRIAL_CELLS = 12
 
@@ -92,59 +92,59 @@ def _cluster(signatures: U64, side: int) -> U16:
     if count < side * side:
         return np.zeros(len(signatures), np.uint16)
     sample = signatures[seen[np.arange(count) * len(seen) // count]]
-    centres = _centres(sample, side)
-    of_sample, of_all = _nearest(sample, centres), _nearest(signatures, centres)
+    centers = _centers(sample, side)
+    of_sample, of_all = _nearest(sample, centers), _nearest(signatures, centers)
     labels, used = np.zeros(len(signatures), np.uint16), 0
     for cluster in range(side):
         members, part = np.flatnonzero(of_all == cluster), sample[of_sample == cluster]
         fine = round(side * side * len(part) / count)
         if fine > 1:
-            labels[members] = used + _nearest(signatures[members], _centres(part, fine))
+            labels[members] = used + _nearest(signatures[members], _centers(part, fine))
         else:
             labels[members] = used
         used += max(1, fine)
     return labels
 
 
-def _centres(sample: U64, count: int) -> U64:
-    """(K, W) centres by k-modes, in a chain: bitwise majorities, distances are counts of differing bits."""
-    centres = np.ascontiguousarray(sample[np.arange(count) * len(sample) // count])
+def _centers(sample: U64, count: int) -> U64:
+    """(K, W) centers by k-modes, in a chain: bitwise majorities, distances are counts of differing bits."""
+    centers = np.ascontiguousarray(sample[np.arange(count) * len(sample) // count])
     for _ in range(_ROUNDS):
-        centres = _majorities(sample, _nearest(sample, centres), centres)
-    return np.ascontiguousarray(centres[_chain(centres)])
+        centers = _majorities(sample, _nearest(sample, centers), centers)
+    return np.ascontiguousarray(centers[_chain(centers)])
 
 
-def _nearest(signatures: U64, centres: U64) -> NDArray[np.int64]:
+def _nearest(signatures: U64, centers: U64) -> NDArray[np.int64]:
     if signatures.shape[1] == 1:  # few cells have few different signatures
         distinct, which = np.unique(signatures[:, 0], return_inverse=True)
         if 4 * len(distinct) < len(signatures):
-            return np.asarray(_nearest_of(distinct[:, None], centres)[which])
-    return _nearest_of(signatures, centres)
+            return np.asarray(_nearest_of(distinct[:, None], centers)[which])
+    return _nearest_of(signatures, centers)
 
 
-def _nearest_of(signatures: U64, centres: U64) -> NDArray[np.int64]:
+def _nearest_of(signatures: U64, centers: U64) -> NDArray[np.int64]:
     labels = np.zeros(len(signatures), np.int64)
-    kernels.nearest_centres(np.ascontiguousarray(signatures), centres, labels)
+    kernels.nearest_centers(np.ascontiguousarray(signatures), centers, labels)
     return labels
 
 
-def _majorities(sample: U64, labels: NDArray[np.int64], centres: U64) -> U64:
-    bits = np.zeros((len(centres), 64 * centres.shape[1]), np.int64)
-    sizes = np.zeros(len(centres), np.int64)
+def _majorities(sample: U64, labels: NDArray[np.int64], centers: U64) -> U64:
+    bits = np.zeros((len(centers), 64 * centers.shape[1]), np.int64)
+    sizes = np.zeros(len(centers), np.int64)
     kernels.count_bits(sample, labels, bits, sizes)
     major = np.packbits(2 * bits > sizes[:, None], axis=1, bitorder="little")
     packed = np.ascontiguousarray(major).view("<u8").astype(np.uint64, copy=False)
-    return np.where(sizes[:, None] > 0, packed, centres)
+    return np.where(sizes[:, None] > 0, packed, centers)
 
 
-def _chain(centres: U64) -> NDArray[np.int64]:
-    """(K,) the centres, from the one with the fewest bits always on to the nearest that is left."""
-    bits = np.unpackbits(centres.astype("<u8").view(np.uint8), axis=1).astype(np.int32)
+def _chain(centers: U64) -> NDArray[np.int64]:
+    """(K,) the centers, from the one with the fewest bits always on to the nearest that is left."""
+    bits = np.unpackbits(centers.astype("<u8").view(np.uint8), axis=1).astype(np.int32)
     counts = bits.sum(axis=1)
-    chain = np.empty(len(centres), np.int64)
-    left = np.ones(len(centres), bool)
+    chain = np.empty(len(centers), np.int64)
+    left = np.ones(len(centers), bool)
     at = int(counts.argmin())
-    for place in range(len(centres)):
+    for place in range(len(centers)):
         chain[place], left[at] = at, False
         apart = np.where(left, counts - 2 * (bits @ bits[at]), np.iinfo(np.int32).max)
         at = int(apart.argmin())
@@ -154,11 +154,11 @@ def _chain(centres: U64) -> NDArray[np.int64]:
 def parents_of(edges: list[tuple[int, int, int]], cells: int) -> NDArray[np.int32]:
     """A parent for each cell, -1 for none, so that cells share much with their parents and no chain is long.
 
-    Grows trees from the cell that shares most with its neighbours, always along the strongest pair that reaches a new
+    Grows trees from the cell that shares most with its neighbors, always along the strongest pair that reaches a new
     cell and keeps the depth.
 
     Args:
-        edges: Pairs of neighbours (shared, a, b): how many Gaussians both see.
+        edges: Pairs of neighbors (shared, a, b): how many Gaussians both see.
         cells: C.
     """
     beside: list[list[tuple[int, int]]] = [[] for _ in range(cells)]

@@ -1,6 +1,6 @@
 """Writes a store: cells come one by one, wait on disk, and are encoded when all are known.
 
-Only one cell, its classes and the sets of its neighbours are held at a time, besides 16 bytes for each Gaussian.
+Only one cell, its classes and the sets of its neighbors are held at a time, besides 16 bytes for each Gaussian.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ FREE_BYTES = 1 << 30
 """Bytes in memory, of 16 for each Gaussian, that a store of any size may ask for: 67 million Gaussians."""
 
 _GAUSSIAN_BYTES = 16  # in memory: order, labels and direction sets, of which all other arrays are smaller
-_HELD = 64  # sets of recent cells kept while pairs of neighbours are compared
+_HELD = 64  # sets of recent cells kept while pairs of neighbors are compared
 
 
 def beyond_free(gaussians: int) -> int:
@@ -259,10 +259,10 @@ class StoreWriter:
         )
 
     def _shared(self) -> list[tuple[int, int, int]]:
-        """How much each pair of neighbours shares."""
+        """How much each pair of neighbors shares."""
         edges = []
         for cell in range(len(self)):
-            for other in self.grid.neighbours(cell).tolist():
+            for other in self.grid.neighbors(cell).tolist():
                 if other < cell:
                     edges.append((kernels.count_shared(self._set(cell), self._set(other)), other, cell))
         return edges

@@ -119,8 +119,8 @@ class CellGrid:
         return len(self.coords)
 
     @property
-    def centres(self) -> F64:
-        """(C, 3) centres of the cells."""
+    def centers(self) -> F64:
+        """(C, 3) centers of the cells."""
         return np.asarray(self.origin + self.cell_size * (self.coords + 0.5))
 
     def bounds(self, cell: int) -> tuple[F64, F64]:
@@ -148,7 +148,7 @@ class CellGrid:
         boxes = np.floor(np.clip((points - self.origin) / self.cell_size, -1.0, np.array(self.shape))).astype(np.int64)
         return self._numbers(boxes)
 
-    def neighbours(self, cell: int) -> I64:
+    def neighbors(self, cell: int) -> I64:
         """Numbers of the up to 26 cells that touch a cell, rising."""
         steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         steps = steps[np.any(steps != 0, axis=1)]

@@ -206,7 +206,7 @@ def decode_classes(data: bytes, words: Words, n: int, parent: U8 | None, classes
 def encode_labels(labels: NDArray[np.uint16], level: int = LEVEL) -> bytes:
     """Labels as bytes: pairs of them as they come, or all low ones and then all high ones; the shorter wins.
 
-    Neighbours that share a label suit the first; labels without order suit the second.
+    Neighbors that share a label suit the first; labels without order suit the second.
     """
     data = labels.astype("<u2").tobytes()
     return min((b"\1" + compress(data, level), b"\2" + compress(data[::2] + data[1::2], level)), key=len)

@@ -87,7 +87,7 @@ class CellView:
     Attributes:
         ids: (V,) int32, visible Gaussians, rising.
         classes: (V,) uint8, class of the largest weight found.
-        directions: (V, 10) uint8, directions towards the viewpoints that saw each.
+        directions: (V, 10) uint8, directions toward the viewpoints that saw each.
         viewpoints: Viewpoints looked from; 0 if all were buried in something solid.
         growth: Share by which the last of them made the set grow.
     """

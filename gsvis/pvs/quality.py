@@ -139,7 +139,7 @@ def measure_quality(
         class_edges=store.info.class_edges,
         bytes_per_gaussian=config.bytes_per_gaussian or bytes_of_one(g),
         cells=cells,
-        centres=store.grid.centres[cells],
+        centers=store.grid.centers[cells],
         left_out=tuple(sorted(left_out)),
         shown=None if member.all() else member,
         **{**absent, **stacked},  # type: ignore[arg-type]
@@ -165,7 +165,7 @@ def dense_union(g: Gaussians, eyes: F64, tau: float, *, size: int = 128, progres
 
 
 def bytes_of_one(g: Gaussians) -> int:
-    """Bytes of one Gaussian as a 3DGS file keeps it: centre, rotation, scales, opacity and SH in 32 bits a number."""
+    """Bytes of one Gaussian as a 3DGS file keeps it: center, rotation, scales, opacity and SH in 32 bits a number."""
     return 4 * (3 + 4 + 3 + 1 + 3 * (g.sh_degree + 1) ** 2)
 
 

@@ -143,7 +143,7 @@ class Quality:
         class_edges: (K,) lowest weight of each class.
         bytes_per_gaussian: What sending one costs.
         cells: (M,) which cells, rising.
-        centres: (M, 3) their middles, scene frame and units.
+        centers: (M, 3) their middles, scene frame and units.
         left_out: Cells asked for in which no viewpoint outside something solid was found.
         eyes: (M, V, 3) the fresh viewpoints.
         viewmats: (M, V, 4, 4) of the images' cameras, camera from world.
@@ -168,7 +168,7 @@ class Quality:
     class_edges: F64
     bytes_per_gaussian: int
     cells: I64
-    centres: F64
+    centers: F64
     left_out: tuple[int, ...]
     eyes: F64
     viewmats: F64
@@ -293,7 +293,7 @@ class Quality:
         """Everything about one measured cell."""
         row = {
             "cell": int(self.cells[m]),
-            "centre": self.centres[m].tolist(),
+            "center": self.centers[m].tolist(),
             "kept": self.kept[m].tolist(),
             "precision": float(self.confirmed[m]),
             "viewpoints": self.eyes[m].tolist(),

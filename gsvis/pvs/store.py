@@ -93,7 +93,7 @@ class VisibilityStore:
         return store
 
     def close(self) -> None:
-        """Let go of the file; no query works afterwards."""
+        """Let go of the file; no query works afterward."""
         self._container.close()
 
     def __enter__(self) -> VisibilityStore:
@@ -151,9 +151,9 @@ class VisibilityStore:
         point = _check.floats("position", position, (3,), np.float64)
         return int(self.grid.cell_at(point[None])[0])
 
-    def neighbours(self, cell: int) -> NDArray[np.int64]:
+    def neighbors(self, cell: int) -> NDArray[np.int64]:
         """Cells that touch a cell by a face, an edge or a corner."""
-        return self.grid.neighbours(self.check_cell(cell))
+        return self.grid.neighbors(self.check_cell(cell))
 
     def visible(self, cell: int, *, least_class: int = 0) -> BitMap:
         """The Gaussians that a cell sees.
@@ -209,7 +209,7 @@ class VisibilityStore:
             within: Cells farther than this are not looked at.
 
         Returns:
-            (N,) float32, scene units, between the centres of the two cells: 0 where `cell` itself sees the Gaussian,
+            (N,) float32, scene units, between the centers of the two cells: 0 where `cell` itself sees the Gaussian,
             at least the side of a cell elsewhere, inf where no cell (within the distance) sees it.
 
         Raises:
@@ -232,7 +232,7 @@ class VisibilityStore:
         return out
 
     def nearest_seer(self, gaussian: int, cell: int) -> tuple[int, float]:
-        """The nearest cell that sees a Gaussian and the distance of the two centres; (-1, inf) where none does."""
+        """The nearest cell that sees a Gaussian and the distance of the two centers; (-1, inf) where none does."""
         place = int(self._places[self.check_gaussian(gaussian)])
         if not _has(self._ever, place):
             return -1, np.inf

@@ -16,7 +16,7 @@ __all__ = ["CellViewpoints"]
 
 F64 = NDArray[np.float64]
 
-_OUTWARD = 0.45  # voxels from the centre of a voxel to the viewpoint in it, so that the rim of a cell is looked from
+_OUTWARD = 0.45  # voxels from the center of a voxel to the viewpoint in it, so that the rim of a cell is looked from
 
 
 class CellViewpoints:

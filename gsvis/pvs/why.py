@@ -1,7 +1,7 @@
 """Why a cell sees a Gaussian, or why not: its weight there, or the Gaussians that stand in front of it.
 
 What a cell sees is what the store says; who stands in front is found by rays from viewpoints in the cell to the
-centre of the Gaussian. World frame, scene units; weight and alpha as in docs/conventions.md.
+center of the Gaussian. World frame, scene units; weight and alpha as in docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Why:
         blockers: (B,) int64, Gaussians in front of it on these rays, the one that takes most light first.
         shares: (B,) float64, share of the light each takes on the way, mean over the rays.
         nearest_cell: The nearest cell that sees it; -1 where none does.
-        nearest_distance: Distance between the centres of the two cells, scene units; inf where none does.
+        nearest_distance: Distance between the centers of the two cells, scene units; inf where none does.
     """
 
     gaussian: int
@@ -62,7 +62,7 @@ class Why:
             return f"{name} is too faint to be seen from anywhere: its opacity is below {self.interval[1]:.4g}."
         lines = [f"{name} is not visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."]
         if self.verdict == "missed":
-            lines.append(f"Yet a ray to its centre finds weight {self.weight:.4g}: views of the cell stepped over it.")
+            lines.append(f"Yet a ray to its center finds weight {self.weight:.4g}: views of the cell stepped over it.")
         if self.rays:
             lines.append(self._in_front())
         if self.nearest_cell < 0:
@@ -95,7 +95,7 @@ def why(
         tracer: Of the scene the store was made from; None casts no ray, so that nothing is told of what hides it.
         gaussian: Id in scene order.
         cell: Number of the cell.
-        viewpoints: (V, 3) where rays start, world frame; None means the centre of the cell and eight points near its
+        viewpoints: (V, 3) where rays start, world frame; None means the center of the cell and eight points near its
             corners.
 
     Returns:
@@ -130,20 +130,20 @@ def why(
 
 
 def _viewpoints(store: VisibilityStore, cell: int) -> NDArray[np.float64]:
-    """(9, 3) centre and points near the corners of a cell."""
+    """(9, 3) center and points near the corners of a cell."""
     low, high = (np.asarray(corner, np.float64) for corner in store.grid.bounds(cell))
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-    centre, half = 0.5 * (low + high), 0.5 * (high - low)
-    return np.asarray(np.concatenate([centre[None], centre + _INSET * signs * half]))
+    center, half = 0.5 * (low + high), 0.5 * (high - low)
+    return np.asarray(np.concatenate([center[None], center + _INSET * signs * half]))
 
 
 def _in_front_of(
     tracer: Tracer, gaussian: int, eyes: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
-    """Gaussians before one on rays to its centre, their mean shares of light, and its own largest weight."""
+    """Gaussians before one on rays to its center, their mean shares of light, and its own largest weight."""
     rays = tracer.proxies.gaussians.means[gaussian].astype(np.float64) - eyes
     distances = np.linalg.norm(rays, axis=1)
-    rays[distances == 0.0] = (1.0, 0.0, 0.0)  # the eye is in its centre: every direction is as good
+    rays[distances == 0.0] = (1.0, 0.0, 0.0)  # the eye is in its center: every direction is as good
     found = tracer.contributions(eyes, rays)
     ray_ids = found.ray_ids
     own = found.gaussian_ids == gaussian

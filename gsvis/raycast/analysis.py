@@ -42,7 +42,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AnalysisConfig:
-    """How a scene is analysed.
+    """How a scene is analyzed.
 
     Attributes:
         tau: Weight in (0, 1] from which a Gaussian is visible.
@@ -311,7 +311,7 @@ def analyze(
 
     Args:
         g: The scene, N Gaussians.
-        cameras: C cameras; one ray through each pixel centre.
+        cameras: C cameras; one ray through each pixel center.
         config: Thresholds, sample and seed; None means `AnalysisConfig()`.
         navigable: Where eyes may be; None traces nothing outward.
         tracer: A tracer of `g` to use again; None builds one.

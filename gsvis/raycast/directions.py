@@ -123,7 +123,7 @@ def trace_directions(
 ) -> U8:
     """Direction sets traced outward: a face counts when an eye in navigable space would see the Gaussian along it.
 
-    On each ray from the centre of the Gaussian the eye is put into the first navigable voxel that the ray meets;
+    On each ray from the center of the Gaussian the eye is put into the first navigable voxel that the ray meets;
     farther eyes on the same ray see no more. No cameras are needed.
 
     Args:
@@ -267,9 +267,9 @@ def _counts(sets: U8) -> NDArray[np.int64]:
 
 
 def face_planes() -> tuple[F64, F64]:
-    """Centres (20, 3) of the icosahedron's faces, and (20, 3, 3) planes that cut off their three corners."""
+    """Centers (20, 3) of the icosahedron's faces, and (20, 3, 3) planes that cut off their three corners."""
     vertices, faces = icosphere(0)
-    centres = vertices[faces].sum(axis=1)
+    centers = vertices[faces].sum(axis=1)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     planes = np.stack([np.cross(a + b, c + a), np.cross(b + c, a + b), np.cross(c + a, b + c)], axis=1)
-    return np.ascontiguousarray(centres), np.ascontiguousarray(planes)
+    return np.ascontiguousarray(centers), np.ascontiguousarray(planes)

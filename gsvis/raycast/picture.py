@@ -1,6 +1,6 @@
-"""Images by ray casting: the colour, alpha and depth that the contributions along pixel rays add up to.
+"""Images by ray casting: the color, alpha and depth that the contributions along pixel rays add up to.
 
-For reports and comparisons; `gsvis.render` is the fast way to an image. OpenCV cameras, colours not clipped above.
+For reports and comparisons; `gsvis.render` is the fast way to an image. OpenCV cameras, colors not clipped above.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def ray_image(
         length = np.linalg.norm(toward, axis=1, keepdims=True)
         basis = sh_basis(toward / np.where(length > 0.0, length, 1.0), g.sh_degree)
         coefficients = np.concatenate([some.sh0, some.shN], axis=1)
-        colours = np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, coefficients), 0.0)
+        colors = np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, coefficients), 0.0)
         pixels = slice(start, start + len(part))
         light = part.transmittance[:, None] * np.asarray(background)
         for channel in range(3):
-            weighted = part.weights * colours[where, channel]
+            weighted = part.weights * colors[where, channel]
             light[:, channel] += np.bincount(part.ray_ids, weighted, minlength=len(part))
         image[pixels] = light
     return image.reshape(camera.height, camera.width, 3)

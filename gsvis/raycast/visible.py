@@ -30,8 +30,8 @@ class GaussianRays:
     """How Gaussian rays are cast.
 
     Attributes:
-        ring: Rays to points on the one-sigma ring seen from the eye, besides the one to the centre. 0 sees a
-            Gaussian only by its centre; 4 or more also finds those that peep past an edge.
+        ring: Rays to points on the one-sigma ring seen from the eye, besides the one to the center. 0 sees a
+            Gaussian only by its center; 4 or more also finds those that peep past an edge.
         floor: Weights below it are given as 0, so that hidden Gaussians end early.
     """
 
@@ -49,7 +49,7 @@ def visible_in(tracer: Tracer, cameras: Cameras, *, progress: Progress = silent)
 
     Args:
         tracer: The scene.
-        cameras: C cameras; one ray through each pixel centre.
+        cameras: C cameras; one ray through each pixel center.
         progress: Called with stage "cameras".
 
     Returns:
@@ -114,16 +114,16 @@ def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
 
 
 def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.int64]) -> F32:
-    """Weights (M,) from one eye along rays to the centre and the ring of the Gaussians ids (M,)."""
+    """Weights (M,) from one eye along rays to the center and the ring of the Gaussians ids (M,)."""
     hierarchy, g = tracer.hierarchy, tracer.proxies.gaussians
     there = np.flatnonzero(hierarchy.positions[ids] >= 0)  # the others are too faint to be seen
-    targets = np.sort(hierarchy.positions[ids[there]])  # neighbours one after the other: their paths share memory
+    targets = np.sort(hierarchy.positions[ids[there]])  # neighbors one after the other: their paths share memory
     table, owners = hierarchy.table[targets], hierarchy.ids[targets]
     best, out = np.zeros(len(targets)), np.empty(len(targets))
     for offset in _offsets(table, g.quats[owners], g.scales[owners], eye, rays.ring):
         toward = table[:, :3] + offset - eye
         length = np.linalg.norm(toward, axis=1)
-        toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is in the centre: every direction is as good
+        toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is in the center: every direction is as good
         toward /= np.where(length == 0.0, 1.0, length)[:, None]
         rays_o = np.tile(eye, (len(toward), 1))
         _kernels.weights_of(*hierarchy.arrays, rays_o, toward, targets, tracer.limits, rays.floor, out)
@@ -134,7 +134,7 @@ def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.
 
 
 def _offsets(table: F64, quats: F32, scales: F32, eye: F64, ring: int) -> list[F64]:
-    """Offsets (M, 3) from the centres of the points that rays are cast to."""
+    """Offsets (M, 3) from the centers of the points that rays are cast to."""
     offsets = [np.zeros((len(table), 3))]
     if ring == 0 or len(table) == 0:
         return offsets

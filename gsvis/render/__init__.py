@@ -1,4 +1,4 @@
-"""Rendering: images, weights and gradients of Gaussians, coloured by SH, RGB or SRBF, on the CPU and elsewhere."""
+"""Rendering: images, weights and gradients of Gaussians, colored by SH, RGB or SRBF, on the CPU and elsewhere."""
 
 from gsvis.render.metrics import flip, lpips, psnr, ssim
 from gsvis.render.rasterizer import Rendering, rasterize

@@ -39,7 +39,7 @@ class _Scene:
 
 
 class _Rasterize(torch.autograd.Function):
-    """means, quats, scales, opacities, sh0, shN, colours | None -> image, alpha, depth, median, means2d of one view."""
+    """means, quats, scales, opacities, sh0, shN, colors | None -> image, alpha, depth, median, means2d of one view."""
 
     @staticmethod
     def forward(
@@ -47,17 +47,17 @@ class _Rasterize(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         background, degree, antialiased, with_gradient, _ = options
         arrays = [None if t is None else _array(t) for t in tensors]
-        scene, colours = _Scene(*arrays[:6]), arrays[6]  # type: ignore[arg-type]
+        scene, colors = _Scene(*arrays[:6]), arrays[6]  # type: ignore[arg-type]
         projected = project(scene, view, antialiased=antialiased, pairs=with_gradient)
         features = np.empty((len(projected.ids), 4), np.float32)
         features[:, 3] = projected.depths
-        if colours is None:
+        if colors is None:
             coefficients = (scene.means, scene.sh0, scene.shN)
             write_sh_colors(projected.ids, coefficients, degree, view.eye, features)
         else:
-            features[:, :3] = colours[projected.ids]
+            features[:, :3] = colors[projected.ids]
         image, transmittance, depth, median, stop_at = blend(projected, view, features, background)
-        ctx.saved = (view, options, scene, colours, projected, features, transmittance, depth, stop_at)
+        ctx.saved = (view, options, scene, colors, projected, features, transmittance, depth, stop_at)
         ctx.dtypes = [None if t is None else t.dtype for t in tensors]
         outputs = tuple(torch.from_numpy(a) for a in (image, np.float32(1.0) - transmittance, depth, median))
         ctx.mark_non_differentiable(outputs[3])
@@ -66,7 +66,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
-        view, (background, degree, antialiased, _, frozen), scene, colours, projected, features, *forward = ctx.saved
+        view, (background, degree, antialiased, _, frozen), scene, colors, projected, features, *forward = ctx.saved
         shape = (view.height, view.width)
         by_image, by_alpha, by_depth = (
             np.zeros((*shape, *extra), np.float32) if v is None else np.ascontiguousarray(v.numpy(), np.float32)
@@ -84,26 +84,26 @@ class _Rasterize(torch.autograd.Function):
         v_means2d = np.empty((len(projected.ids), 2))
         stand = int(np.searchsorted(projected.ids, frozen))  # ids rise
         ids, moved = projected.ids[stand:], sums[stand:]
-        v_means2d[:stand] = _by_centres(projected.splats[:stand], sums[:stand])
+        v_means2d[:stand] = _by_centers(projected.splats[:stand], sums[:stand])
         _kernels_project.project_backward(
             *_check.read_only(scene.means, scene.quats, scene.scales, scene.opacities), view.viewmat, view.intrinsics,
             (view.width, view.height), antialiased, ids, moved, v_means2d[stand:], v_opacities,
             (v_means, v_quats, v_scales),
         )  # fmt: skip
-        v_colours = None
-        if colours is None:
+        v_colors = None
+        if colors is None:
             coefficients = (scene.means, scene.sh0, scene.shN)
-            colors = (features[stand:], moved)
-            write_sh_gradients(ids, coefficients, degree, view.eye, colors, (v_sh0, v_shN, v_means))
+            drawn = (features[stand:], moved)
+            write_sh_gradients(ids, coefficients, degree, view.eye, drawn, (v_sh0, v_shN, v_means))
         else:
-            v_colours = np.zeros_like(colours)
-            v_colours[ids] = moved[:, :3]
+            v_colors = np.zeros_like(colors)
+            v_colors[ids] = moved[:, :3]
         v_probe = None
         if ctx.needs_input_grad[2]:
-            by_centre = np.zeros((len(scene.means), 2), np.float32)
-            by_centre[projected.ids] = v_means2d
-            v_probe = torch.from_numpy(by_centre)
-        results = [v_means, v_quats, v_scales, v_opacities, v_sh0, v_shN, v_colours]
+            by_center = np.zeros((len(scene.means), 2), np.float32)
+            by_center[projected.ids] = v_means2d
+            v_probe = torch.from_numpy(by_center)
+        results = [v_means, v_quats, v_scales, v_opacities, v_sh0, v_shN, v_colors]
         gradients = [
             None if v is None or dtype is None else torch.from_numpy(v).to(dtype)
             for v, dtype in zip(results, ctx.dtypes, strict=True)
@@ -111,8 +111,8 @@ class _Rasterize(torch.autograd.Function):
         return None, None, v_probe, *gradients
 
 
-def _by_centres(splats: F64, sums: F64) -> F64:
-    """(M, 2) gradients by projected centres from the sums of the tiles, as `project_backward` has them."""
+def _by_centers(splats: F64, sums: F64) -> F64:
+    """(M, 2) gradients by projected centers from the sums of the tiles, as `project_backward` has them."""
     a, b, c = (
         splats[:, 2] * (2.0 / _kernels_project.LOG2E),
         splats[:, 3] / _kernels_project.LOG2E,
@@ -145,7 +145,7 @@ def rasterize_cpu(
         sh_degree: Degree to evaluate, at most that of the scene.
         antialiased: Make opacity pay for the dilation.
         colors: (N, 3) instead of SH.
-        probe: (N, 2) zeros that require grad; receives the gradient by the projected centres, loss per pixel.
+        probe: (N, 2) zeros that require grad; receives the gradient by the projected centers, loss per pixel.
         frozen: The first so many Gaussians gather no gradient but the probe's.
 
     Returns:

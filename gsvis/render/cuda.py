@@ -67,7 +67,7 @@ def rasterize_cuda(
 
 
 def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:
-    """Let the gradient that reaches gsplat's projected centres also reach the probe."""
+    """Let the gradient that reaches gsplat's projected centers also reach the probe."""
 
     def add(gradient: Tensor) -> Any:
         torch.autograd.backward(probe, gradient.reshape(probe.shape).detach())

@@ -1,6 +1,6 @@
 """Images of Gaussians from cameras: one call, four backends that agree.
 
-Conventions: DESIGN decision 10, OpenCV cameras, pixel centres at +0.5, colours not clipped above. The backends differ
+Conventions: DESIGN decision 10, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
 in speed alone: `cpu` (numba, float32), `reference` (plain torch, any float type, slow), `cuda` (gsplat).
 """
 
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gsvis import _check
 from gsvis.errors import BackendError
-from gsvis.render.colours import Colours, camera_colours
+from gsvis.render.colors import Colors, camera_colors
 from gsvis.render.cpu import rasterize_cpu
 from gsvis.render.cuda import is_available, rasterize_cuda
 from gsvis.render.reference import rasterize_reference
@@ -42,7 +42,7 @@ class Rendering:
         median_depths: (C, H, W) camera z of the Gaussian behind which at most half of the light is left; 0 where more
             is, NaN from gsplat, which has none.
         means2d: (C, N, 2) zeros; if gradients are taken, `means2d.grad` holds the gradient of the loss by the projected
-            centres, per pixel, which densification needs.
+            centers, per pixel, which densification needs.
     """
 
     images: Tensor
@@ -60,7 +60,7 @@ def rasterize(
     background: ArrayLike = (0.0, 0.0, 0.0),
     sh_degree: int | None = None,
     antialiased: bool = False,
-    colors: Colours = None,
+    colors: Colors = None,
     frozen: int = 0,
 ) -> Rendering:
     """Draw Gaussians as the cameras see them; differentiable where the inputs are tensors that ask for gradients.
@@ -73,7 +73,7 @@ def rasterize(
         background: (3,) RGB behind everything.
         sh_degree: Highest degree to evaluate; None means all there is.
         antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
-        colors: Instead of SH: (N, 3) or (C, N, 3) RGB, or SRBF colours of the N Gaussians, evaluated for each camera
+        colors: Instead of SH: (N, 3) or (C, N, 3) RGB, or SRBF colors of the N Gaussians, evaluated for each camera
             from its viewpoint; as `SrbfColors`, as an `Evaluator` where many calls share them, or as `SrbfTensors`,
             which may gather gradients.
         frozen: The first so many Gaussians gather no gradients but those of `means2d`; saves most of their share of the
@@ -96,11 +96,11 @@ def rasterize(
     degree = tensors.sh_degree if sh_degree is None else min(_sh_degree(sh_degree), tensors.sh_degree)
     if backend == "auto":
         backend = "cuda" if tensors.means.is_cuda else "cpu"
-    colours = camera_colours(colors, tensors, cameras, backend)
+    per_camera = camera_colors(colors, tensors, cameras, backend)
     draw: _Draw = {"cpu": _draw_cpu, "cuda": _draw_cuda, "reference": _draw_reference}[backend]
     _check.positive_int("frozen", frozen, at_least=0)
     takes_gradient = torch.is_grad_enabled() and (
-        colours.requires_grad or any(t.requires_grad for t in vars(tensors).values())
+        per_camera.requires_grad or any(t.requires_grad for t in vars(tensors).values())
     )
     if tensors is gaussians and not takes_gradient:
         tensors.check_values()
@@ -113,7 +113,7 @@ def rasterize(
     means2d = torch.zeros(shape, dtype=tensors.means.dtype, device=tensors.means.device, requires_grad=takes_gradient)
     outputs = []
     for c in range(len(cameras)):
-        outputs.append(draw(tensors, cameras[c], behind, degree, antialiased, colours.of(c), means2d[c]))
+        outputs.append(draw(tensors, cameras[c], behind, degree, antialiased, per_camera.of(c), means2d[c]))
     if not outputs:
         size = (0, cameras.height, cameras.width)
         empty = torch.zeros(size, dtype=tensors.means.dtype, device=tensors.means.device)

@@ -1,6 +1,6 @@
 """The rasterizer in plain torch: short, differentiable, in any float type. The oracle of the fast ones, and slow.
 
-Every pixel meets every Gaussian. Camera axes are OpenCV's, pixel centres lie at +0.5, depths are along the camera's
+Every pixel meets every Gaussian. Camera axes are OpenCV's, pixel centers lie at +0.5, depths are along the camera's
 z axis in scene units; thresholds are those of docs/conventions.md. This module knows no tiles and no kernels.
 """
 
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 NEAR = 0.01
-"""Gaussians whose centre has a camera z up to this are not drawn; scene units."""
+"""Gaussians whose center has a camera z up to this are not drawn; scene units."""
 BLUR = 0.3
 """Added to the diagonal of each projected covariance; square pixels."""
 MIN_ALPHA = 1.0 / 255.0
@@ -47,7 +47,7 @@ class Projection:
     """N Gaussians as one camera sees them. Rows that are not `valid` mean nothing.
 
     Attributes:
-        means2d: (N, 2) projected centres, pixels.
+        means2d: (N, 2) projected centers, pixels.
         conics: (N, 3) inverse covariance on the screen as xx, xy, yy, per square pixel.
         depths: (N,) camera z, scene units.
         opacities: (N,) in [0, 1], lowered by what the blur adds if antialiased.
@@ -71,11 +71,11 @@ class ReferenceImage:
     """What one camera sees of N Gaussians.
 
     Attributes:
-        image: (H, W, 3) colours over the background.
+        image: (H, W, 3) colors over the background.
         alpha: (H, W) one minus the transmittance left.
         depth: (H, W) mean camera z by weight, 0 where alpha is 0.
         median_depth: (H, W) camera z of the Gaussian that takes transmittance to 0.5 or below, 0 where none does.
-        means2d: (N, 2) projected centres, pixels; after a backward pass its `grad` is the screen-space gradient.
+        means2d: (N, 2) projected centers, pixels; after a backward pass its `grad` is the screen-space gradient.
         radii: (N, 2) half extents on the screen, pixels; 0 where not drawn. Without gradient.
         largest_weights: (N,) each Gaussian's largest weight over all pixels. Without gradient.
         summed_weights: (N,) each Gaussian's sum of weights over all pixels. Without gradient.
@@ -102,7 +102,7 @@ def project_reference(
     antialiased: bool = False,
     colors: Tensor | None = None,
 ) -> Projection:
-    """Where, how large and in which colour each Gaussian appears on the screen.
+    """Where, how large and in which color each Gaussian appears on the screen.
 
     Args:
         tensors: N Gaussians, world frame.
@@ -186,11 +186,11 @@ def rasterize_reference(
         K: (3, 3) intrinsics in pixels, without skew.
         width: Pixels.
         height: Pixels.
-        background: (3,) colour behind everything.
+        background: (3,) color behind everything.
         sh_degree: Highest degree of SH to evaluate; None for all there are.
         antialiased: See `project_reference`.
         colors: (N, 3) to take in place of those from SH.
-        shift2d: (N, 2) pixels added to the projected centres; zeros that require a gradient receive theirs.
+        shift2d: (N, 2) pixels added to the projected centers; zeros that require a gradient receive theirs.
 
     Returns:
         The image with its depths and weights, of the dtype and device of `tensors`. Differentiable, but for the
@@ -210,7 +210,7 @@ def rasterize_reference(
     behind = _small_tensor("background", background, (3,), means2d)
     order = _front_to_back(tensors, projection)
     front_to_back = Projection(*(getattr(projection, field.name)[order] for field in fields(Projection)))
-    pixels = _pixel_centres(width, height, means2d)
+    pixels = _pixel_centers(width, height, means2d)
 
     largest, summed = (torch.zeros_like(means2d[:, 0].detach()) for _ in range(2))
     parts = []
@@ -271,8 +271,8 @@ def contributors_reference(
         if not (0 <= column < width and 0 <= row < height):
             raise ValueError(f"pixel: expected a column below {width} and a row below {height}, got {pixel}")
         order = _front_to_back(tensors, projection)
-        centre = _pixel_centres(width, height, projection.means2d)[row * width + column]
-        alphas, before = _alphas_and_transmittance(projection, order, centre[None])
+        center = _pixel_centers(width, height, projection.means2d)[row * width + column]
+        alphas, before = _alphas_and_transmittance(projection, order, center[None])
         ids = order[alphas[0] > 0]
         alpha, weight = (values[0, alphas[0] > 0].double() for values in (alphas, alphas * before[:, :-1]))
         depth = projection.depths[ids].double()
@@ -295,14 +295,14 @@ def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
 
 
 def _sigmas(projection: Projection, ids: Tensor | slice, pixels: Tensor) -> Tensor:
-    """(P, M) exponents of the Gaussians `ids` at (P, 2) pixel centres: the response there is exp(-sigma)."""
+    """(P, M) exponents of the Gaussians `ids` at (P, 2) pixel centers: the response there is exp(-sigma)."""
     dx, dy = (projection.means2d[ids, axis] - pixels[:, axis, None] for axis in (0, 1))
     a, b, c = (0.5 * projection.conics[ids, 0], projection.conics[ids, 1], 0.5 * projection.conics[ids, 2])
     return a * dx * dx + b * dx * dy + c * dy * dy
 
 
 def _alphas(projection: Projection, ids: Tensor, pixels: Tensor) -> Tensor:
-    """(P, M) alphas of the Gaussians `ids` at (P, 2) pixel centres, 0 where below 1/255."""
+    """(P, M) alphas of the Gaussians `ids` at (P, 2) pixel centers, 0 where below 1/255."""
     sigma = _sigmas(projection, ids, pixels)
     alphas = (projection.opacities[ids] * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
     drawn = (alphas.detach() >= MIN_ALPHA) & (sigma.detach() >= 0)
@@ -337,7 +337,7 @@ def _blend(projection: Projection, ids: Tensor, pixels: Tensor, background: Tens
 
 
 def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None) -> Tensor:
-    """(N, 3) colours seen from `eye`, clipped below at 0."""
+    """(N, 3) colors seen from `eye`, clipped below at 0."""
     degree = tensors.sh_degree if sh_degree is None else sh_degree
     if isinstance(degree, bool) or degree not in range(tensors.sh_degree + 1):
         raise ValueError(f"sh_degree: expected 0 to {tensors.sh_degree}, the scene's own, got {sh_degree!r}")
@@ -345,7 +345,7 @@ def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None
     return sh_colors_torch(tensors.means, tensors.sh0, shN, eye)
 
 
-def _pixel_centres(width: int, height: int, like: Tensor) -> Tensor:
+def _pixel_centers(width: int, height: int, like: Tensor) -> Tensor:
     """(H * W, 2) x and y, row by row."""
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     return torch.stack([x, y], dim=2).reshape(-1, 2).to(like) + 0.5

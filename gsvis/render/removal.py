@@ -1,7 +1,7 @@
 """What taking one Gaussian away would do to images, for every Gaussian at once, by one pass over each image.
 
-At a pixel the colour is linear in the alpha of any one Gaussian: without it the pixel changes by w (B - c), with w its
-weight, c its colour and B the colour that full light would show behind it, background included. Effects are those of
+At a pixel the color is linear in the alpha of any one Gaussian: without it the pixel changes by w (B - c), with w its
+weight, c its color and B the color that full light would show behind it, background included. Effects are those of
 removing one Gaussian while all others stay; they do not add up where Gaussians lie behind each other.
 """
 
@@ -18,7 +18,7 @@ from gsvis import _check
 from gsvis.color.sh import write_sh_colors
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import removal as _kernels_removal
-from gsvis.render.colours import CameraColours, Colours, camera_colours
+from gsvis.render.colors import CameraColors, Colors, camera_colors
 from gsvis.render.splats import Projected, View, blend, project
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
@@ -53,7 +53,7 @@ def removal_effects(
     cameras: Cameras,
     *,
     images: NDArray[Any] | None = None,
-    colors: Colours = None,
+    colors: Colors = None,
     background: ArrayLike = (0.0, 0.0, 0.0),
     presence: ArrayLike | None = None,
     progress: Progress = silent,
@@ -61,7 +61,7 @@ def removal_effects(
     """What removing each Gaussian, alone, would do to the images of some cameras.
 
     Images stop blending where transmittance falls to 1e-4, and what a removal would let through there they never met.
-    So effects are worked out down to 1e-6: exact, but for at most 1e-6 / (1 - alpha) of a colour, for images that
+    So effects are worked out down to 1e-6: exact, but for at most 1e-6 / (1 - alpha) of a color, for images that
     never stop. Against images that do stop they are off by what the stop hides, which matters where a nearly opaque
     Gaussian stands behind others (it is left out altogether if it would take transmittance to 1e-4).
 
@@ -98,13 +98,13 @@ def removal_effects(
         there = _check.floats("presence", presence, (len(gaussians),))
         _check.in_range("presence", there, 0.0, 1.0)
     tensors = None if colors is None else GaussianTensors.from_gaussians(gaussians)
-    colours = None if tensors is None else camera_colours(colors, tensors, cameras, "cpu")
+    per_camera = None if tensors is None else camera_colors(colors, tensors, cameras, "cpu")
     sums = np.zeros((len(gaussians), 3))
     progress("removal", 0, len(cameras))
     for c in range(len(cameras)):
         view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
         projected = project(gaussians, view, antialiased=False, pairs=True)
-        features = _features(gaussians, view, projected, colours, c)
+        features = _features(gaussians, view, projected, per_camera, c)
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
         if images is not None:
@@ -125,10 +125,10 @@ def removal_effects(
     return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.height * cameras.width)
 
 
-def _features(g: Gaussians, view: View, projected: Projected, colours: CameraColours | None, c: int) -> F32:
-    """(M, 4) colour of each splat, and 1."""
+def _features(g: Gaussians, view: View, projected: Projected, per_camera: CameraColors | None, c: int) -> F32:
+    """(M, 4) color of each splat, and 1."""
     features = np.ones((len(projected.ids), 4), np.float32)
-    given = None if colours is None else colours.of(c)
+    given = None if per_camera is None else per_camera.of(c)
     if given is None:
         write_sh_colors(projected.ids, (g.means, g.sh0, g.shN), g.sh_degree, view.eye, features)
     else:

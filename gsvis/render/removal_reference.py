@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from gsvis.render.reference import _alphas, _front_to_back, _pixel_centres, project_reference
+from gsvis.render.reference import _alphas, _front_to_back, _pixel_centers, project_reference
 from gsvis.render.removal import RemovalEffects
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
@@ -40,7 +40,7 @@ def removal_reference(
         size = cameras.width, cameras.height
         projection = project_reference(tensors, cameras.viewmats[c], cameras.Ks[c], *size)
         order = _front_to_back(tensors, projection)
-        alphas = _alphas(projection, order, _pixel_centres(*size, projection.means2d))
+        alphas = _alphas(projection, order, _pixel_centers(*size, projection.means2d))
         full = _composited(alphas, projection.colors[order], behind)
         residual = torch.zeros_like(full) if residuals is None else torch.tensor(residuals[c].reshape(-1, 3))
         for k in alphas.any(dim=0).nonzero()[:, 0].tolist():

@@ -24,11 +24,11 @@ class GaussianTensors:
     Shapes are checked here, values are not: a training step need not pay for that. `check_values` does it.
 
     Args:
-        means: (N, 3) centres, scene units.
-        quats: (N, 4) rotations wxyz, any length > 0; normalised where they are used.
+        means: (N, 3) centers, scene units.
+        quats: (N, 4) rotations wxyz, any length > 0; normalized where they are used.
         scales: (N, 3) standard deviations along the rotated axes, scene units, > 0.
         opacities: (N,) in [0, 1].
-        sh0: (N, 1, 3) constant SH coefficient of each colour channel.
+        sh0: (N, 1, 3) constant SH coefficient of each color channel.
         shN: (N, K-1, 3) higher SH coefficients, K in {1, 4, 9, 16}.
 
     Raises:
@@ -61,8 +61,8 @@ class GaussianTensors:
                 want in (None, have) for want, have in zip((length, *shape), value.shape, strict=True)
             )
             if not fits:
-                spelt = ", ".join(str(s) if s is not None else "K-1" for s in (length, *shape))
-                raise ValueError(f"{name}: expected shape ({spelt}), got {tuple(value.shape)}")
+                spelled = ", ".join(str(s) if s is not None else "K-1" for s in (length, *shape))
+                raise ValueError(f"{name}: expected shape ({spelled}), got {tuple(value.shape)}")
         sh_degree_of(1 + self.shN.shape[1])
 
     @classmethod

@@ -43,7 +43,7 @@ class PixelContributors:
         gaussian_ids: (K,) int64.
         alphas: (K,) float32 in [1/255, 0.999].
         weights: (K,) float32, alpha times the transmittance in front.
-        depths: (K,) float32, camera z of the centres.
+        depths: (K,) float32, camera z of the centers.
     """
 
     gaussian_ids: NDArray[np.int64]
@@ -72,9 +72,9 @@ def view_weights(
     for c in range(len(cameras)):
         view, projected = _project(g, cameras[c], antialiased)
         pairs = np.empty((len(projected.members), 2), np.float32)
-        colourless = np.zeros((len(projected.ids), 4), np.float32)
+        colorless = np.zeros((len(projected.ids), 4), np.float32)
         lists = projected.offsets, projected.members, projected.pair_of, view.tiles[0]
-        _kernels_tiles.weigh_tiles(projected.splats, colourless, *lists, view.width, view.height, pairs)
+        _kernels_tiles.weigh_tiles(projected.splats, colorless, *lists, view.width, view.height, pairs)
         if len(pairs):
             met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs every stretch non-empty
             starts, ids = projected.first_pair[met], projected.ids[projected.order[met]]

@@ -1,4 +1,4 @@
-"""Images of a scene with all terms of its colours and with those alone that are active at an epsilon.
+"""Images of a scene with all terms of its colors and with those alone that are active at an epsilon.
 
 What the staircase shows to a person, and what the metric that stands in for one compares.
 """
@@ -31,7 +31,7 @@ class Approximations:
 
     Args:
         g: N Gaussians.
-        colors: Their colours, with T terms.
+        colors: Their colors, with T terms.
         cameras: C cameras of one size.
 
     Attributes:

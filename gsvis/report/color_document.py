@@ -1,4 +1,4 @@
-"""The report on colours on disk: `report.json`, plots and pictures as PNG, `report.html` with all of it inside."""
+"""The report on colors on disk: `report.json`, plots and pictures as PNG, `report.html` with all of it inside."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
     """The content of `report.json`.
 
     Args:
-        fitted: The colours, with their quality.
+        fitted: The colors, with their quality.
         subject: What they are about; its `cameras_from` says where the views of the comparison come from.
 
     Raises:
@@ -66,7 +66,7 @@ def write_color_report(
 
     Args:
         folder: Made if missing; files in it that are not of a report stay.
-        fitted: The colours, with their quality.
+        fitted: The colors, with their quality.
         subject: What they are about.
         progress: Called with stage "writing".
 
@@ -89,7 +89,7 @@ def write_color_report(
 
 def _quality(fitted: FittedColors) -> ColorQuality:
     if fitted.quality is None:
-        raise ValueError("fitted: expected colours whose quality was measured, got none; see measure_colors")
+        raise ValueError("fitted: expected colors whose quality was measured, got none; see measure_colors")
     return fitted.quality
 
 
@@ -130,7 +130,7 @@ def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
 
 
 def _pictures(fitted: FittedColors, quality: ColorQuality, view: int) -> dict[str, NDArray[np.float32]]:
-    """One view: by SH, by all terms, by base colours, and what differs between the first two."""
+    """One view: by SH, by all terms, by base colors, and what differs between the first two."""
     camera, (g, fit) = quality.cameras[view], fitted.drawn
     images = {
         name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0].numpy(), 0.0, 1.0)

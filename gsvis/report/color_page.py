@@ -1,4 +1,4 @@
-"""The report on colours as one HTML page that needs nothing else: images inside, no script, no network."""
+"""The report on colors as one HTML page that needs nothing else: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
     """The whole page.
 
     Args:
-        fitted: The colours, with their quality.
+        fitted: The colors, with their quality.
         document: The content of `report.json`.
         figures: Plots and pictures by name; what is absent is left out of the page.
     """
@@ -45,12 +45,12 @@ def _lead(document: dict[str, Any]) -> str:
     terms, quality = document["terms"], document["quality"]
     if not terms["total"]:
         return (
-            f"<p class='lead'>The {document['gaussians']:,} Gaussians of this scene have base colours and no terms:"
+            f"<p class='lead'>The {document['gaussians']:,} Gaussians of this scene have base colors and no terms:"
             " nothing of what is sent depends on direction.</p>"
         )
     return (
-        f"<p class='lead'>Each of the {document['gaussians']:,} Gaussians has a base colour and"
-        f" {terms['mean']:.2f} terms on average, each of which changes it towards one direction, in place of spherical"
+        f"<p class='lead'>Each of the {document['gaussians']:,} Gaussians has a base color and"
+        f" {terms['mean']:.2f} terms on average, each of which changes it toward one direction, in place of spherical"
         f" harmonics (SH) of degree {document['sh_degree']}. Compared with SH in {quality['views']} views that the fit"
         f" did not use, {escape(document['cameras_from'])}.</p>"
     )
@@ -61,8 +61,8 @@ def _tiles(document: dict[str, Any]) -> str:
     whole, base = quality["all_terms"]["psnr"], quality["base_only"]["psnr"]
     shown = [
         (f"{whole['mean']:.1f} dB", "PSNR against SH, on average", f"worst view: {whole['worst']:.1f} dB"),
-        (f"{base['mean']:.1f} dB", "with base colours alone", f"worst view: {base['worst']:.1f} dB"),
-        (f"{sizes['records']:.1f} bytes", "for the colour of a Gaussian", f"SH in 32 bits: {sizes['sh_32']:g}"),
+        (f"{base['mean']:.1f} dB", "with base colors alone", f"worst view: {base['worst']:.1f} dB"),
+        (f"{sizes['records']:.1f} bytes", "for the color of a Gaussian", f"SH in 32 bits: {sizes['sh_32']:g}"),
         (f"{terms['share_1_to_4']:.0%}", "of the Gaussians have 1 to 4 terms", f"none: {terms['share_none']:.0%}"),
     ]
     return tiles(shown)
@@ -71,7 +71,7 @@ def _tiles(document: dict[str, Any]) -> str:
 def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     quality = document["quality"]
     rows = []
-    for name, key in (("all terms", "all_terms"), ("base colours alone", "base_only")):
+    for name, key in (("all terms", "all_terms"), ("base colors alone", "base_only")):
         cells = [name]
         for measure, _, digits in _MEASURES:
             if measure in quality[key]:
@@ -102,8 +102,8 @@ def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str:
     shown = (
         ("sh", "SH, as the scene came."),
-        ("srbf", f"Base colours and all terms: {row['psnr']:.1f} dB."),
-        ("base", f"Base colours alone: {row['base_psnr']:.1f} dB."),
+        ("srbf", f"Base colors and all terms: {row['psnr']:.1f} dB."),
+        ("base", f"Base colors alone: {row['base_psnr']:.1f} dB."),
         ("difference", f"What differs between the first two, brightened {DIFFERENCE:g} times."),
     )
     drawn = "".join(figure(figures[f"{role}_{name}"], told, told) for name, told in shown)
@@ -128,7 +128,7 @@ def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
         ("their share of all, on average", f"{seen['mean_share']:.1%}"),
         ("Gaussians without any", f"{seen['without_any']:,}"),
     ]
-    return text + table(("colours", ""), rows)
+    return text + table(("colors", ""), rows)
 
 
 def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
@@ -181,10 +181,10 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
         )
     ]
     rows[-1] = (rows[-1][0], rows[-1][1], "", "")
-    caption = "Bytes of a Gaussian's colour, before any further compression. Geometry is the same in all cases."
+    caption = "Bytes of a Gaussian's color, before any further compression. Geometry is the same in all cases."
     return (
-        figure(figures["bytes"], "Bytes of a colour, by how it is sent", caption)
-        + table(("colour", "bytes a Gaussian", "MB in all", "of SH in 32 bits"), rows)
+        figure(figures["bytes"], "Bytes of a color, by how it is sent", caption)
+        + table(("color", "bytes a Gaussian", "MB in all", "of SH in 32 bits"), rows)
         + f"<p>The file, with geometry in 32 bits a number, takes {document['file_bytes'] / 1e6:.2f} MB.</p>"
     )
 
@@ -194,8 +194,8 @@ def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
         return ""
     told = ", ".join(str(k) for k in COUNTS)
     caption = (
-        "Gaussians whose colour depends much on direction, as spheres that show what an eye on that side would see:"
-        f" by SH, by the base colour, and by {told} terms ({escape(fitted.colors.variant)}). Below each is its mean"
+        "Gaussians whose color depends much on direction, as spheres that show what an eye on that side would see:"
+        f" by SH, by the base color, and by {told} terms ({escape(fitted.colors.variant)}). Below each is its mean"
         " squared error over all directions. The terms were fitted for this picture, over the whole sphere."
     )
     return (

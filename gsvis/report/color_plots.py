@@ -1,4 +1,4 @@
-"""The plots of a report on colours: who has how many terms, what terms are worth, what epsilon leaves, and bytes."""
+"""The plots of a report on colors: who has how many terms, what terms are worth, what epsilon leaves, and bytes."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def draw_active_psnr(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: f
 
 
 def draw_bytes(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
-    """Bytes of the colour of a Gaussian: records, their bases alone, and SH."""
+    """Bytes of the color of a Gaussian: records, their bases alone, and SH."""
     sizes = fitted.sizes()
     rows = [
         ("SH, 32 bits", sizes["sh_32"], theme.hidden),
@@ -134,7 +134,7 @@ def draw_bytes(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
     ]
     at = np.arange(len(rows))[::-1]
     values = [value for _, value, _ in rows]
-    axes.barh(at, values, height=0.66, color=[colour for _, _, colour in rows])
+    axes.barh(at, values, height=0.66, color=[color for _, _, color in rows])
     for place, value in zip(at, values, strict=True):
         axes.annotate(f"{value:.1f}", (value, place), xytext=(4, 0), textcoords="offset points", va="center")
     axes.set_xlim(0.0, 1.12 * max(values))
@@ -142,7 +142,7 @@ def draw_bytes(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
     axes.yaxis.set_major_locator(FixedLocator(at.tolist()))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: rows[len(rows) - 1 - round(value)][0]))
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("bytes of the colour of a Gaussian")
+    axes.set_xlabel("bytes of the color of a Gaussian")
 
 
 def _by_epsilon(axes: Axes, theme: Theme, epsilons: F64, mean: F64, spread: tuple[F64, F64]) -> None:
@@ -154,7 +154,7 @@ def _by_epsilon(axes: Axes, theme: Theme, epsilons: F64, mean: F64, spread: tupl
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.set_xlabel("epsilon: change of colour from which a term counts")
+    axes.set_xlabel("epsilon: change of color from which a term counts")
 
 
 def _mark_epsilon(axes: Axes, theme: Theme, epsilon: float | None) -> None:

@@ -1,6 +1,6 @@
 """Gaussians of a scene as spheres of what they show in each direction: by SH, and by ever more terms.
 
-Figure 15 of the paper for colours that occur: 2, 6, 10, 15, 20 and 30 terms; `gsvis.report.spheres` draws functions of
+Figure 15 of the paper for colors that occur: 2, 6, 10, 15, 20 and 30 terms; `gsvis.report.spheres` draws functions of
 one number. The fits are made for the picture alone, over all directions and without a price for terms.
 """
 
@@ -34,7 +34,7 @@ class Spheres:
 
     Attributes:
         ids: (M,) which.
-        images: (M, 2 + len(COUNTS), S, S, 3) by SH, by the base colour, by so many terms.
+        images: (M, 2 + len(COUNTS), S, S, 3) by SH, by the base color, by so many terms.
         errors: (M, 1 + len(COUNTS)) squared RGB error, mean over directions and channels, of base and terms.
     """
 
@@ -44,12 +44,12 @@ class Spheres:
 
 
 def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None) -> Spheres:
-    """The Gaussians whose colour depends most on direction, among those that images show, fitted ever closer.
+    """The Gaussians whose color depends most on direction, among those that images show, fitted ever closer.
 
     Args:
-        fitted: A scene and its colours.
+        fitted: A scene and its colors.
         count: How many Gaussians; fewer where there are fewer.
-        variant: How to split colours; None takes that of `fitted`.
+        variant: How to split colors; None takes that of `fitted`.
     """
     g, weight = fitted.gaussians, fitted.preparation.importance
     shown = weight >= np.quantile(weight, 0.9) if len(weight) else np.zeros(0, bool)
@@ -58,23 +58,23 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
     some = g[ids]
     config = FitConfig(variant or fitted.colors.variant, max_terms=max(COUNTS), mean_terms=None, tolerance=1e-3)
     colors = fit_srbf(some, None, config).colors
-    towards = sphere_directions(pixels=_SIDE)[1].reshape(-1, 3)
+    toward = sphere_directions(pixels=_SIDE)[1].reshape(-1, 3)
     parts, shares = face_directions(4).reshape(-1, 3), face_shares(4).reshape(-1)
     steps = [colors.first(k) for k in (0, *COUNTS)]
     exact = sh_colors_along(some.sh0, some.shN, towards_gaussian(parts))
     shape = (len(ids), _SIDE, _SIDE, 3)
     images = np.zeros((len(ids), 2 + len(COUNTS), *shape[1:]), np.float32)
-    images[:, 0] = sh_colors_along(some.sh0, some.shN, towards_gaussian(towards)).reshape(shape)
+    images[:, 0] = sh_colors_along(some.sh0, some.shN, towards_gaussian(toward)).reshape(shape)
     errors = np.zeros((len(ids), len(steps)))
     for column, step in enumerate(steps):
-        images[:, column + 1] = evaluate_along(step, towards_gaussian(towards)).reshape(shape)
+        images[:, column + 1] = evaluate_along(step, towards_gaussian(toward)).reshape(shape)
         squared = np.square(evaluate_along(step, towards_gaussian(parts)).astype(np.float64) - exact)
         errors[:, column] = np.einsum("mdc,d->m", squared, shares) / (3.0 * shares.sum())
     return Spheres(ids, images, errors)
 
 
 def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
-    """A row for each Gaussian: SH, base colour, and 2 to 30 terms, with the error below each."""
+    """A row for each Gaussian: SH, base color, and 2 to 30 terms, with the error below each."""
     rows, columns = spheres.images.shape[:2]
     cover = sphere_directions(pixels=_SIDE)[0][..., None]
     paper = np.array([int(theme.paper[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
@@ -86,8 +86,8 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
         mosaic[y : y + _SIDE, x : x + _SIDE] = cover * shown + (1.0 - cover) * paper
     axes.imshow(mosaic, interpolation="bilinear")
     for m, c in np.ndindex(rows, columns):  # a rim, for spheres as bright or as dark as the page
-        centre = (c + 0.5) * _STEP - 0.5, m * _ROW + 0.5 * _SIDE - 0.5
-        axes.add_patch(Circle(centre, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.4))
+        center = (c + 0.5) * _STEP - 0.5, m * _ROW + 0.5 * _SIDE - 0.5
+        axes.add_patch(Circle(center, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.4))
     axes.set_axis_off()
     for c, name in enumerate(("SH", "base", *(f"{k} terms" for k in COUNTS))):
         middle = (c + 0.5) * _STEP
@@ -98,7 +98,7 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
 
 
 def _apart(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:
-    """The first few of an order whose base colours differ, so that the rows do not all look alike."""
+    """The first few of an order whose base colors differ, so that the rows do not all look alike."""
     chosen: list[int] = []
     candidates = order[: 200 * count]
     for least in (0.5, 0.2, 0.0):

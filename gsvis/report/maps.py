@@ -38,7 +38,7 @@ class Ground:
     Attributes:
         right: (3,) unit vector to the right of the map.
         onward: (3,) unit vector to the top of the map; right x onward is up.
-        places: (N, 2) centres of the Gaussians on the map, scene units.
+        places: (N, 2) centers of the Gaussians on the map, scene units.
         box: (2, 2) lowest and highest corner of the map.
     """
 
@@ -82,7 +82,7 @@ class Ground:
 
     @property
     def size_with_bar(self) -> tuple[float, float]:
-        """The same for a map with a bar of colours beside it."""
+        """The same for a map with a bar of colors beside it."""
         width, height = self.box[1] - self.box[0]
         return 5.2, float(np.clip(3.3 * height / width + 0.6, 2.2, 6.5))
 
@@ -93,11 +93,11 @@ class CellMap:
 
     Attributes:
         grid: C cells.
-        values: (C,) what decides the colour; NaN where it is not known.
+        values: (C,) what decides the color; NaN where it is not known.
         label: What the values are.
-        low: Value of the darkest colour.
+        low: Value of the darkest color.
         high: Value of the brightest.
-        logarithmic: Whether colours go by the logarithm.
+        logarithmic: Whether colors go by the logarithm.
         ticks: How values are written; None means as plain numbers.
         unknown: What cells without a value are called.
     """
@@ -128,7 +128,7 @@ class CellMap:
 
 
 def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None:
-    """The cells from above in the colours of their values, with the scene's walls as shadows over them."""
+    """The cells from above in the colors of their values, with the scene's walls as shadows over them."""
     corners, values = cells.columns()
     squares = ground.project(corners.reshape(-1, 3)).reshape(-1, 4, 2)
     known = np.isfinite(values)
@@ -151,11 +151,11 @@ def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None
 
 
 def draw_seen_map(axes: Axes, theme: Theme, ground: Ground, visible: NDArray[np.bool_], camera: Cameras) -> None:
-    """The scene from above, what one camera sees in colour and what it does not in grey, with the camera.
+    """The scene from above, what one camera sees in color and what it does not in gray, with the camera.
 
     Args:
         axes: Where to draw.
-        theme: Colours.
+        theme: Colors.
         ground: The map.
         visible: (N,) what the camera sees.
         camera: One camera.
@@ -165,15 +165,15 @@ def draw_seen_map(axes: Axes, theme: Theme, ground: Ground, visible: NDArray[np.
     strength = np.log1p(count) / np.log1p(max(np.quantile(count[count > 0], 0.95), 1.0)) if count.any() else count
     strength = np.where(count > 0, np.clip(0.4 + 0.6 * strength, 0.0, 1.0), 0.0)[..., None]
     hue = np.sqrt(share)[..., None]  # a few visible Gaussians among many still show
-    colour = hue * to_rgb(theme.gathered) + (1.0 - hue) * np.asarray(to_rgb(theme.hidden))
-    image = strength * colour + (1.0 - strength) * np.asarray(to_rgb(theme.paper))
+    color = hue * to_rgb(theme.gathered) + (1.0 - hue) * np.asarray(to_rgb(theme.hidden))
+    image = strength * color + (1.0 - strength) * np.asarray(to_rgb(theme.paper))
     axes.imshow(image, extent=extent, origin="lower", interpolation="nearest", aspect="equal")
     _draw_camera(axes, theme, ground, camera)
     _frame(axes, ground)
 
 
 def draw_directions(axes: Axes, theme: Theme, ground: Ground, analysis: Analysis) -> None:
-    """The traced sample from above, coloured by the share of directions from which each Gaussian can be seen."""
+    """The traced sample from above, colored by the share of directions from which each Gaussian can be seen."""
     fractions = directions.direction_fractions(analysis.traced_sets)
     places = ground.places[analysis.sample]
     order = np.argsort(fractions, kind="stable")
@@ -207,11 +207,11 @@ def _raster(ground: Ground, visible: NDArray[np.bool_]) -> tuple[tuple[float, fl
 def _draw_camera(axes: Axes, theme: Theme, ground: Ground, camera: Cameras) -> None:
     """A dot where the camera stands and a wedge over its horizontal field of view."""
     eye = ground.project(camera.viewpoints)[0]
-    focal, centre = camera.Ks[0, 0, 0], camera.Ks[0, 0, 2]
+    focal, center = camera.Ks[0, 0, 0], camera.Ks[0, 0, 2]
     reach = 0.16 * float((ground.box[1] - ground.box[0]).max())
     rotation = camera.viewmats[0, :3, :3]
     corners = [eye]
-    for x in np.linspace(-centre / focal, (camera.width - centre) / focal, 9):
+    for x in np.linspace(-center / focal, (camera.width - center) / focal, 9):
         sight = ground.project((np.array([x, 0.0, 1.0]) @ rotation)[None])[0]
         length = float(np.linalg.norm(sight))
         corners.append(eye + reach * sight / max(length, 1e-9))

@@ -121,7 +121,7 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
             " Every pixel is the sum of what its ray meets."
         )
         above = (
-            "The same from above: the wedge is the camera's field of view, coloured is what it sees, grey what is"
+            "The same from above: the wedge is the camera's field of view, colored is what it sees, gray what is"
             " hidden from it or outside its view."
         )
         parts.append(

@@ -40,7 +40,7 @@ def picture_views(
     """Render the views with the largest, the median and the smallest visible share.
 
     Args:
-        tracer: The scene that was analysed.
+        tracer: The scene that was analyzed.
         analysis: What was found.
         longest_side: Pixels of the longer side of the pictures.
         progress: Called with stage "pictures".

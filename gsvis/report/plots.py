@@ -34,8 +34,8 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: boo
     lines = [(mean, f"mean here {mean:.1%}", theme.traced, mean > paper or apart)]
     if published:
         lines.append((paper, f"paper's mean {paper:.2%}", theme.published, paper >= mean or apart))
-    for value, text, colour, above in lines:
-        axes.axhline(value, color=colour, linewidth=1.6, dashes=(5, 2))
+    for value, text, color, above in lines:
+        axes.axhline(value, color=color, linewidth=1.6, dashes=(5, 2))
         axes.annotate(
             text,
             (1.0, value),
@@ -44,7 +44,7 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: boo
             textcoords="offset points",
             ha="right",
             va="bottom" if above else "top",
-            color=colour,
+            color=color,
             fontweight="bold",
             fontsize=9,
             bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
@@ -103,13 +103,11 @@ def _paper_points(axes: Axes, theme: Theme) -> None:
         )
 
 
-def _curve(axes: Axes, cdf: DirectionCdf, colour: str, label: str) -> None:
+def _curve(axes: Axes, cdf: DirectionCdf, color: str, label: str) -> None:
     x = np.arange(82) / 80.0
     for values, style, width in ((cdf.values, "-", 2.2), (cdf.values_of_seen, (0, (3, 2)), 1.4)):
         below = np.concatenate([[0.0], values])
-        axes.plot(
-            x[:81], below[:81], color=colour, linestyle=style, linewidth=width, label=label if width > 2 else None
-        )
+        axes.plot(x[:81], below[:81], color=color, linestyle=style, linewidth=width, label=label if width > 2 else None)
 
 
 def draw_settling(axes: Axes, theme: Theme, analysis: Analysis) -> None:
@@ -122,8 +120,8 @@ def draw_settling(axes: Axes, theme: Theme, analysis: Analysis) -> None:
         ("below 41.25%, of all", [s.below_33_of_all for s in steps], theme.gathered, "-"),
         ("below 41.25%, of seen", [s.below_33_of_seen for s in steps], theme.gathered, (0, (3, 2))),
     )
-    for label, values, colour, style in lines:
-        axes.plot(cameras, values, color=colour, linestyle=style, linewidth=1.8, marker="o", markersize=4, label=label)
+    for label, values, color, style in lines:
+        axes.plot(cameras, values, color=color, linestyle=style, linewidth=1.8, marker="o", markersize=4, label=label)
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_locator(FixedLocator(cameras))
     axes.xaxis.set_minor_locator(NullLocator())

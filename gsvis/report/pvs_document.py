@@ -77,7 +77,7 @@ def _stored(store: VisibilityStore) -> dict[str, Any]:
         "cells_still_growing": int(np.count_nonzero(growing)),
         "cells_without_a_free_viewpoint": int(np.count_nonzero(looked == 0)),
         "cells": {
-            "centres": store.grid.centres.tolist(),
+            "centers": store.grid.centers.tolist(),
             "visible": store.visible_counts.tolist(),
             "viewpoints": looked.tolist(),
             "growth": [float(share) for share in store.growth],
@@ -130,7 +130,7 @@ def _figures(
     """All plots, maps and pictures by name, plots for light and for dark pages."""
     grid = store.grid
     rim = 0.5 * grid.cell_size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    ground = Ground.of(subject.gaussians, subject.up, (grid.centres[:, None] + rim).reshape(-1, 3))
+    ground = Ground.of(subject.gaussians, subject.up, (grid.centers[:, None] + rim).reshape(-1, 3))
     shares = store.visible_counts / max(store.gaussians, 1)
     missing = np.full(len(grid), np.nan)
     missing[quality.cells] = np.maximum(1.0 - quality.weighted_recall[..., 0].mean(axis=1), LEAST_MISSING)

@@ -89,7 +89,7 @@ def _tiles(quality: Quality, store: dict[str, Any]) -> str:
 def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
     looked, growing = store["viewpoints"], store["cells_still_growing"]
     above = (
-        "The cells from above, coloured by the share of the scene that each sees; of cells on top of each other the one"
+        "The cells from above, colored by the share of the scene that each sees; of cells on top of each other the one"
         " that sees the most. The lines are the scene itself from above: the more Gaussians, the stronger."
     )
     shares = (
@@ -104,7 +104,7 @@ def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
     if growing:
         last += f" {growing:,} cells had not stopped growing when the largest number of viewpoints was reached."
     return (
-        figure(figures["map_visible"], "Map of the cells coloured by visible share", above)
+        figure(figures["map_visible"], "Map of the cells colored by visible share", above)
         + figure(figures["visible"], "Visible share of each cell, sorted", shares)
         + "<div class='pair'>"
         + figure(figures["viewpoints"], "Viewpoints that cells were looked from", found)
@@ -181,7 +181,7 @@ def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
 def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
     rows = []
     for m in quality.worst(_WORST).tolist():
-        x, y, z = quality.centres[m]
+        x, y, z = quality.centers[m]
         row = [
             f"cell {int(quality.cells[m])}",
             f"{x:.2f}, {y:.2f}, {z:.2f}",
@@ -193,7 +193,7 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
             f"{quality.kept[m, 0]:,}",
         ]
         rows.append(row)
-    header = ("", "centre", "light kept", "at worst", "PSNR", "at worst", "ceiling at worst", "Gaussians")
+    header = ("", "center", "light kept", "at worst", "PSNR", "at worst", "ceiling at worst", "Gaussians")
     m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
     where = f"cell {int(quality.cells[m])}"
     pictures = (

@@ -25,7 +25,7 @@ def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> Non
 
     Args:
         axes: Where to draw.
-        theme: Colours.
+        theme: Colors.
         shares: (C,) visible shares of the scene.
         ever: Share that at least one cell sees.
     """
@@ -46,7 +46,7 @@ def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], gro
 
     Args:
         axes: Where to draw.
-        theme: Colours.
+        theme: Colors.
         viewpoints: (C,) of each cell.
         growing: (C,) whether the last viewpoint still added more than building allows.
     """
@@ -140,20 +140,20 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
 
 
-def _sorted_bars(axes: Axes, values: F64, colour: str) -> None:
+def _sorted_bars(axes: Axes, values: F64, color: str) -> None:
     """Bars without gaps, from the first to the last."""
     edges = np.arange(len(values) + 1) + 0.5
-    axes.stairs(values, edges, fill=True, color=colour, linewidth=0)
+    axes.stairs(values, edges, fill=True, color=color, linewidth=0)
     axes.set_xlim(0.5, len(values) + 0.5)
     axes.grid(visible=False, axis="x")
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
 
 
 def _level(
-    axes: Axes, theme: Theme, value: float, text: str, colour: str, *, above: bool = True, left: bool = False
+    axes: Axes, theme: Theme, value: float, text: str, color: str, *, above: bool = True, left: bool = False
 ) -> None:
     """A dashed line across the plot with its meaning on it."""
-    axes.axhline(value, color=colour, linewidth=1.6, dashes=(5, 2))
+    axes.axhline(value, color=color, linewidth=1.6, dashes=(5, 2))
     axes.annotate(
         text,
         (0.0 if left else 1.0, value),
@@ -162,7 +162,7 @@ def _level(
         textcoords="offset points",
         ha="left" if left else "right",
         va="bottom" if above else "top",
-        color=colour,
+        color=color,
         fontweight="bold",
         fontsize=9,
         bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},

@@ -76,12 +76,10 @@ def draw_bandwidth(axes: Axes, theme: Theme, visits: Visits, trace: BandwidthTra
 def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
     """PSNR in the first seconds of the first scene, with the two qualities that are asked for."""
     end = min(max(visits[0][0].config.fine, 1.0), visits[0][0].config.seconds)
-    for session, (colour, style) in zip(visits[0], _styles(theme), strict=False):
+    for session, (color, style) in zip(visits[0], _styles(theme), strict=False):
         seen = _with_content(session, session.psnr)
         times, values = np.append(session.times, session.config.seconds), np.append(seen, seen[-1])
-        axes.step(
-            times, values, where="post", color=colour, linestyle=style, linewidth=2.0, label=session.playback.name
-        )
+        axes.step(times, values, where="post", color=color, linestyle=style, linewidth=2.0, label=session.playback.name)
     for level, told in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
         axes.axhline(level, color=theme.muted, linewidth=1.2, dashes=(5, 2))
         axes.annotate(
@@ -136,12 +134,12 @@ def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
     """Megabytes that have arrived, all systems (figure 14), and what the link could have carried."""
     top, start = 0.0, 0.0
     for k, sessions in enumerate(visits):
-        for session, (colour, style) in zip(sessions, _styles(theme), strict=False):
+        for session, (color, style) in zip(sessions, _styles(theme), strict=False):
             times = np.append(session.times, session.config.seconds)
             values = session.playback.bytes_at(times) / 1e6
             top = max(top, float(values.max()))
             label = session.playback.name if k == 0 else None
-            axes.plot(start + times, values, color=colour, linestyle=style, linewidth=2.0, label=label)
+            axes.plot(start + times, values, color=color, linestyle=style, linewidth=2.0, label=label)
         start += sessions[0].config.seconds
     _scenes(axes, theme, visits)
     axes.set_xlim(0.0, start)
@@ -155,11 +153,11 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Sessio
     """A value of each step of all systems, scene after scene."""
     start = 0.0
     for k, sessions in enumerate(visits):
-        for session, (colour, style) in zip(sessions, _styles(theme), strict=False):
+        for session, (color, style) in zip(sessions, _styles(theme), strict=False):
             times = np.append(session.times, session.config.seconds)
             values = _with_content(session, value(session))
             axes.step(
-                start + times, np.append(values, values[-1]), where="post", color=colour, linestyle=style,
+                start + times, np.append(values, values[-1]), where="post", color=color, linestyle=style,
                 linewidth=2.0, label=session.playback.name if k == 0 else None,
             )  # fmt: skip
         start += sessions[0].config.seconds
@@ -187,7 +185,7 @@ def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def _styles(theme: Theme) -> list[tuple[str, Any]]:
-    """Colour and line of each system."""
-    colours = (theme.gathered, theme.published, theme.traced, theme.muted)
+    """Color and line of each system."""
+    colors = (theme.gathered, theme.published, theme.traced, theme.muted)
     styles = ("-", (0, (4, 2)), (0, (1, 1)))
-    return [(colour, style) for style in styles for colour in colours]
+    return [(color, style) for style in styles for color in colors]

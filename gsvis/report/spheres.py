@@ -44,16 +44,16 @@ def sphere_directions(side: float = 0.0, pixels: int = _SIDE) -> tuple[F64, F64]
 
     Returns:
         cover: (P, P) in [0, 1].
-        points: (P, P, 3) unit vectors, from the centre of the sphere; beyond the rim those of the rim.
+        points: (P, P, 3) unit vectors, from the center of the sphere; beyond the rim those of the rim.
     """
     at = (np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0
     right, up = np.meshgrid(at, -at)
     radius = np.hypot(right, up)
-    towards = np.sqrt(np.maximum(1.0 - radius**2, 0.0))
+    toward = np.sqrt(np.maximum(1.0 - radius**2, 0.0))
     right, up = right / np.maximum(radius, 1.0), up / np.maximum(radius, 1.0)
     forward, _, rise = _eye()
     turn = -np.radians(side)
-    out, z = towards * forward - up * rise, towards * rise + up * forward
+    out, z = toward * forward - up * rise, toward * rise + up * forward
     points = [out * np.cos(turn) - right * np.sin(turn), out * np.sin(turn) + right * np.cos(turn), z]
     return np.clip((1.0 - radius) * 0.5 * pixels + 0.5, 0.0, 1.0), np.stack(points, axis=-1)
 
@@ -89,7 +89,7 @@ def draw_sphere_figure(
 
     Args:
         axes: Where to draw; its limits and its frame go.
-        theme: Colours.
+        theme: Colors.
         function: (R, 3) unit vectors to (R,) values: what was fitted.
         fit: Its fits.
         errors: Mean squared error of each of `counts`; those over the fitted directions by default.
@@ -123,8 +123,8 @@ def draw_sphere_figure(
             continue
         part = canvas[y : y + _SIDE, x : x + _SIDE]
         part += cover[..., None] * (image - part)
-        centre = x + 0.5 * _SIDE - 0.5, y + 0.5 * _SIDE - 0.5
-        axes.add_patch(Circle(centre, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.5, clip_on=False))
+        center = x + 0.5 * _SIDE - 0.5, y + 0.5 * _SIDE - 0.5
+        axes.add_patch(Circle(center, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.5, clip_on=False))
     axes.imshow(canvas, interpolation="bilinear")
     axes.set_axis_off()
     _label(axes, theme, counts, told)
@@ -142,7 +142,7 @@ def draw_sphere_figure(
 
 
 def _eye() -> F64:
-    """Towards the eye from the centre of a sphere that is not turned."""
+    """Toward the eye from the center of a sphere that is not turned."""
     height = np.radians(_HEIGHT)
     return np.array([np.cos(height), 0.0, np.sin(height)])
 
@@ -192,5 +192,5 @@ def _label(axes: Axes, theme: Theme, counts: Sequence[int], errors: Sequence[flo
     axes.text(x + 0.5 * _SIDE, y + 0.5 * _SIDE, text, ha="center", va="center", fontsize=9, color=theme.muted)
 
 
-def _rgb(colour: str) -> F64:
-    return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+def _rgb(color: str) -> F64:
+    return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0

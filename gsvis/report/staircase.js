@@ -107,7 +107,7 @@ class Test {
     this.odd = null;
     this.staircase.answer(detected);
     byId("pictures").classList.add("blank");
-    // A grey moment between trials: a change of picture would tell by its flicker.
+    // A gray moment between trials: a change of picture would tell by its flicker.
     setTimeout(() => (this.staircase.finished ? this.end() : this.show().catch(failed)), 350);
   }
 
@@ -141,7 +141,7 @@ class Test {
 }
 
 const VERDICTS = {
-  converged: (epsilon) => "Your answers settled. Where changes of a colour up to " + epsilon.toPrecision(2) + " (of 1, from"
+  converged: (epsilon) => "Your answers settled. Where changes of a color up to " + epsilon.toPrecision(2) + " (of 1, from"
     + " black to white) are left out, you can tell in three of four trials; with smaller ones you mostly guess.",
   stuck: () => "Your answers ran to the end of the ladder, so this is no threshold, only a bound of it.",
   "too few": () => "Your answers did not settle within the trials there are; treat the figure as a rough one.",

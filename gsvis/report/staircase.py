@@ -223,7 +223,7 @@ def _page(
     made = (
         f"{len(document['pictures'])} pictures without loss ({sum(map(len, document['pictures'])) / 1e6:.1f} MB in this"
         f" page): {provenance['views_shown']} views at {len(rungs)} values of epsilon from {rungs[0]:.3g} to"
-        f" {rungs[-1]:.2g}. Terms that change no channel of their Gaussian's colour by more than epsilon are left out"
+        f" {rungs[-1]:.2g}. Terms that change no channel of their Gaussian's color by more than epsilon are left out"
         f" of the approximations. A right answer takes epsilon one step down, a wrong one {UP_STEPS} steps up, so it"
         " rests where 75% are right; the result is the geometric mean of the last turning points."
     )
@@ -232,7 +232,7 @@ def _page(
         "staircase.html",
         title=escape(title),
         version=escape(str(provenance.get("gsvis", ""))),
-        lead=f"A test of how much of the colours of {escape(title)} an eye needs.",
+        lead=f"A test of how much of the colors of {escape(title)} an eye needs.",
         width=str(width),
         height=str(height),
         aspect=f"{width / height:.5f}",

@@ -1,4 +1,4 @@
-"""Colours and type of plots, once for light and once for dark pages, and how a figure becomes PNG bytes.
+"""Colors and type of plots, once for light and once for dark pages, and how a figure becomes PNG bytes.
 
 Figures are drawn on Agg canvases of their own: no screen is needed and the settings of matplotlib are put back.
 """
@@ -22,7 +22,7 @@ _DPI = 220
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours as #rrggbb.
+    """Colors as #rrggbb.
 
     Attributes:
         paper: Background, the one of the page's cards.
@@ -54,7 +54,7 @@ def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple
 
     Args:
         draw: Draws on the axes it is given.
-        theme: Colours.
+        theme: Colors.
         size: Width and height in inches; type is 10 points, so that 5.2 inches stay legible on a phone.
     """
     with rc_context(_style(theme)):

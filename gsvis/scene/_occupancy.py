@@ -32,7 +32,7 @@ Mask = NDArray[np.bool_]
 Depth = NDArray[np.float32]
 
 MIN_ALPHA, MAX_ALPHA = 1.0 / 255.0, 0.999  # docs/conventions.md
-INFLATION = 0.5  # standard deviation, in voxels, by which Gaussians are blurred so that no sheet slips between centres
+INFLATION = 0.5  # standard deviation, in voxels, by which Gaussians are blurred so that no sheet slips between centers
 REACH = 3.0  # standard deviations
 SOLID = float(np.log(2.0))  # optical depth along a grid direction that counts as seeing something: half the light
 ENCLOSED = 0.7
@@ -122,7 +122,7 @@ class Occupancy:
         return _largest(ndimage.label(self.clear)[0])[0]
 
     def targets(self, seen: Gaussians) -> F64:
-        """(T, 3) centres inside the grid, drawn evenly by opacity times area; the same ones every time."""
+        """(T, 3) centers inside the grid, drawn evenly by opacity times area; the same ones every time."""
         shape = np.array(self.depth.shape)
         place = (seen.means - self.origin) / self.voxel_size
         inside = np.flatnonzero(np.all((place >= 0) & (place < shape), axis=1))
@@ -136,7 +136,7 @@ class Occupancy:
 
 
 def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
-    """Corners of the box that holds the middle `coverage` of the centres on each axis, and the seeds; never empty."""
+    """Corners of the box that holds the middle `coverage` of the centers on each axis, and the seeds; never empty."""
     low, high = seen.bounds(coverage)
     if len(seeds):
         low, high = np.minimum(low, seeds.min(axis=0)), np.maximum(high, seeds.max(axis=0))
@@ -149,7 +149,7 @@ def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
 def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[int, int, int]) -> Depth:
     """(X, Y, Z) sum of -log(1 - alpha) over the Gaussians that reach a voxel.
 
-    A Gaussian is blurred by half a voxel, so that a thin disc between voxel centres is found; its alpha falls by the
+    A Gaussian is blurred by half a voxel, so that a thin disc between voxel centers is found; its alpha falls by the
     share of a voxel's cross-section that it covers, so that many faint or tiny ones add up to what they stop together.
     """
     depth = np.zeros(shape, np.float32)
@@ -173,7 +173,7 @@ def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple
 
 
 def _dilated(mask: Mask, radius: float) -> Mask:
-    """The mask with everything within `radius` voxels of it, between centres."""
+    """The mask with everything within `radius` voxels of it, between centers."""
     reach = int(radius)
     if reach < 1 or not mask.any():
         return mask

@@ -2,12 +2,12 @@
 
 A surface is a lattice of thin discs of opacity 0.995 that overlap so much that hardly any light passes: less than
 1/2550 on straight lines through a rectangle more than a lattice step off its rim, less than 1/500 through a sphere.
-Each verdict is geometry alone, a segment from eye to centre against the surface, with margins for soft rims and for
-the reach of the Gaussian looked at. Frame and units are the scene's own; colour is no matter here.
+Each verdict is geometry alone, a segment from eye to center against the surface, with margins for soft rims and for
+the reach of the Gaussian looked at. Frame and units are the scene's own; color is no matter here.
 
-On a flat sheet a line to one disc's centre meets all its neighbours at nearly the same depth; whichever way the order
+On a flat sheet a line to one disc's center meets all its neighbors at nearly the same depth; whichever way the order
 of their depths falls, about half of them come first, and the disc keeps some 6% of the light. On a sphere, seen from
-outside, all of the neighbours' planes come first: hence smaller discs there, so that the disc keeps 1%.
+outside, all of the neighbors' planes come first: hence smaller discs there, so that the disc keeps 1%.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ THICKNESS = 0.02  # the same across the sheet
 REACH = 3.4  # standard deviations at which alpha has fallen below 1/255
 OFFSETS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.4])[
     :, None
-]  # standard deviations off a centre, to look past a rim
+]  # standard deviations off a center, to look past a rim
 CLEAR = 1.2  # lattice steps off a rim from which a sheet no longer dims enough to matter
 # Least optical depth at so many lattice steps inside a rim; the true one is 4.3 on the rim and 7.7 a step inside.
 RIM_STEPS, RIM_DEPTHS = (-1.5, -1.0, 0.0, 1.0), (0.0, 0.3, 3.4, 7.0)
@@ -128,13 +128,13 @@ class Sheet:
         return np.asarray(depth)
 
     def verdict(self, eye: F64, means: F64, covars: F64) -> tuple[F64, Mask]:
-        """The least optical depth before each of (M, 3) centres seen from `eye`, and whether it certainly is none.
+        """The least optical depth before each of (M, 3) centers seen from `eye`, and whether it certainly is none.
 
-        The depth is (K, M): on lines that pass the centre at each of the K `OFFSETS`, towards the nearest rim.
+        The depth is (K, M): on lines that pass the center at each of the K `OFFSETS`, toward the nearest rim.
 
         Args:
             eye: (3,) viewpoint.
-            means: (M, 3) centres of Gaussians that are not its own.
+            means: (M, 3) centers of Gaussians that are not its own.
             covars: (M, 3, 3) their covariances.
         """
         step, axis = float(self.steps.max()), self.axis

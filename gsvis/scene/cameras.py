@@ -1,6 +1,6 @@
 """Pinhole cameras: viewpoint, direction, intrinsics and image size.
 
-OpenCV axes (+x right, +y down, +z forward), `viewmats` take world to camera, `Ks` are in pixels, pixel centres
+OpenCV axes (+x right, +y down, +z forward), `viewmats` take world to camera, `Ks` are in pixels, pixel centers
 lie at +0.5. A field of view is only ever an argument. This module knows no scene and no file.
 """
 
@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 
 
 def intrinsics(width: int, height: int, fov: float) -> F64:
-    """(3, 3) pinhole matrix with square pixels and a centred principal point.
+    """(3, 3) pinhole matrix with square pixels and a centerd principal point.
 
     Args:
         width: Pixels.
@@ -242,7 +242,7 @@ class Cameras:
         return Cameras(self.viewmats, self.Ks * factor[None, :, None], width, height, self.names)
 
     def rays(self) -> tuple[F64, F64]:
-        """Rays through all pixel centres.
+        """Rays through all pixel centers.
 
         Returns:
             rays_o: (C * height * width, 3) origins, world frame.

@@ -48,7 +48,7 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
     margin = 3.0 * space.voxel_size if margin is None else float(margin)
     if not (np.isfinite(margin) and margin > 0.0):
         raise ValueError(f"margin: expected a finite number > 0, got {margin!r}")
-    reach = margin / space.voxel_size + 0.5  # voxels, between centres
+    reach = margin / space.voxel_size + 0.5  # voxels, between centers
     shape = np.array(space.free.shape)
     to_free = np.asarray(ndimage.distance_transform_edt(~space.free))
     own, held = _voxels(space, points)

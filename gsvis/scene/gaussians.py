@@ -30,15 +30,15 @@ _TURN = "pass (1, 0, 0, 0) for no rotation"
 class Gaussians:
     """N 3D Gaussians, validated, read-only, activated.
 
-    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterwards. Torch tensors are
+    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterward. Torch tensors are
     taken from any device; those that require a gradient are copied.
 
     Args:
-        means: (N, 3) centres, scene units.
-        quats: (N, 4) rotations wxyz, any non-zero length; stored normalised.
+        means: (N, 3) centers, scene units.
+        quats: (N, 4) rotations wxyz, any non-zero length; stored normalized.
         scales: (N, 3) standard deviations along the rotated axes, scene units, > 0.
         opacities: (N,) in [0, 1].
-        sh0: (N, 1, 3) constant SH coefficient of each colour channel (colour = 0.5 + 0.28209 sh0).
+        sh0: (N, 1, 3) constant SH coefficient of each color channel (color = 0.5 + 0.28209 sh0).
         shN: (N, K-1, 3) higher SH coefficients, K in {1, 4, 9, 16}; None means degree 0.
 
     Raises:
@@ -84,7 +84,7 @@ class Gaussians:
             "scales", arrays["scales"], 0.0, np.inf, open_low=True, remedy=_LOG_SCALES if negative else _FLAT
         )
         _check.in_range("opacities", arrays["opacities"], 0.0, 1.0, remedy=_LOGITS)
-        arrays["quats"] = _normalised(arrays["quats"])
+        arrays["quats"] = _normalized(arrays["quats"])
         for name, array in arrays.items():
             view = array.view()
             view.flags.writeable = False
@@ -140,12 +140,12 @@ class Gaussians:
         return sum(int(getattr(self, name).nbytes) for name in _NAMES)
 
     def bounds(self, coverage: float = 0.98) -> F64:
-        """Axis-aligned box that holds the middle `coverage` of the centres on each axis.
+        """Axis-aligned box that holds the middle `coverage` of the centers on each axis.
 
-        Trained scenes have floaters thousands of scene sizes away, so the extreme centres say nothing.
+        Trained scenes have floaters thousands of scene sizes away, so the extreme centers say nothing.
 
         Args:
-            coverage: Share of the centres kept on each axis, in (0, 1]; 1 gives the exact box.
+            coverage: Share of the centers kept on each axis, in (0, 1]; 1 gives the exact box.
 
         Returns:
             (2, 3) float64, lowest and highest corner.
@@ -170,7 +170,7 @@ class Gaussians:
         return np.asarray(half @ np.swapaxes(half, 1, 2))
 
     def transformed(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0), scale: float = 1.0) -> Gaussians:
-        """The same scene in another frame: x -> scale * R x + t; view-dependent colour turns with it.
+        """The same scene in another frame: x -> scale * R x + t; view-dependent color turns with it.
 
         Args:
             rotation: (3, 3) rotation, new frame from old frame.
@@ -202,7 +202,7 @@ class Gaussians:
 _NAMES = tuple(f.name for f in fields(Gaussians))
 
 
-def _normalised(quats: F32) -> F32:
+def _normalized(quats: F32) -> F32:
     squared = np.einsum("ij,ij->i", quats, quats, dtype=np.float64)
     if len(squared) and squared.min() < 1e-24:
         zero = int(squared.argmin())

@@ -72,7 +72,7 @@ def face_directions(rays_per_face: int = 1) -> NDArray[np.float64]:
     """Directions spread over each of the 80 faces of the once-subdivided icosahedron.
 
     Args:
-        rays_per_face: 1, 4, 16 or 64: the centres of the face cut in that many parts.
+        rays_per_face: 1, 4, 16 or 64: the centers of the face cut in that many parts.
 
     Returns:
         (80, rays_per_face, 3) unit vectors.
@@ -80,13 +80,13 @@ def face_directions(rays_per_face: int = 1) -> NDArray[np.float64]:
     Raises:
         ValueError: If `rays_per_face` is another number.
     """
-    centres = _corners(rays_per_face).mean(axis=1)
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    return np.asarray(centres.reshape(NUM_FACES, rays_per_face, 3))
+    centers = _corners(rays_per_face).mean(axis=1)
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    return np.asarray(centers.reshape(NUM_FACES, rays_per_face, 3))
 
 
 def face_shares(rays_per_face: int = 1) -> NDArray[np.float64]:
-    """(80, rays_per_face) shares of the sphere of the parts whose centres `face_directions` gives; they sum to 1.
+    """(80, rays_per_face) shares of the sphere of the parts whose centers `face_directions` gives; they sum to 1.
 
     Raises:
         ValueError: If `rays_per_face` is not 1, 4, 16 or 64.

@@ -36,16 +36,16 @@ class SceneReport:
         count: Number of Gaussians.
         sh_degree: 0 to 3.
         bytes_in_memory: Bytes of the arrays.
-        bounds: Lowest and highest corner of the box of all centres; empty for a scene of none.
-        robust_bounds: The same for the middle 98% of the centres on each axis.
+        bounds: Lowest and highest corner of the box of all centers; empty for a scene of none.
+        robust_bounds: The same for the middle 98% of the centers on each axis.
         up: Likely up axis, such as "+z".
         up_confidence: In (0, 1].
         opacities: Quantiles of the opacities by name.
         scales: Quantiles of the largest standard deviation of each Gaussian by name.
         invisible_share: Opacity below 1/255.
         opaque_share: Opacity of at least one half.
-        floaters: Centres outside 5 times the robust box.
-        farthest: Distance of the farthest centre from the middle of the robust box, in its diagonals.
+        floaters: Centers outside 5 times the robust box.
+        farthest: Distance of the farthest center from the middle of the robust box, in its diagonals.
         duplicates: Gaussians whose place, shape and opacity equal an earlier one's.
         needle_share: Largest scale more than 10 times the middle one.
         disc_share: No needle, and smallest scale less than a tenth of the middle one.
@@ -156,9 +156,9 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
     if r.duplicates:
         yield f"{_some(r.duplicates, 'repeat', 'repeats')} an earlier one exactly"
     if longest == 0.0:
-        yield "all robust centres coincide"
+        yield "all robust centers coincide"
     elif longest > 1000.0 or longest < 0.1:
-        unit = "metres are unlikely; millimetres or map units?" if longest > 1000.0 else "metres are unlikely"
+        unit = "meters are unlikely; millimeters or map units?" if longest > 1000.0 else "meters are unlikely"
         yield f"the scene is {longest:.3g} units long: {unit}"
     if r.up_confidence < 0.6:
         yield f"the up axis is uncertain ({r.up} with a confidence of {r.up_confidence:.0%}); look before relying on it"
@@ -176,12 +176,12 @@ def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[st
     if many and longest > 0.0 and r.scales["p50"] > 0.2 * longest:
         yield (
             f"the median Gaussian is {r.scales['p50'] / longest:.2g} scene sizes wide: the scales do not look activated"
-            " once, or are in other units than the centres"
+            " once, or are in other units than the centers"
         )
     elif many and r.scales["min"] == r.scales["max"]:
         yield f"all largest scales equal {r.scales['min']:.3g}: a point cloud rather than a trained scene?"
     if many and float(g.sh0.min()) >= 0.0 and float(g.sh0.max()) <= 1.0:
-        yield "all sh0 lie in [0, 1]: they look like colours, not SH coefficients; the picture will be pale grey"
+        yield "all sh0 lie in [0, 1]: they look like colors, not SH coefficients; the picture will be pale gray"
     if g.sh_degree and not g.shN.any():
         yield f"the SH degree is {g.sh_degree}, but all its coefficients are zero"
 
@@ -240,7 +240,7 @@ def _areas(g: Gaussians, cap: float) -> F64:
 
 
 def _low_mass(kept: Gaussians, robust: F64) -> F64:
-    """(3,) how far the opaque area crowds towards the low end of each axis; negative for the high end; in [-2, 2]."""
+    """(3,) how far the opaque area crowds toward the low end of each axis; negative for the high end; in [-2, 2]."""
     extent = robust[1] - robust[0]
     weights = _areas(kept, 0.05 * float(extent.max()))
     weights /= weights.sum()

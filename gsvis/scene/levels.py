@@ -1,6 +1,6 @@
 """Quality levels that share Gaussians: one union, and from which level to which each of its Gaussians stands.
 
-Levels run from low to high. What stands in two neighbours is the same in both, so an upgrade sends only the rest. This
+Levels run from low to high. What stands in two neighbors is the same in both, so an upgrade sends only the rest. This
 module knows no file, no camera and no training.
 """
 

@@ -99,8 +99,8 @@ class NavigableSpace:
             g: The scene.
             resolution: Voxels along the longest side of the box, 8 to 384.
             max_alpha: Share of light, in (0, 1), from which on a voxel counts as occupied.
-            clearance: Distance to keep from occupied voxels, in voxels, between centres.
-            coverage: Share of the centres inside the box on each axis; what lies beyond is ignored.
+            clearance: Distance to keep from occupied voxels, in voxels, between centers.
+            coverage: Share of the centers inside the box on each axis; what lies beyond is ignored.
             up: (3,) direction or an axis such as "+z"; guessed by default.
             seeds: (S, 3) positions known to be navigable, such as captured cameras. The box is widened to hold
                 them, and the connected parts that hold them are kept instead of the largest.
@@ -190,7 +190,7 @@ class NavigableSpace:
     ) -> Cameras:
         """Cameras as a visitor would hold them: anywhere in the space, upright, looking at something.
 
-        Each looks towards a random target within 45 degrees of the horizon whose line of sight stays free for at
+        Each looks toward a random target within 45 degrees of the horizon whose line of sight stays free for at
         least 5% of the grid's longest side. Where 16 draws find none, it takes the draw with the longest free line.
 
         Args:

@@ -33,7 +33,7 @@ class HeadPath:
         quats: (T, 4) wxyz, world from camera, OpenCV axes. Any length but 0, either sign: they are kept at unit
             length, each on the side of the one before.
         up: (3,) direction against gravity in the same frame; None where it is not known.
-        metres_per_unit: Size of one unit of `positions`; None where it is not known.
+        meters_per_unit: Size of one unit of `positions`; None where it is not known.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -43,7 +43,7 @@ class HeadPath:
     positions: F64
     quats: F64
     up: F64 | None = None
-    metres_per_unit: float | None = None
+    meters_per_unit: float | None = None
 
     def __post_init__(self) -> None:
         times = _check.floats("times", self.times, ("T",), np.float64)
@@ -65,16 +65,16 @@ class HeadPath:
                 array = array.view()
                 array.flags.writeable = False
             object.__setattr__(self, name, array)
-        if self.metres_per_unit is not None:
-            if not (np.isfinite(self.metres_per_unit) and self.metres_per_unit > 0):
-                raise ValueError(f"metres_per_unit: expected a finite number > 0, got {self.metres_per_unit!r}")
-            object.__setattr__(self, "metres_per_unit", float(self.metres_per_unit))
+        if self.meters_per_unit is not None:
+            if not (np.isfinite(self.meters_per_unit) and self.meters_per_unit > 0):
+                raise ValueError(f"meters_per_unit: expected a finite number > 0, got {self.meters_per_unit!r}")
+            object.__setattr__(self, "meters_per_unit", float(self.meters_per_unit))
 
     def __len__(self) -> int:
         return len(self.times)
 
     def __repr__(self) -> str:
-        unit = "units" if self.metres_per_unit is None else "m" if self.metres_per_unit == 1.0 else "scaled units"
+        unit = "units" if self.meters_per_unit is None else "m" if self.meters_per_unit == 1.0 else "scaled units"
         return f"HeadPath({len(self)} poses over {self.duration:.3g} s, {self.length:.3g} {unit} long)"
 
     @property
@@ -84,7 +84,7 @@ class HeadPath:
 
     @property
     def length(self) -> float:
-        """Distance travelled, in units of the positions."""
+        """Distance traveled, in units of the positions."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
 
     @property
@@ -183,7 +183,7 @@ class HeadPath:
             similarity.apply(self.positions),
             similarity.rotate(self.quats),
             None if self.up is None else similarity.rotation @ self.up,
-            None if self.metres_per_unit is None else self.metres_per_unit / similarity.scale,
+            None if self.meters_per_unit is None else self.meters_per_unit / similarity.scale,
         )
 
     def cameras(self, width: int = 256, height: int = 192, fov: float = 90.0) -> Cameras:

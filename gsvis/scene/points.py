@@ -1,6 +1,6 @@
-"""A cloud of coloured points: what a reconstruction leaves behind and training starts from.
+"""A cloud of colored points: what a reconstruction leaves behind and training starts from.
 
-World frame and units are the scene's own; colours are sRGB as displayed, 0 black, 1 white. This module knows no file.
+World frame and units are the scene's own; colors are sRGB as displayed, 0 black, 1 white. This module knows no file.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class PointCloud:
-    """N coloured points, validated, read-only.
+    """N colored points, validated, read-only.
 
-    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterwards.
+    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterward.
 
     Args:
         means: (N, 3) positions, scene units.
-        colors: (N, 3) sRGB, 0 black to 1 white; None makes every point mid-grey.
+        colors: (N, 3) sRGB, 0 black to 1 white; None makes every point mid-gray.
 
     Raises:
         ValueError: If a shape, a length or a value is out of its range; the message names the argument.
@@ -42,8 +42,8 @@ class PointCloud:
 
     def __init__(self, means: ArrayLike, colors: ArrayLike | None = None) -> None:
         positions = _check.floats("means", means, ("N", 3))
-        grey = np.full(positions.shape, 0.5, np.float32)
-        shades = grey if colors is None else _check.floats("colors", colors, ("N", 3))
+        gray = np.full(positions.shape, 0.5, np.float32)
+        shades = gray if colors is None else _check.floats("colors", colors, ("N", 3))
         _check.same_length(means=positions, colors=shades)
         _check.in_range("colors", shades, 0.0, 1.0)
         for name, array in (("means", positions), ("colors", shades)):

@@ -1,6 +1,6 @@
 """Scenes made by rule: occluder scenes whose visibility is known in closed form, and random ones for tests.
 
-Occluder scenes are built of opaque surfaces (`_surfaces.py`) in metres, z up, and come with viewpoints and, for
+Occluder scenes are built of opaque surfaces (`_surfaces.py`) in meters, z up, and come with viewpoints and, for
 each, the Gaussians that certainly are visible and certainly hidden (docs/conventions.md: largest weight at least, or
 below, 1/255). What lies in the margins (soft rims, grazing lines, corners) is in neither. Everything is deterministic.
 """
@@ -189,7 +189,7 @@ def random_scene(rng: np.random.Generator, n: int, sh_degree: int = 0, kind: str
         n: Number of Gaussians.
         sh_degree: 0 to 3.
         kind: "blob" (all shapes), "discs" (flat as paper), "needles" (50 times as long as wide), "nested" (about few
-            common centres, sizes over two decades), "coincident" (every centre four times, every tenth Gaussian twice).
+            common centers, sizes over two decades), "coincident" (every center four times, every tenth Gaussian twice).
 
     Raises:
         ValueError: If an argument is out of range.
@@ -224,7 +224,7 @@ def random_scene(rng: np.random.Generator, n: int, sh_degree: int = 0, kind: str
 
 
 def _box(low: Triple, high: Triple, step: float, colors: Sequence[Triple]) -> list[Painted]:
-    """Six sheets; colours of the x walls, the y walls, the floor and the ceiling."""
+    """Six sheets; colors of the x walls, the y walls, the floor and the ceiling."""
     painted: list[Painted] = []
     for axis in range(3):
         a, b = (i for i in range(3) if i != axis)
@@ -258,7 +258,7 @@ def _scene(
 
 
 def _dressed(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussians:
-    """Gaussians of the patches with a soft checker pattern and colours that drift with the direction of view."""
+    """Gaussians of the patches with a soft checker pattern and colors that drift with the direction of view."""
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
     means = np.concatenate([patch.means for patch in patches])
@@ -287,7 +287,7 @@ def _judged(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F
     starts = np.cumsum([0, *(len(patch.means) for patch in patches)])
     visible, hidden = np.ones((len(eyes), len(g)), bool), np.zeros((len(eyes), len(g)), bool)
     for v, eye in enumerate(eyes):
-        depth = np.repeat(0.5 * OFFSETS**2, len(g), axis=1)  # off its centre a Gaussian is fainter
+        depth = np.repeat(0.5 * OFFSETS**2, len(g), axis=1)  # off its center a Gaussian is fainter
         for i, surface in enumerate(surfaces):
             own = slice(int(starts[i]), int(starts[i + 1]))
             dims, clear = surface.verdict(eye, means, covars)

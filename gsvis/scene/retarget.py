@@ -3,11 +3,11 @@
 The walk is stood upright, turned, scaled and moved, all of it alike, so that its poses lie in navigable space. Scale:
 
 1. the one that is given;
-2. else, where the sizes of both are known in metres, the natural one;
+2. else, where the sizes of both are known in meters, the natural one;
 3. else about the largest at which a share `enough` of the positions is inside.
 
-With 2 and 3, and a recording in metres, people stand: the middle of the walk is put at eye height above what lies below
-it, on the storey with the most room, not on roofs. Placements are tried in an order drawn from the seed; of the first
+With 2 and 3, and a recording in meters, people stand: the middle of the walk is put at eye height above what lies below
+it, on the story with the most room, not on roofs. Placements are tried in an order drawn from the seed; of the first
 few with `enough` inside, the place and heading are taken with which the walk looks at the scene most often, not into
 the void around it (with 3, also at scales somewhat below the largest). If none has enough, it is the one with the most.
 What the recording's own frame was (its origin, its heading, with rule 3 its unit) has no influence.
@@ -41,8 +41,8 @@ class RetargetConfig:
 
     Attributes:
         scale: Scene units for one unit of the walk; None finds it by the rule of this module.
-        metres_per_unit: Size of a scene unit; None where it is not known.
-        eye_height: Metres at which people carry their eyes; None lets a walk float.
+        meters_per_unit: Size of a scene unit; None where it is not known.
+        eye_height: Meters at which people carry their eyes; None lets a walk float.
         enough: Share of the positions, in (0, 1], that is to lie inside.
         yaws: Headings tried.
         placements: Voxels tried for the middle of the walk.
@@ -54,7 +54,7 @@ class RetargetConfig:
     """
 
     scale: float | None = None
-    metres_per_unit: float | None = None
+    meters_per_unit: float | None = None
     eye_height: float | None = 1.6
     enough: float = 0.99
     yaws: int = 16
@@ -66,7 +66,7 @@ class RetargetConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("scale", "metres_per_unit", "eye_height"):
+        for name in ("scale", "meters_per_unit", "eye_height"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: expected a finite number > 0 or None, got {value!r}")
@@ -140,8 +140,8 @@ def _finished(
     path: HeadPath, navigable: NavigableSpace, config: RetargetConfig, similarity: Similarity, rule: str
 ) -> RetargetedPath:
     there = replace(path.transformed(similarity), up=navigable.up)
-    if config.metres_per_unit is not None:
-        there = replace(there, metres_per_unit=config.metres_per_unit)
+    if config.meters_per_unit is not None:
+        there = replace(there, meters_per_unit=config.meters_per_unit)
     inside = navigable.contains(there.positions)
     share, moved, farthest = float(inside.mean()), 0, 0.0
     if config.project and not inside.all():
@@ -165,11 +165,11 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
     cells = np.stack(np.unravel_index(voxels[order], navigable.free.shape), axis=1)
     places = navigable.origin + navigable.voxel_size * (cells + 0.5)
     scale, told = config.scale, "given scale"
-    if scale is None and config.metres_per_unit is not None and path.metres_per_unit is not None:
-        scale, told = path.metres_per_unit / config.metres_per_unit, "natural scale"
+    if scale is None and config.meters_per_unit is not None and path.meters_per_unit is not None:
+        scale, told = path.meters_per_unit / config.meters_per_unit, "natural scale"
     stand = None  # eye height in units of the walk
-    if config.eye_height is not None and path.metres_per_unit is not None and config.scale is None:
-        stand = config.eye_height / path.metres_per_unit
+    if config.eye_height is not None and path.meters_per_unit is not None and config.scale is None:
+        stand = config.eye_height / path.meters_per_unit
     floors = Floors.below(places, navigable) if stand is not None else None
     if scale is not None:
         standing = floors.at_height(stand, scale) if floors is not None else None

@@ -14,7 +14,7 @@ from gsvis import _check
 __all__ = ["SH_C0", "rotation_of_sh", "sh_basis", "sh_degree_of"]
 
 SH_C0 = 0.28209479177387814
-"""Value of the constant harmonic: base colour = 0.5 + SH_C0 * sh0. The factors of the higher degrees follow."""
+"""Value of the constant harmonic: base color = 0.5 + SH_C0 * sh0. The factors of the higher degrees follow."""
 
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -92,7 +92,7 @@ def sh_basis(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
 def rotation_of_sh(rotation: ArrayLike, degree: int) -> NDArray[np.float64]:
     """Matrix that turns SH coefficients with the scene.
 
-    If `f(d) = sh_basis(d) @ c` is a colour, then `sh_basis(d) @ (M @ c) == f(R^T d)`: the turned scene shows
+    If `f(d) = sh_basis(d) @ c` is a color, then `sh_basis(d) @ (M @ c) == f(R^T d)`: the turned scene shows
     in direction `R d` what the old one showed in direction `d`.
 
     Args:

@@ -62,7 +62,7 @@ class ServedScene:
     @cached_property
     def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         grid = self.scene.index.grid
-        low, high = grid.centres.min(axis=0) - grid.cell_size, grid.centres.max(axis=0) + grid.cell_size
+        low, high = grid.centers.min(axis=0) - grid.cell_size, grid.centers.max(axis=0) + grid.cell_size
         reach = _REACH * float((high - low).max())
         return low - reach, high + reach
 
@@ -77,8 +77,8 @@ class ServedScene:
         for _ in range(2):  # a viewer that comes, and one that comes back
             sender = Sender.greeted(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
             sender.welcome(0.0)
-            for k, centre in enumerate(grid.centres[:_WALK]):
-                sender.on_pose(0.1 * k, centre, (1.0, 0.1 * k, 0.0, 0.0))
+            for k, center in enumerate(grid.centers[:_WALK]):
+                sender.on_pose(0.1 * k, center, (1.0, 0.1 * k, 0.0, 0.0))
                 message = sender.next_message(0.1 * k + 0.02, _PIECE)
                 sender.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
             holdings = sender.holdings.to_bytes()

@@ -83,7 +83,7 @@ class MortonProgressive(_Unaware):
 
     Args:
         contents: The package.
-        gaussian_bytes: Bytes of a Gaussian with its base colour.
+        gaussian_bytes: Bytes of a Gaussian with its base color.
         term_bytes: Bytes of a term; None: of the package's records.
         measured: How the sizes were found, for reports.
     """
@@ -123,7 +123,7 @@ class MortonProgressive(_Unaware):
 
 
 def morton_order(means: ArrayLike) -> I64:
-    """(N,) the order of centres (N, 3) along a Morton curve over the box of the middle 98% of them."""
+    """(N,) the order of centers (N, 3) along a Morton curve over the box of the middle 98% of them."""
     points = _check.floats("means", means, ("N", 3))
     if len(points) == 0:
         return np.zeros(0, np.int64)

@@ -46,7 +46,7 @@ class Stage:
 
     @cached_property
     def drawn(self) -> Gaussians:
-        """All Gaussians of all levels, with base colours."""
+        """All Gaussians of all levels, with base colors."""
         return self.contents.gaussians()
 
     @cached_property
@@ -56,8 +56,8 @@ class Stage:
 
     @cached_property
     def evaluator(self) -> Evaluator | None:
-        """Colours with terms; None where there are none."""
-        return Evaluator(self.contents.colors().dequantised()) if len(self.contents.term_records) else None
+        """Colors with terms; None where there are none."""
+        return Evaluator(self.contents.colors().dequantized()) if len(self.contents.term_records) else None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -68,7 +68,7 @@ class Stage:
     def compared_with(self) -> str:
         """What the full scene is, in words."""
         if self.reference is not None:
-            return "the scene before it became a package, unquantised, with its spherical harmonics"
+            return "the scene before it became a package, unquantized, with its spherical harmonics"
         return "the highest level of the package, as decoded, with all its terms"
 
 

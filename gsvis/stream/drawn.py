@@ -195,7 +195,7 @@ class Drawn:
 
 
 def _unchecked(kind: Any, **arrays: NDArray[Any]) -> Any:
-    """Gaussians or colours of arrays that were checked when they came, batch by batch."""
+    """Gaussians or colors of arrays that were checked when they came, batch by batch."""
     made = object.__new__(kind)
     for name, array in arrays.items():
         view = array.view()

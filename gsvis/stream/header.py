@@ -1,4 +1,4 @@
-"""What a client has to know of a scene before its first batch: counts, levels, tables of colours, frame, identity.
+"""What a client has to know of a scene before its first batch: counts, levels, tables of colors, frame, identity.
 
 As JSON in the metadata of the Arrow schema of all batches, so that a WELCOME and the batches after it, each without its
 head, are one Arrow stream.
@@ -49,9 +49,9 @@ class SceneHeader:
         chunks: C.
         names: Of the levels, lowest first.
         counts: Gaussians of each.
-        grids: What base colours and terms point into.
+        grids: What base colors and terms point into.
         up: (3,) unit axis that points upwards.
-        metres_per_unit: Size of a scene unit; 0 where nobody knows.
+        meters_per_unit: Size of a scene unit; 0 where nobody knows.
         identity: 64 hexadecimal digits: what ids and records are of. Holdings are worth something for the same only.
     """
 
@@ -62,7 +62,7 @@ class SceneHeader:
     counts: tuple[int, ...]
     grids: Grids
     up: tuple[float, float, float]
-    metres_per_unit: float
+    meters_per_unit: float
     identity: str
 
     @classmethod
@@ -81,7 +81,7 @@ class SceneHeader:
         said = json.dumps([named, asdict(manifest.grids), manifest.names], sort_keys=True)
         return cls(
             manifest.gaussians, manifest.terms, sum(rows for _, rows in manifest.tables), manifest.names,
-            manifest.counts, manifest.grids, manifest.info.up, manifest.info.metres_per_unit,
+            manifest.counts, manifest.grids, manifest.info.up, manifest.info.meters_per_unit,
             hashlib.sha256(said.encode()).hexdigest(),
         )  # fmt: skip
 
@@ -97,7 +97,7 @@ class SceneHeader:
 
     @cached_property
     def axis_bytes(self) -> int:
-        """Bytes of the colour axes of a Gaussian, which come with its first term."""
+        """Bytes of the color axes of a Gaussian, which come with its first term."""
         return 2 * self.grids.kind.num_axes
 
     def to_message(self) -> bytes:
@@ -113,7 +113,7 @@ class SceneHeader:
             "axis_bytes": self.axis_bytes,
             "colors": asdict(self.grids),
             "up": list(self.up),
-            "metres_per_unit": self.metres_per_unit,
+            "meters_per_unit": self.meters_per_unit,
             "identity": self.identity,
         }
         text = json.dumps(said, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
@@ -151,13 +151,13 @@ class SceneHeader:
         if not 1 <= len(levels) <= 16:
             raise ProtocolError(f"WELCOME: expected 1 to 16 levels, got {len(levels)}")
         up = said.numbers("up", 3).tolist()
-        info = PackageInfo((up[0], up[1], up[2]), said.number("metres_per_unit"))  # which checks them
+        info = PackageInfo((up[0], up[1], up[2]), said.number("meters_per_unit"))  # which checks them
         n = said.integer("gaussians", 0, MOST)
         found = cls(
             n, said.integer("terms", 0, min(255 * n, MOST)), said.integer("chunks", 0, n),
             tuple(level.text("name")[:100] for level in levels),
             tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
-            info.metres_per_unit, identity,
+            info.meters_per_unit, identity,
         )  # fmt: skip
         sizes = RECORD_BYTES, found.term_bits, found.axis_bytes
         if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits", "axis_bytes")) != sizes:

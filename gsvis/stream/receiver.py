@@ -1,4 +1,4 @@
-"""The client's side: messages in, Gaussians and colours to draw out. No socket, no clock.
+"""The client's side: messages in, Gaussians and colors to draw out. No socket, no clock.
 
 A batch is checked before anything of it is taken, then decoded once; a scene is a view of what has been decoded. Scene
 frame and units.
@@ -127,7 +127,7 @@ class Receiver:
         return self._drawn.ids.astype(np.int64)
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
-        """What is drawn: M Gaussians in SH degree 0 with their base colours, and colours with the terms that came.
+        """What is drawn: M Gaussians in SH degree 0 with their base colors, and colors with the terms that came.
 
         An eye sees `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)`. These are views of what the receiver
         keeps, good until it receives again; copy what has to last longer.

@@ -1,6 +1,6 @@
 """The server's side of one client: poses and acknowledgements in, messages out. No socket, no clock.
 
-A batch of the scheduler becomes a message of records; what the client must have first, rows of chunks and colour axes,
+A batch of the scheduler becomes a message of records; what the client must have first, rows of chunks and color axes,
 goes with it. Throughput is measured here, so a simulator and a server see the same, and a client cannot claim one.
 Budgets are bytes of messages.
 """
@@ -32,7 +32,7 @@ PIECE = 4096.0
 """Bytes that a message should have at least, so that what is around records stays small."""
 
 _FIRST = 1.2  # bytes of a message for each byte of records, before there was one
-_LEARNT = 0.3  # how much of what the last one had is believed
+_LEARNED = 0.3  # how much of what the last one had is believed
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ class Sender:
             return None
         self._sequence += 1
         data = self._encoded(batch)
-        self._added += _LEARNT * ((len(data) - FIXED_BYTES) / batch.bytes - self._added)
+        self._added += _LEARNED * ((len(data) - FIXED_BYTES) / batch.bytes - self._added)
         self._count(t, self._sequence, len(data))
         return Message(self._sequence, data, batch)
 

@@ -28,7 +28,7 @@ __all__ = ["FAULTS", "MODES", "find_files", "find_views", "named", "quiet_pillow
 Size = tuple[int, int]
 
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
-"""Pillow's modes that are read: up to 8 bits a channel, in grey or RGB, with or without alpha."""
+"""Pillow's modes that are read: up to 8 bits a channel, in gray or RGB, with or without alpha."""
 
 FAULTS = (OSError, SyntaxError, ValueError, EOFError, LookupError, ArithmeticError, Image.DecompressionBombError)
 """What Pillow raises at a damaged file."""
@@ -144,7 +144,7 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
             raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", told, "is it damaged?") from error
         if mode not in MODES:
             remedy = "convert the images to 8-bit RGB"
-            raise FormatError(path, "", "grey or RGB with 8 bits a channel", f"Pillow's mode {mode}", remedy)
+            raise FormatError(path, "", "gray or RGB with 8 bits a channel", f"Pillow's mode {mode}", remedy)
         Budget(path, held).claim(4 * size[0] * size[1], f"an image of {size[0]} x {size[1]}")
         sizes.append(size)
     return sizes

@@ -1,7 +1,7 @@
 """Where a scene in training gets more Gaussians and where it loses some: clone, split, prune, reset of opacities.
 
 The default rules of 3DGS, and the gentler ones of SRBF-Gaussian for levels with frozen rows (`split=False`,
-`most_share`). What drives them is the mean length of the loss's gradient by projected centres, in half image sizes.
+`most_share`). What drives them is the mean length of the loss's gradient by projected centers, in half image sizes.
 
 References:
     Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", TOG 2023, section 5.2.
@@ -33,7 +33,7 @@ class DensifyConfig:
         start: Step of the first change, without it.
         stop: Step of the last.
         every: Steps from one to the next.
-        threshold: Mean gradient by projected centres, in half image sizes, above which a Gaussian is cloned or split.
+        threshold: Mean gradient by projected centers, in half image sizes, above which a Gaussian is cloned or split.
         small: Largest scale of what is cloned, as a share of the extent; larger ones are split.
         split: Whether large ones are split in two; else they are cloned as well.
         most_share: Of all Gaussians, how many may be added at a time; those of largest gradient are.
@@ -93,7 +93,7 @@ class Densifier:
         self.total, self.seen = torch.zeros_like(like), torch.zeros_like(like)
 
     def observe(self, gradient: Tensor, width: int, height: int) -> None:
-        """Add the gradient (N, 2) of one view's loss by projected centres in pixels."""
+        """Add the gradient (N, 2) of one view's loss by projected centers in pixels."""
         length = torch.hypot(gradient[:, 0] * (0.5 * width), gradient[:, 1] * (0.5 * height))
         self.total += length
         self.seen += length > 0

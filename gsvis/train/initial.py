@@ -20,21 +20,21 @@ __all__ = ["gaussians_from_points", "random_points"]
 
 F64 = NDArray[np.float64]
 
-_NEIGHBOURS = 3
+_NEIGHBORS = 3
 _OPACITY = 0.1
 _LEAST_SCALE = 1e-7  # of the size of the cloud: what float32 still tells apart
 _ROUNDS = 200
 
 
 def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
-    """A faint ball at each point, as large as its neighbours are far.
+    """A faint ball at each point, as large as its neighbors are far.
 
     The scale is the root mean square distance to the 3 nearest points at other places (to those there are, if fewer),
-    the opacity 0.1, the colour that of the point from every side.
+    the opacity 0.1, the color that of the point from every side.
 
     Args:
         points: N points, at 2 places or more.
-        sh_degree: Degree of the colours, the higher coefficients 0. Training raises it from 0 by itself.
+        sh_degree: Degree of the colors, the higher coefficients 0. Training raises it from 0 by itself.
 
     Returns:
         N Gaussians in the order of the points.
@@ -44,7 +44,7 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
 
     References:
         Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", TOG 2023, section 5.1 and the
-        authors' code, which takes duplicates for neighbours at distance 0.
+        authors' code, which takes duplicates for neighbors at distance 0.
 
     Examples:
         >>> start = gaussians_from_points(PointCloud([[0, 0, 0], [3, 0, 0], [0, 4, 0]]))
@@ -57,7 +57,7 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
     if len(places) < 2:
         told = f"{len(points):,} at {len(places)}"
         raise ValueError(f"points: expected points at 2 places or more, got {told}; random_points makes some")
-    near, _ = cKDTree(places).query(places, k=min(_NEIGHBOURS, len(places) - 1) + 1)
+    near, _ = cKDTree(places).query(places, k=min(_NEIGHBORS, len(places) - 1) + 1)
     apart = np.sqrt((near[:, 1:] ** 2).mean(axis=1))  # the first is the point itself
     size = float(np.ptp(places, axis=0).max())
     scales = np.maximum(apart, _LEAST_SCALE * size)[of_point.reshape(-1)]
@@ -75,7 +75,7 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
 
 
 def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> PointCloud:
-    """Points for a reconstruction that has none: grey, uniform in the box that cameras look at, where one sees them.
+    """Points for a reconstruction that has none: gray, uniform in the box that cameras look at, where one sees them.
 
     The box holds the viewpoints and, from each, what lies twice as far as the point nearest to all lines of sight (at
     least as far as cameras stand apart, where they look past each other).

@@ -24,7 +24,7 @@ _KNUD_THOMSEN = 1.6  # surface of an ellipsoid to about 1%
 def merged(g: Gaussians, count: int) -> Gaussians:
     """`count` Gaussians that stand for a scene: one for each voxel of a grid that holds any.
 
-    - The grid has its corner at the median of the centres; its side is bisected until the occupied voxels are at least
+    - The grid has its corner at the median of the centers; its side is bisected until the occupied voxels are at least
       `count` and at most 1% more, or for 60 steps. Of those, the ones with the least coverage are left out.
     - A Gaussian counts by its coverage w: its opacity times the mean area of its shadows, a quarter of its surface.
     - What is merged has the first two moments of its Gaussians as weighted by w (the mean, and the covariances plus the
@@ -34,7 +34,7 @@ def merged(g: Gaussians, count: int) -> Gaussians:
 
     Args:
         g: N Gaussians.
-        count: How many to leave, 1 to the number of different centres.
+        count: How many to leave, 1 to the number of different centers.
 
     Returns:
         `count` Gaussians, by falling coverage.
@@ -66,7 +66,7 @@ def _cells_for(g: Gaussians, count: int) -> I64:
     low, high = np.log(span / _SIDE), np.log(4.0 * span)  # of the side; many voxels at the low end
     best = occupied_voxels(means - middle, float(np.exp(low)))
     if best.max() + 1 < count:
-        raise ValueError(f"count: expected at most {best.max() + 1} of {len(g)} with centres this close, got {count}")
+        raise ValueError(f"count: expected at most {best.max() + 1} of {len(g)} with centers this close, got {count}")
     for _ in range(60):
         side = 0.5 * (low + high)
         cells = occupied_voxels(means - middle, float(np.exp(side)))

@@ -1,6 +1,6 @@
 """What training changes: raw values of Gaussians, their Adam moments, and edits of rows that keep all in step.
 
-Raw values are unbounded: `log_scales`, `logit_opacities`, quaternions of any length; colours are SH. The first `frozen`
+Raw values are unbounded: `log_scales`, `logit_opacities`, quaternions of any length; colors are SH. The first `frozen`
 rows are drawn but never changed. Nothing here renders or chooses.
 """
 

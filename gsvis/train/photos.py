@@ -1,7 +1,7 @@
 """Photographs with a reconstruction, ready to train on: checked first, then read and shrunk.
 
 What comes out is `PosedImages` sorted by name, 8 bits a channel, sRGB as stored; intrinsics go with the size that the
-images have in the end, pixel centres at +0.5. Poses, and the points beside them, stay in the frame of the model.
+images have in the end, pixel centers at +0.5. Poses, and the points beside them, stay in the frame of the model.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _check_target(downscale: float | None, size: Size | None) -> None:
 
 
 def _of_size(views: Views, sizes: list[Size]) -> Views:
-    """The same views with intrinsics for images of these sizes; pixel centres lie at +0.5, so they simply scale."""
+    """The same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they simply scale."""
     ratios = [
         np.array([have[0] / told[0], have[1] / told[1], 1.0]) for told, have in zip(views.sizes, sizes, strict=True)
     ]

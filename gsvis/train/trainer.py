@@ -43,10 +43,10 @@ class TrainConfig:
 
     Attributes:
         iterations: Steps, one view each.
-        sh_degree: Highest degree of colour, 0 to 3.
+        sh_degree: Highest degree of color, 0 to 3.
         sh_every: Steps after which the degree rises by one, from 0; 0 starts at the highest.
         ssim_weight: Share of SSIM in the loss.
-        means_rate: Learning rate of centres at the start, over the extent of the scene; falls exponentially.
+        means_rate: Learning rate of centers at the start, over the extent of the scene; falls exponentially.
         means_rate_end: The same at the last step.
         scales_rate, quats_rate, opacities_rate, sh0_rate, shN_rate: Learning rates of the other raw values.
         densify: When Gaussians come and go; None for never.

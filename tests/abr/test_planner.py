@@ -109,7 +109,7 @@ def test_cells_that_see_nothing_have_nothing_to_send() -> None:
 def test_the_cell_of_a_position_is_the_one_it_is_in_or_the_nearest(seed, x, y, z) -> None:
     index, position = scenes.random_index(seed, count=10), np.array([x, y, z])
     inside = int(index.grid.cell_at(position[None])[0])
-    apart = np.linalg.norm(index.grid.centres - position, axis=1)
+    apart = np.linalg.norm(index.grid.centers - position, axis=1)
     assert index.cell_of(position) == (inside if inside >= 0 else int(apart.argmin()))
 
 

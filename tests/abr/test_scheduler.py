@@ -83,7 +83,7 @@ def test_poses_of_every_kind() -> None:
     assert 0 <= scheduler.cell < len(index.grid)
     assert len(scheduler.next_batch(1.0, 1e6)) > 0
     cell = scheduler.cell
-    scheduler.on_pose(0.5, index.grid.centres[0], [1, 0, 0, 0])  # late
+    scheduler.on_pose(0.5, index.grid.centers[0], [1, 0, 0, 0])  # late
     assert scheduler.cell == cell
 
 

@@ -64,7 +64,7 @@ def test_a_file_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Cap
     text = capsys.readouterr().out
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
     assert "…" not in text
-    for told in ("directions", "terms", "bytes of a colour", "all terms", "base colours alone"):
+    for told in ("directions", "terms", "bytes of a color", "all terms", "base colors alone"):
         assert told in text
     assert [path.name for path in out.parent.iterdir()] == ["rooms.arrow"]  # what was kept has gone
     scene, (geometry, colors) = load_scene(ply), load_srbf(out)
@@ -208,7 +208,7 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
     (tmp_path / "scene.ply").touch()
     base = [tmp_path / "scene.ply", "-o", tmp_path / "a.arrow", *QUICK]
     monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
-    assert "nothing to colour" in refused(capsys, *base)
+    assert "nothing to color" in refused(capsys, *base)
     faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)), np.ones((1, 3, 3)))
     monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
     assert "gsvis pvs --box" in refused(capsys, *base)

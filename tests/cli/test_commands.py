@@ -238,7 +238,7 @@ def test_nothing_left_is_refused_and_nothing_written(ply: Path, tmp_path: Path, 
     assert not (tmp_path / "x.ply").exists()
 
 
-def test_an_empty_scene_cannot_be_analysed(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "empty.ply").touch()
     monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
     assert "no Gaussian" in refused(capsys, "analyze", tmp_path / "empty.ply", "-o", tmp_path / "out")

@@ -14,7 +14,7 @@ MARKED = re.compile(r"<!-- help: (gsvis[a-z -]*?) -->\n(.*?)<!-- /help -->", re.
 
 
 def help_of(command: str) -> str:
-    """What `command --help` prints in 80 columns without colour."""
+    """What `command --help` prints in 80 columns without color."""
     import contextlib
     import io
 

@@ -1,4 +1,4 @@
-"""A folder of levels where a scene is expected: visible sets and colours are those of all levels together."""
+"""A folder of levels where a scene is expected: visible sets and colors are those of all levels together."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_pictures_show_the_highest_level(folder: Path) -> None:
     assert np.array_equal(source.union.means, levels.union.means)
 
 
-def test_sets_and_colours_of_a_folder_of_levels(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_sets_and_colors_of_a_folder_of_levels(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     levels = load_levels(folder)
     told = [{"name": name, "gaussians": n} for name, n in zip(levels.names, levels.counts, strict=True)]
     estimate = run(capsys, "pvs", folder, "-o", tmp_path / "rooms.pvs", *CELLS, *BOX, "--dry-run")

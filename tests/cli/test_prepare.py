@@ -59,9 +59,9 @@ def refused(capsys: Capture, *words: object) -> str:
 
 def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys: Capture) -> None:
     target = tmp_path / "new" / "s.gsvis"
-    text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--metres-per-unit", "0.5")
+    text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
     assert max(map(len, text.splitlines())) <= 80
-    for told in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 metres", "s.gsvis.work", "made"):
+    for told in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 meters", "s.gsvis.work", "made"):
         assert told in text
     with Package.open(target) as package:
         assert package.manifest.names == ("low", "medium", "high")
@@ -71,7 +71,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     assert str(tmp_path) not in json.dumps(about)
     assert main(["verify", str(target)]) == 0
     assert "0.5" in capsys.readouterr().out
-    again, _ = run(capsys, SCENE, "-o", target, *QUICK, "--metres-per-unit", "0.5")
+    again, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
     assert again.count("there already") == 6
     assert main(["unpack", str(target), "-o", str(tmp_path / "levels"), "--json"]) == 0
     out = tmp_path / "again.gsvis"
@@ -97,7 +97,7 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     assert found["levels"] == [{"name": "high", "gaussians": found["gaussians"]}]
     assert found["bytes"] == sum(path.stat().st_size for path in (target / "parts").iterdir())
     assert found["cost"]["views"] == 1
-    assert found["metres_per_unit"] == 0.0
+    assert found["meters_per_unit"] == 0.0
     text, _ = run(capsys, *words, "--dry-run")
     assert "Nothing was written." in text
     assert text.count("done") == 4

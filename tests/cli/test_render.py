@@ -127,10 +127,10 @@ def test_a_gif_has_all_frames_and_their_time(ply: Path, tmp_path: Path, capsys: 
             animation.seek(i)
             assert animation.info["duration"] == 100
             away = np.array(animation.convert("RGB")).astype(int) - pixels(tmp_path / "frames" / f"{i:04d}.png")
-            assert np.abs(away).mean() < 6.0  # of 255; 256 colours a frame
+            assert np.abs(away).mean() < 6.0  # of 255; 256 colors a frame
 
 
-def test_depth_can_be_read_back_from_the_colours(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_depth_can_be_read_back_from_the_colors(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [*TINY, "--eye", "-9", "2", "9", "--target", "4", "2", "1", "--up", "+z"]
     document = documented(capsys, ply, "-o", tmp_path / "a.png", *words, "--depth")
     camera = Cameras.look_at([[-9.0, 2.0, 9.0]], (4.0, 2.0, 1.0), width=24, height=18)
@@ -139,14 +139,12 @@ def test_depth_can_be_read_back_from_the_colours(ply: Path, tmp_path: Path, caps
     image = pixels(tmp_path / "a_depth.png").astype(int)
     assert empty.any()
     assert np.array_equal((image == 0).all(axis=2), empty)
-    colours = np.rint(colormaps["viridis"](np.arange(256))[:, :3] * 255.0)
-    level = np.abs(image[:, :, None] - colours).sum(axis=3).argmin(axis=2)
+    colors = np.rint(colormaps["viridis"](np.arange(256))[:, :3] * 255.0)
+    level = np.abs(image[:, :, None] - colors).sum(axis=3).argmin(axis=2)
     near, far = document["depth"]["near"], document["depth"]["far"]
     assert depth[~empty].min() <= near < far <= depth[~empty].max()
     read = near + level / 255.0 * (far - near)
-    assert np.abs(read - depth.clip(near, far))[~empty].max() <= 0.02 * (
-        far - near
-    )  # neighbouring colours may coincide
+    assert np.abs(read - depth.clip(near, far))[~empty].max() <= 0.02 * (far - near)  # neighboring colors may coincide
     with Image.open(tmp_path / "a_depth.png") as picture:
         assert float(picture.text["gsvis:near"]) == pytest.approx(near)
         assert float(picture.text["gsvis:far"]) == pytest.approx(far)
@@ -155,7 +153,7 @@ def test_depth_can_be_read_back_from_the_colours(ply: Path, tmp_path: Path, caps
 
 
 @pytest.mark.parametrize("out", ["frames", "orbit.gif"])
-def test_all_frames_of_a_depth_sequence_share_their_colours(
+def test_all_frames_of_a_depth_sequence_share_their_colors(
     out: str, ply: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     document = documented(capsys, ply, "-o", tmp_path / out, "--orbit", 3, *TINY, "--depth", "--up", "+z")

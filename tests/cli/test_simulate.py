@@ -90,7 +90,7 @@ def test_a_path_is_brought_into_the_scene_and_the_scene_can_be_given(
     assert main([*words, "--scene", str(folder / "rooms.ply"), *QUICK, "--json"]) == 0
     visit = json.loads(capsys.readouterr().out)["visits"][0]
     assert visit["path"]["inside"] > 0.9
-    assert "unquantised" in visit["compared_with"]
+    assert "unquantized" in visit["compared_with"]
     assert "SOG as gsvis writes it" in visit["systems"][1]["about"]["measured"]
     assert np.isfinite(visit["systems"][0]["curves"]["psnr"]).all()
 

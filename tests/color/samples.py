@@ -1,4 +1,4 @@
-"""Random SRBF colours of every variant, for tests of what uses them."""
+"""Random SRBF colors of every variant, for tests of what uses them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gsvis.color.variants import variant
 
 
 def random_colors(rng: np.random.Generator, count: int, name: str = "rgb", most_terms: int = 5) -> SrbfColors:
-    """Colours of `count` Gaussians with 0 to `most_terms` terms each; bases within the gamut of their space."""
+    """Colors of `count` Gaussians with 0 to `most_terms` terms each; bases within the gamut of their space."""
     kind = variant(name)
     counts = rng.integers(0, most_terms + 1, count)
     total = int(counts.sum())

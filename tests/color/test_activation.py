@@ -18,7 +18,7 @@ from tests.color.samples import random_colors
 BACK = {"hsl": spaces.hsl_to_rgb, "hsv": spaces.hsv_to_rgb, "yuv": spaces.yuv_to_rgb}
 
 
-def colour(colors: SrbfColors, gaussian: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def color(colors: SrbfColors, gaussian: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """RGB of one Gaussian's values in the variant's space, kept within it."""
     space = colors.kind.space
     if space in ("hsl", "hsv"):
@@ -40,16 +40,16 @@ def naive(colors: SrbfColors, means: NDArray[np.float64], eye: NDArray[np.float6
             if colors.kind.space == "rgb":
                 out[t] = np.abs(added[t]).max()
             else:
-                out[t] = np.abs(colour(colors, i, total) - colour(colors, i, total - added[t])).max()
+                out[t] = np.abs(color(colors, i, total) - color(colors, i, total - added[t])).max()
     return out
 
 
 def single(center: tuple[float, float], decay: float, intensity: tuple[float, float, float]) -> SrbfColors:
-    """One grey Gaussian with one lobe."""
+    """One gray Gaussian with one lobe."""
     return SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1.0], np.zeros((1, 0, 3)), [0, 1], [0], [center], [decay], [intensity])
 
 
-def test_a_lobe_seen_from_its_centre_adds_its_intensity() -> None:
+def test_a_lobe_seen_from_its_center_adds_its_intensity() -> None:
     lobe = single((0.0, 0.0), 10.0, (0.1, -0.3, 0.2))
     assert contributions(lobe, [[1, 2, 3]], [1, 2, 0])[0] == pytest.approx(0.3)
     # A right angle away it is down to exp(-decay), at the back to exp(-2 decay).
@@ -57,13 +57,13 @@ def test_a_lobe_seen_from_its_centre_adds_its_intensity() -> None:
     assert contributions(lobe, [[1, 2, 3]], [1, 2, 9])[0] == pytest.approx(0.3 * np.exp(-20))
 
 
-def test_an_eye_in_the_centre_has_a_direction() -> None:
+def test_an_eye_in_the_center_has_a_direction() -> None:
     assert contributions(single((0.0, 0.0), 3.0, (0.2, 0, 0)), [[1, 1, 1]], [1, 1, 1])[0] == pytest.approx(0.2)
 
 
 def test_luma_moves_all_channels_by_scale_times_intensity() -> None:
-    grey = SrbfColors("yuv", [[0.5, 0, 0]], [2.0], np.zeros((1, 0, 3)), [0, 1], [0], [[0, 0]], [5.0], [[-0.25]])
-    assert contributions(grey, [[0, 0, 1]], [0, 0, 0])[0] == pytest.approx(2.0 * 0.5 * 0.25)
+    gray = SrbfColors("yuv", [[0.5, 0, 0]], [2.0], np.zeros((1, 0, 3)), [0, 1], [0], [[0, 0]], [5.0], [[-0.25]])
+    assert contributions(gray, [[0, 0, 1]], [0, 0, 0])[0] == pytest.approx(2.0 * 0.5 * 0.25)
 
 
 def test_a_term_that_only_darkens_black_adds_nothing() -> None:
@@ -176,7 +176,7 @@ def test_weights_scale_what_terms_contribute() -> None:
     assert not nothing_matters_less.active_in_box([0, 0, 0], [1, 1, 1], ids, np.zeros(len(ids))).any()
 
 
-def test_active_terms_alone_change_the_colour_little() -> None:
+def test_active_terms_alone_change_the_color_little() -> None:
     """Terms left out at epsilon change a channel by at most epsilon each."""
     rng = np.random.default_rng(11)
     colors, means, eye = random_colors(rng, 300, "rgb"), rng.normal(size=(300, 3)), np.array([0.5, 2.0, -1.0])
@@ -227,7 +227,7 @@ def test_a_contribution_is_what_evaluation_loses_without_the_term(name: str) -> 
         left_out = colors.ranks == rank
         change = np.abs(evaluate(colors, means, eye, active=~left_out) - full).max(axis=1)
         changed = change[colors.gaussian_ids[left_out]]
-        if colors.kind.space == "rgb":  # a colour clipped at 0 changes by less
+        if colors.kind.space == "rgb":  # a color clipped at 0 changes by less
             assert (changed <= found[left_out] + 1e-6).all()
             free = (full > 0.3).all(axis=1)[colors.gaussian_ids[left_out]] & (found[left_out] < 0.3)
             np.testing.assert_allclose(changed[free], found[left_out][free], atol=1e-6)

@@ -234,12 +234,12 @@ def test_the_flip_threshold_is_a_just_noticeable_step_of_lightness() -> None:
     pytest.importorskip("flip_evaluator")
     from gsvis.render.metrics import flip
 
-    def grey(lightness: float) -> float:
+    def gray(lightness: float) -> float:
         linear = ((lightness + 16.0) / 116.0) ** 3
         return float(1.055 * linear ** (1.0 / 2.4) - 0.055)
 
     for lightness in (20.0, 50.0, 80.0):
-        images = (np.full((8, 8, 3), grey(lightness + more)) for more in (2.3, 0.0))
+        images = (np.full((8, 8, 3), gray(lightness + more)) for more in (2.3, 0.0))
         assert flip(*images) == pytest.approx(FLIP_JND, rel=0.05)
 
 

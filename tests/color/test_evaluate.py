@@ -1,4 +1,4 @@
-"""Colours from one eye and along directions: the kernels against their plain twin, and known answers."""
+"""Colors from one eye and along directions: the kernels against their plain twin, and known answers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_kernel_equals_the_twin(name: str, count: int) -> None:
     strength=st.sampled_from([0.0, 1.0, 40.0]),
 )
 def test_kernel_equals_the_twin_at_the_edges(seed: int, name: str, decay: float, size: float, strength: float) -> None:
-    """Narrow and wide lobes, some centred on the direction, at all sizes; colours far out of range."""
+    """Narrow and wide lobes, some centerd on the direction, at all sizes; colors far out of range."""
     rng = np.random.default_rng(seed)
     means = (size * rng.normal(size=(40, 3))).astype(np.float32)
     eye = means[3].astype(np.float64) + np.where(rng.random() < 0.5, 0.0, size)
@@ -93,18 +93,18 @@ def test_a_lobe_has_its_height_and_width() -> None:
     lobe = SrbfColors(
         "rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0], [[0.5, 0.7]], [9.0], [[3, 0, -1]]
     )
-    centre = np.array([np.sin(0.5) * np.cos(0.7), np.sin(0.5) * np.sin(0.7), np.cos(0.5)])
-    side = np.cross(centre, [0, 0, 1.0])
-    turned = np.cos(0.4) * centre + np.sin(0.4) * side / np.linalg.norm(side)
+    center = np.array([np.sin(0.5) * np.cos(0.7), np.sin(0.5) * np.sin(0.7), np.cos(0.5)])
+    side = np.cross(center, [0, 0, 1.0])
+    turned = np.cos(0.4) * center + np.sin(0.4) * side / np.linalg.norm(side)
     height = np.exp(9.0 * (np.cos(0.4) - 1.0))
-    np.testing.assert_allclose(evaluate_along(lobe, [centre])[0, 0], [3.5, 0.5, 0.0], atol=1e-6)  # clipped below alone
+    np.testing.assert_allclose(evaluate_along(lobe, [center])[0, 0], [3.5, 0.5, 0.0], atol=1e-6)  # clipped below alone
     np.testing.assert_allclose(
         evaluate(lobe, [[1, 2, 3]], np.array([1, 2, 3]) - 7 * turned)[0], [0.5 + 3 * height, 0.5, max(0.5 - height, 0)],
         atol=1e-6,
     )  # fmt: skip
 
 
-def test_an_eye_at_a_centre_looks_up() -> None:
+def test_an_eye_at_a_center_looks_up() -> None:
     colors = random_colors(np.random.default_rng(0), 5)
     means = np.full((5, 3), 0.25)
     np.testing.assert_array_equal(evaluate(colors, means, means[0]), evaluate_along(colors, [[0, 0, 1]])[:, 0])

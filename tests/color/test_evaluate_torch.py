@@ -50,16 +50,16 @@ def test_gradients_equal_differences(name: str) -> None:
     assert not tensors.scales.requires_grad
     leaves = [n for n in LEAVES if getattr(tensors, n).numel()]
 
-    def colour(means: torch.Tensor, eye: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:
+    def color(means: torch.Tensor, eye: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:
         fields = vars(tensors) | dict(zip(leaves, values, strict=True))
         return evaluate_torch(SrbfTensors(**fields), means, eye)
 
-    assert torch.autograd.gradcheck(colour, (means, eye, *(getattr(tensors, n) for n in leaves)))
+    assert torch.autograd.gradcheck(color, (means, eye, *(getattr(tensors, n) for n in leaves)))
 
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_gradients_are_finite_at_the_edges(name: str) -> None:
-    """Eyes at a mean, colours out of range, grey, black: values and gradients stay finite."""
+    """Eyes at a mean, colors out of range, gray, black: values and gradients stay finite."""
     rng = np.random.default_rng(5)
     colors = random_colors(rng, 40, name, 4)
     tensors = SrbfTensors.from_colors(colors, requires_grad=True)
@@ -89,13 +89,13 @@ def test_a_step_of_descent_lowers_the_error() -> None:
     target = evaluate_torch(SrbfTensors.from_colors(random_colors(rng, 50), torch.float64), means, EYE)
     tensors = SrbfTensors.from_colors(random_colors(rng, 50), torch.float64, requires_grad=True)
     leaves = [getattr(tensors, n) for n in LEAVES if getattr(tensors, n).numel()]
-    optimiser = torch.optim.SGD(leaves, lr=0.1)
+    optimizer = torch.optim.SGD(leaves, lr=0.1)
     errors = []
     for _ in range(5):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         error = (evaluate_torch(tensors, means, EYE) - target).square().sum()
         error.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
+        optimizer.step()
         errors.append(float(error.detach()))
     assert errors == sorted(errors, reverse=True)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf
 from gsvis.color._kernels.fit import fit_lobes
 from gsvis.color._kernels.refine import refine, work
-from gsvis.color.fit import sampled_colours
+from gsvis.color.fit import sampled_colors
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares, icosphere
 
@@ -19,7 +19,7 @@ SHARES = face_shares(4).reshape(-1) * 320
 
 
 def scene(count: int, seed: int = 0, spread: float = 0.15, degree: int = 3) -> Gaussians:
-    """Gaussians whose colours change with direction, mostly within (0, 1)."""
+    """Gaussians whose colors change with direction, mostly within (0, 1)."""
     rng = np.random.default_rng(seed)
     return Gaussians(
         rng.normal(size=(count, 3)),
@@ -34,9 +34,9 @@ def scene(count: int, seed: int = 0, spread: float = 0.15, degree: int = 3) -> G
 def caps(count: int, seed: int = 0) -> np.ndarray:
     """(N, 80) bool, faces within a random cap of 40 to 100 degrees."""
     rng = np.random.default_rng(seed)
-    centres = rng.normal(size=(count, 3))
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    cosines = centres @ face_directions(1)[:, 0].T
+    centers = rng.normal(size=(count, 3))
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    cosines = centers @ face_directions(1)[:, 0].T
     return cosines > np.cos(np.radians(rng.uniform(40, 100, count)))[:, None]
 
 
@@ -44,7 +44,7 @@ def errors_along(g: Gaussians, faces: np.ndarray, fit: SrbfFit, most: int) -> np
     """(N, most + 1) weighted mean squared RGB error with the first 0, 1, ... terms."""
     weights = np.repeat(faces, 4, axis=1) * SHARES
     weights /= weights.sum(axis=1, keepdims=True)
-    truth = sampled_colours(g).transpose(0, 2, 1)
+    truth = sampled_colors(g).transpose(0, 2, 1)
     rows = []
     for count in range(most + 1):
         shown = evaluate_along(fit.colors.first(count), POINTS)
@@ -85,7 +85,7 @@ def test_ours_beat_the_papers_at_the_same_number_of_terms() -> None:
 
 
 def test_what_is_not_seen_has_no_say() -> None:
-    """Two scenes that agree where they are seen (the mirror image of the other half) get the same colours."""
+    """Two scenes that agree where they are seen (the mirror image of the other half) get the same colors."""
     g = scene(30, degree=1)
     upper = face_directions(1)[:, 0, 2] > 0.1
     seen = np.broadcast_to(upper, (30, 80))
@@ -135,12 +135,12 @@ def test_terms_go_where_they_count() -> None:
 
 
 @pytest.mark.parametrize("name", list(VARIANTS))
-def test_degenerate_gaussians_get_defined_colours(name: str) -> None:
+def test_degenerate_gaussians_get_defined_colors(name: str) -> None:
     g = scene(8)
     sh0, higher = g.sh0.copy(), g.shN.copy()
     higher[:4] = 0.0  # no change with direction:
-    sh0[0], sh0[1], sh0[2] = 0.0, -1e3, 1e3  # grey, black (far below 0), far above 1
-    higher[4], sh0[4] = higher[4, :, :1], 0.3  # grey in every direction
+    sh0[0], sh0[1], sh0[2] = 0.0, -1e3, 1e3  # gray, black (far below 0), far above 1
+    higher[4], sh0[4] = higher[4, :, :1], 0.3  # gray in every direction
     higher[5] *= 1e4  # far outside of [0, 1]
     scenes = Gaussians(g.means, g.quats, g.scales, g.opacities, sh0, higher)
     faces = np.ones((8, 80), bool)
@@ -153,7 +153,7 @@ def test_degenerate_gaussians_get_defined_colours(name: str) -> None:
     assert fit.unseen == 1
     assert fit.colors.counts[6] == 0
     assert not fit.colors.counts[:4].any()
-    truth = sampled_colours(scenes).transpose(0, 2, 1)
+    truth = sampled_colors(scenes).transpose(0, 2, 1)
     np.testing.assert_allclose(shown[:4], truth[:4], rtol=1e-5, atol=1e-5)
     assert fit.colors.counts[7] <= 1 * len(VARIANTS[name].functions)  # four points carry one term at the most
 
@@ -163,7 +163,7 @@ def test_no_terms_and_no_gaussians() -> None:
     fit = fit_srbf(g, None, FitConfig(max_terms=0))
     assert fit.colors.num_terms == 0
     weights = SHARES / SHARES.sum()
-    np.testing.assert_allclose(fit.colors.base, sampled_colours(g) @ weights, atol=1e-5)
+    np.testing.assert_allclose(fit.colors.base, sampled_colors(g) @ weights, atol=1e-5)
     assert len(fit_srbf(g[:0], None).colors) == 0
 
 
@@ -194,7 +194,7 @@ def test_refinement_is_as_good_as_scipys(terms: int, channels: int) -> None:
     rng = np.random.default_rng(terms)
     points = np.zeros((4, 320), np.float32)
     points[:3], points[3] = POINTS.T, np.sqrt(rng.uniform(0.2, 1.0, 320))
-    truth = sampled_colours(scene(1, seed=terms))[0].T[:, :channels]
+    truth = sampled_colors(scene(1, seed=terms))[0].T[:, :channels]
     truth = truth - truth.mean(axis=0)
     targets = np.zeros((4, 320), np.float32)
     targets[:channels] = (truth * points[3][:, None]).T

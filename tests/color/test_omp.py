@@ -80,7 +80,7 @@ def test_the_fast_way_equals_the_plain_one(kind: str, channels: int) -> None:
 
 @pytest.mark.parametrize("kind", ["none", "mask"])
 def test_coherent_atoms_leave_the_same_error(kind: str) -> None:
-    # Neighbouring wide lobes are nearly the same function: an early choice may be a matter of rounding, the error not.
+    # Neighboring wide lobes are nearly the same function: an early choice may be a matter of rounding, the error not.
     dictionary = lobes((0.2, 0.5, 1.0, 40.0))
     rng = np.random.default_rng(2)
     signals = (rng.normal(size=(12, 60)) @ dictionary[:, rng.permutation(648)[:60]].T).astype(np.float32)
@@ -345,7 +345,7 @@ def test_bad_input_is_named(message: str) -> None:
         orthogonal_matching_pursuit(arguments.pop("dictionary"), arguments.pop("signals"), **arguments)
 
 
-def test_a_dictionary_holds_every_centre_with_every_decay() -> None:
+def test_a_dictionary_holds_every_center_with_every_decay() -> None:
     directions, centers = np.eye(3), np.array([[0.0, 0.0, 2.0], [3.0, 0.0, 0.0]])
     dictionary = srbf_dictionary(directions, centers, [8.0, 2.0])
     np.testing.assert_array_equal(dictionary.decays, [2.0, 2.0, 8.0, 8.0])

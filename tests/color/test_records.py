@@ -16,8 +16,8 @@ from gsvis.color.records import (
     Precision,
     bytes_per_base,
     bytes_per_term,
-    quantise,
-    quantise_centres,
+    quantize,
+    quantize_centers,
     record_bytes,
     sh_bytes,
 )
@@ -35,7 +35,7 @@ SPHERE = unit_vectors(
 
 
 def spread_colors(seed: int, count: int, name: str, most_terms: int) -> SrbfColors:
-    """Random colours with some wild values: bases outside [0, 1] where they may be, large opposite intensities."""
+    """Random colors with some wild values: bases outside [0, 1] where they may be, large opposite intensities."""
     rng = np.random.default_rng(seed)
     c = random_colors(rng, count, name, most_terms)
     wild = rng.random((c.num_terms, 1)) < 0.2
@@ -72,20 +72,20 @@ def field_error(before: SrbfColors, after: SrbfColors) -> np.ndarray:
 def test_rounding_twice_is_rounding_once(
     seed: int, count: int, name: str, precision: str, most_terms: int, refit: bool
 ) -> None:
-    once = quantise(spread_colors(seed, count, name, most_terms), precision, refit=refit)
-    values = once.dequantised()
-    twice = quantise(values, precision, refit=refit)
+    once = quantize(spread_colors(seed, count, name, most_terms), precision, refit=refit)
+    values = once.dequantized()
+    twice = quantize(values, precision, refit=refit)
     assert twice.grids == once.grids
     for part in PARTS:
         np.testing.assert_array_equal(getattr(twice, part), getattr(once, part), err_msg=part)
-        np.testing.assert_array_equal(getattr(twice.dequantised(), part), getattr(values, part), err_msg=part)
+        np.testing.assert_array_equal(getattr(twice.dequantized(), part), getattr(values, part), err_msg=part)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(VARIANTS)), st.sampled_from(sorted(PRECISIONS)))
 def test_every_number_stays_within_its_bound(seed: int, name: str, precision: str) -> None:
     before = spread_colors(seed, 40, name, 4)
-    packed = quantise(before, precision, refit=False)
-    after, p, g = packed.dequantised(), PRECISIONS[precision], packed.grids
+    packed = quantize(before, precision, refit=False)
+    after, p, g = packed.dequantized(), PRECISIONS[precision], packed.grids
     chords = np.linalg.norm(unit_vectors(before.centers) - unit_vectors(after.centers), axis=1)
     assert np.all(2 * np.arcsin(chords / 2) <= np.pi / 2**p.center / np.sqrt(2) + 1e-6)
     half_ratio = 0.5 * np.log(g.decays[1] / g.decays[0]) / (2**p.decay - 1)
@@ -105,16 +105,16 @@ def test_every_number_stays_within_its_bound(seed: int, name: str, precision: st
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(PRECISIONS)))
-def test_base_colours_within_the_unit_interval_have_even_steps_whatever_lies_outside(seed: int, precision: str) -> None:
+def test_base_colors_within_the_unit_interval_have_even_steps_whatever_lies_outside(seed: int, precision: str) -> None:
     rng = np.random.default_rng(seed)
     rgb = rng.uniform(-0.1, 1.1, (200, 3))
     rgb[0], rgb[1] = -7.0, 30.0
-    packed = quantise(SrbfColors.without_terms(rgb), precision)
+    packed = quantize(SrbfColors.without_terms(rgb), precision)
     table = packed.grids.base_table(0).astype(np.float64)
     inside = np.diff(table[(table > 0) & (table < 1)])
     np.testing.assert_allclose(inside, inside[0], rtol=1e-2, atol=3e-7)
     assert inside[0] < 1.0 / (2 ** PRECISIONS[precision].base / 6)  # a sixth of all at least, for outliers of 30
-    moved = np.abs(packed.dequantised().base - rgb)
+    moved = np.abs(packed.dequantized().base - rgb)
     assert np.all(moved[2:] <= 0.65 * inside[0] + 1e-6)
     assert np.all(moved[:2] < 1e-5)  # the ends are exact
 
@@ -122,7 +122,7 @@ def test_base_colours_within_the_unit_interval_have_even_steps_whatever_lies_out
 @pytest.mark.parametrize("name", sorted(VARIANTS))
 def test_intensities_make_up_for_rounded_lobes(name: str) -> None:
     before = random_colors(np.random.default_rng(3), 60, name, 5)
-    plain, adapted = (quantise(before, "wire", refit=refit).dequantised() for refit in (False, True))
+    plain, adapted = (quantize(before, "wire", refit=refit).dequantized() for refit in (False, True))
     adapted_errors, plain_errors = field_error(before, adapted), field_error(before, plain)
     assert adapted_errors.mean() < 0.9 * plain_errors.mean()
     assert np.mean(adapted_errors > 1.2 * plain_errors + 1e-3) < 0.1
@@ -138,20 +138,20 @@ def test_lobes_that_nearly_cancel_survive_rounding() -> None:
         "rgb", np.full((n, 3), 0.5), np.ones(n), np.zeros((n, 0, 3)), offsets, np.zeros(2 * n, int), centers, decays,
         intensities,
     )  # fmt: skip
-    plain, adapted = (field_error(before, quantise(before, refit=refit).dequantised()) for refit in (False, True))
+    plain, adapted = (field_error(before, quantize(before, refit=refit).dequantized()) for refit in (False, True))
     assert adapted.mean() < 0.85 * plain.mean()
 
 
-def test_only_centres_and_decays_are_rounded_when_a_fit_goes_on() -> None:
+def test_only_centers_and_decays_are_rounded_when_a_fit_goes_on() -> None:
     before = random_colors(np.random.default_rng(4), 80, "axes", 4)
-    halfway = quantise_centres(before, "coarse", refit=False)
+    halfway = quantize_centers(before, "coarse", refit=False)
     for part in ("base", "scales", "axes", "intensities"):
         np.testing.assert_array_equal(getattr(halfway, part), getattr(before, part))
-    full = quantise(halfway, "coarse").dequantised()
+    full = quantize(halfway, "coarse").dequantized()
     np.testing.assert_array_equal(full.centers, halfway.centers)
     np.testing.assert_array_equal(full.decays, halfway.decays)
-    np.testing.assert_array_equal(full.centers, quantise(before, "coarse").dequantised().centers)
-    adapted = quantise_centres(before, "coarse")
+    np.testing.assert_array_equal(full.centers, quantize(before, "coarse").dequantized().centers)
+    adapted = quantize_centers(before, "coarse")
     assert field_error(before, adapted).sum() < field_error(before, halfway).sum()
 
 
@@ -160,19 +160,19 @@ def test_hue_goes_around() -> None:
     c = SrbfColors(
         "hsl-l", base, np.ones(4), np.zeros((4, 0, 3)), np.zeros(5, int), [], np.zeros((0, 2)), [], np.zeros((0, 1))
     )
-    assert np.all(quantise(c, "coarse").dequantised().base[:, 0] == 0.0)
+    assert np.all(quantize(c, "coarse").dequantized().base[:, 0] == 0.0)
 
 
 def test_parts_of_a_scene_share_its_tables() -> None:
     whole = spread_colors(5, 50, "rgb", 4)
-    packed = quantise(whole, "wire", refit=False)
-    part = quantise(whole[10:30], refit=False, grids=packed.grids)
+    packed = quantize(whole, "wire", refit=False)
+    part = quantize(whole[10:30], refit=False, grids=packed.grids)
     np.testing.assert_array_equal(part.base, packed.base[10:30])
     np.testing.assert_array_equal(part.intensities, packed.intensities[packed.offsets[10] : packed.offsets[30]])
     with pytest.raises(ValueError, match=r"expected within .* use wider grids"):
-        quantise(spread_colors(6, 500, "rgb", 4), grids=Grids.of(whole[:1]))
+        quantize(spread_colors(6, 500, "rgb", 4), grids=Grids.of(whole[:1]))
     with pytest.raises(ValueError, match="grids: expected those of 'axes'"):
-        quantise(random_colors(np.random.default_rng(0), 3, "axes"), grids=packed.grids)
+        quantize(random_colors(np.random.default_rng(0), 3, "axes"), grids=packed.grids)
 
 
 def test_sizes_are_counted_by_hand() -> None:
@@ -185,15 +185,15 @@ def test_sizes_are_counted_by_hand() -> None:
     assert bytes_per_term("axes-split", None) == 1 + 8 + 4 + 4
     c = random_colors(np.random.default_rng(7), 33, "hsl", 5)
     bits = 33 * (39 + 3) + c.num_terms * 31
-    assert record_bytes(c, p) == quantise(c, p).nbytes == record_bytes(quantise(c, p)) == -(-bits // 8)
+    assert record_bytes(c, p) == quantize(c, p).nbytes == record_bytes(quantize(c, p)) == -(-bits // 8)
     assert (sh_bytes(3), sh_bytes(3, 8), sh_bytes(0, 16)) == (192.0, 48.0, 6.0)
 
 
 def test_nothing_at_all_and_nothing_but_bases() -> None:
     none = SrbfColors.without_terms(np.zeros((0, 3)))
-    assert len(quantise(none).dequantised()) == 0
+    assert len(quantize(none).dequantized()) == 0
     assert record_bytes(none) == 0
-    same = quantise(SrbfColors.without_terms(np.full((5, 3), 0.25))).dequantised()
+    same = quantize(SrbfColors.without_terms(np.full((5, 3), 0.25))).dequantized()
     np.testing.assert_array_equal(same.base, 0.25)  # one value needs no steps
 
 
@@ -203,7 +203,7 @@ def test_scales_of_rgb_are_not_dropped_in_silence() -> None:
         "rgb", c.base, np.full(3, 2.0), c.axes, c.offsets, c.functions, c.centers, c.decays, c.intensities
     )
     with pytest.raises(ValueError, match="scales: expected 1 for 'rgb'"):
-        quantise(other)
+        quantize(other)
 
 
 @pytest.mark.parametrize(("bits", "message"), [(1, "at least 2"), (17, "2 to 16 bits"), (8.5, "an integer")])
@@ -243,5 +243,5 @@ def test_real_images_keep_their_quality(realdata: Path) -> None:
     colors = fit_srbf(g, config=FitConfig(variant="rgb", mean_terms=2.0, max_terms=4)).colors
     exact = rasterize(g, cameras, colors=colors).images
     for precision, least in (("coarse", 42.0), ("wire", 50.0), ("fine", 60.0)):
-        values = quantise(colors, precision).dequantised()
+        values = quantize(colors, precision).dequantized()
         assert float(psnr(rasterize(g, cameras, colors=values).images, exact).mean()) >= least

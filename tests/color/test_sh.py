@@ -1,4 +1,4 @@
-"""SH colours: arrays, tensors and the basis say one thing, seen from the right side."""
+"""SH colors: arrays, tensors and the basis say one thing, seen from the right side."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def unit(seed: int, count: int) -> np.ndarray:
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def test_a_constant_harmonic_is_the_colour_from_everywhere() -> None:
+def test_a_constant_harmonic_is_the_color_from_everywhere() -> None:
     g = cloud(0, degree=0)
     expected = 0.5 + SH_C0 * g.sh0[:, 0]
     assert expected.min() < 0.1
@@ -139,16 +139,16 @@ def test_a_gaussian_at_the_eye_is_seen_along_z() -> None:
     expected = np.maximum(plain(g, np.array([[0.0, 0.0, 1.0]]))[1, 0], 0)
     np.testing.assert_allclose(sh_colors(g, eye)[1], expected, atol=5e-6)
     leaf = tensors(g, requires_grad=True)
-    colours = sh_colors(leaf, eye)
-    np.testing.assert_allclose(colours[1].detach().numpy(), expected, atol=5e-6)
-    colours.sum().backward()
+    colors = sh_colors(leaf, eye)
+    np.testing.assert_allclose(colors[1].detach().numpy(), expected, atol=5e-6)
+    colors.sum().backward()
     for part in (leaf.means, leaf.sh0, leaf.shN):
         assert part.grad is not None
         assert torch.isfinite(part.grad).all()
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_nothing_to_colour(degree: int) -> None:
+def test_nothing_to_color(degree: int) -> None:
     g = Gaussians.empty(degree)
     assert sh_colors(g, [0, 0, 0]).shape == (0, 3)
     assert sh_colors(tensors(g), [0, 0, 0]).shape == (0, 3)

@@ -1,4 +1,4 @@
-"""Colour spaces: known colours, colorsys, round trips, and tensors that say the same with gradients that are finite."""
+"""Color spaces: known colors, colorsys, round trips, and tensors that say the same with gradients that are finite."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ EVERYTHING = [f for pair in PAIRS.values() for f in pair] + list(SLOPES)
 channel = st.one_of(
     st.sampled_from([0.0, 1.0, 0.5, 5e-324, 1e-310, 1e-40, 1e-8, 0.5 + 2**-53, 1 - 2**-53]), st.floats(0.0, 1.0)
 )
-colours = arrays(np.float64, (4, 3), elements=channel)
+colors = arrays(np.float64, (4, 3), elements=channel)
 CORNERS = np.array(list(itertools.product([0.0, 0.25, 0.5, 1.0], repeat=3)))
 EPS = np.finfo(np.float64).eps
 
@@ -61,7 +61,7 @@ def by_function(function: Callable[..., Any]) -> str:
         ((1, 1, 1), (0, 0, 1), (0, 0, 1)),
     ],
 )
-def test_known_colours(rgb: tuple[float, ...], hsl: tuple[float, ...], hsv: tuple[float, ...]) -> None:
+def test_known_colors(rgb: tuple[float, ...], hsl: tuple[float, ...], hsv: tuple[float, ...]) -> None:
     assert spaces.rgb_to_hsl(rgb) == pytest.approx(np.array(hsl), abs=1e-7)
     assert spaces.rgb_to_hsv(rgb) == pytest.approx(np.array(hsv), abs=1e-7)
     assert spaces.hsl_to_rgb(hsl) == pytest.approx(np.array(rgb), abs=1e-7)
@@ -75,20 +75,20 @@ def test_yuv_is_bt_601() -> None:
     np.testing.assert_allclose(
         spaces.yuv_to_rgb(primaries), [[1, 1, 1], [0, -0.344136, 1.772], [1.402, -0.714136, 0]], atol=1e-6
     )
-    greys = np.linspace(-2, 3, 11)[:, None].repeat(3, axis=1)
-    np.testing.assert_array_equal(spaces.rgb_to_yuv(greys), greys * [1, 0, 0])
+    grays = np.linspace(-2, 3, 11)[:, None].repeat(3, axis=1)
+    np.testing.assert_array_equal(spaces.rgb_to_yuv(grays), grays * [1, 0, 0])
 
 
-@given(colours)
+@given(colors)
 def test_hsl_and_hsv_are_those_of_colorsys(rgb: np.ndarray) -> None:
     rgb = np.where(rgb < 1e-300, 0.0, rgb)  # colorsys divides what is smaller
-    hls = np.array([colorsys.rgb_to_hls(*colour) for colour in rgb])
+    hls = np.array([colorsys.rgb_to_hls(*color) for color in rgb])
     np.testing.assert_allclose(spaces.rgb_to_hsl(rgb), hls[:, [0, 2, 1]], atol=1e-12, rtol=1e-12)
-    hsv = np.array([colorsys.rgb_to_hsv(*colour) for colour in rgb])
+    hsv = np.array([colorsys.rgb_to_hsv(*color) for color in rgb])
     np.testing.assert_allclose(spaces.rgb_to_hsv(rgb), hsv, atol=1e-12, rtol=1e-12)
 
 
-@given(colours, st.sampled_from(sorted(PAIRS)), st.sampled_from([np.float64, np.float32]))
+@given(colors, st.sampled_from(sorted(PAIRS)), st.sampled_from([np.float64, np.float32]))
 def test_the_way_there_and_back_is_exact_to_rounding(rgb: np.ndarray, name: str, dtype: type) -> None:
     there, back = PAIRS[name]
     rgb = rgb.astype(dtype)
@@ -109,8 +109,8 @@ def test_the_way_back_and_there_is_exact_where_hue_matters(coordinates: np.ndarr
     np.testing.assert_allclose(there(back(coordinates)), coordinates, rtol=0, atol=1e-12)
 
 
-@given(colours, st.floats(1e-6, 1e6))
-def test_hsv_scales_with_colours_beyond_one(rgb: np.ndarray, scale: float) -> None:
+@given(colors, st.floats(1e-6, 1e6))
+def test_hsv_scales_with_colors_beyond_one(rgb: np.ndarray, scale: float) -> None:
     before, after = spaces.rgb_to_hsv(rgb), spaces.rgb_to_hsv(rgb * scale)
     np.testing.assert_allclose(after[:, 2], before[:, 2] * scale, rtol=1e-14, atol=1e-300)
     np.testing.assert_allclose(spaces.hsv_to_rgb(after), rgb * scale, rtol=0, atol=4 * EPS * max(1.0, scale))
@@ -128,7 +128,7 @@ def test_hue_goes_in_circles_and_its_vector_is_saturated(hue: float) -> None:
     np.testing.assert_allclose(next_primary, turned[0][[2, 0, 1]], atol=1e-11)
 
 
-def test_colours_are_affine_in_saturation() -> None:
+def test_colors_are_affine_in_saturation() -> None:
     rng = np.random.default_rng(0)
     hue, saturation, lightness = rng.uniform(size=(3, 50))
     h = spaces.hue_vector(hue)
@@ -182,9 +182,9 @@ def test_hue_has_a_gradient_where_two_channels_tie() -> None:
     np.testing.assert_allclose(gradient[0].numpy(), np.array([-1, 1, 0]) / 3.6, atol=1e-12)
 
 
-@given(colours, st.sampled_from(EVERYTHING), st.sampled_from([torch.float64, torch.float32]))
+@given(colors, st.sampled_from(EVERYTHING), st.sampled_from([torch.float64, torch.float32]))
 def test_nothing_is_ever_nan(at: np.ndarray, function: Callable[..., Any], dtype: torch.dtype) -> None:
-    at = np.concatenate([at, np.repeat(at[:, :1], 3, axis=1)])  # greys too
+    at = np.concatenate([at, np.repeat(at[:, :1], 3, axis=1)])  # grays too
     assert np.isfinite(function(at)).all()
     leaf = torch.tensor(at, dtype=dtype, requires_grad=True)
     result = function(leaf)
@@ -235,9 +235,9 @@ def test_refusals(function: Callable[..., Any]) -> None:
 
 
 def test_ranges_are_named_with_a_remedy() -> None:
-    with pytest.raises(ValueError, match=r"rgb: expected values in \[0, 1\], got 1\.5; divide the colours of each"):
+    with pytest.raises(ValueError, match=r"rgb: expected values in \[0, 1\], got 1\.5; divide the colors of each"):
         spaces.rgb_to_hsl([0.0, 0.5, 1.5])
-    with pytest.raises(ValueError, match=r"rgb: expected values in \[0, inf\), got -0\.5; clip the colours below"):
+    with pytest.raises(ValueError, match=r"rgb: expected values in \[0, inf\), got -0\.5; clip the colors below"):
         spaces.rgb_to_hsv([0.0, -0.5, 1.5])
     for function in (spaces.hsl_to_rgb, spaces.rgb_by_hsl_saturation, spaces.rgb_by_hsl_lightness):
         with pytest.raises(ValueError, match=r"hsl: expected values in \[0, 1\], got 1\.25; clip saturation and"):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from gsvis.color import storage
 from gsvis.color.evaluate import evaluate
-from gsvis.color.records import PRECISIONS, Grids, Precision, quantise
+from gsvis.color.records import PRECISIONS, Grids, Precision, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.color.variants import VARIANTS
@@ -75,7 +75,7 @@ def test_what_was_saved_is_loaded_to_the_bit(
     rng = np.random.default_rng(seed)
     g, colors = random_scene(rng, count), random_colors(rng, count, name, most_terms)
     save_srbf(tmp_path / "a.arrow", g, colors, precision=precision)
-    expected = colors if precision is None else quantise(colors, precision).dequantised()
+    expected = colors if precision is None else quantize(colors, precision).dequantized()
     assert same(load_srbf(tmp_path / "a.arrow"), (g, expected))
 
 
@@ -95,9 +95,9 @@ def test_the_header_tells_what_is_in_the_file(saved: tuple[Path, Gaussians, Srbf
     assert info.scene == scene_hash(g)
     assert info.provenance == {"fit": {"max_terms": 4}, "by": "tests"}
     assert info.nbytes == path.stat().st_size
-    packed = quantise(colors, "coarse")
+    packed = quantize(colors, "coarse")
     save_srbf(path, g, packed)
-    assert srbf_info(path).grids == packed.grids == Grids.of(packed.dequantised(), "coarse")
+    assert srbf_info(path).grids == packed.grids == Grids.of(packed.dequantized(), "coarse")
 
 
 def test_any_arrow_client_reads_it(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
@@ -116,12 +116,12 @@ def test_any_arrow_client_reads_it(saved: tuple[Path, Gaussians, SrbfColors]) ->
 def test_integers_and_header_are_all_a_decoder_needs(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     g, colors = random_scene(rng, 9), random_colors(rng, 9, "rgb")
-    packed = quantise(colors, "wire")
+    packed = quantize(colors, "wire")
     save_srbf(tmp_path / "a.arrow", g, packed)
     table = pa.ipc.open_file(tmp_path / "a.arrow").read_all()
-    header = json.loads(table.schema.metadata[b"gsvis"])["quantised"]
+    header = json.loads(table.schema.metadata[b"gsvis"])["quantized"]
     terms = [term for row in table.to_pylist() for term in row["terms"]]
-    values = packed.dequantised()
+    values = packed.dequantized()
     low, high = header["decays"]
     bits = header["precision"]
     decays = [low * (high / low) ** (t["decay"] / (2 ** bits["decay"] - 1)) for t in terms]
@@ -135,7 +135,7 @@ def test_integers_and_header_are_all_a_decoder_needs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_a_viewer_that_knows_no_terms_shows_base_colours(tmp_path: Path, name: str) -> None:
+def test_a_viewer_that_knows_no_terms_shows_base_colors(tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng(3)
     g, colors = random_scene(rng, 20), random_colors(rng, 20, name)
     save_srbf(tmp_path / "a.arrow", g, colors)
@@ -174,8 +174,8 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     g, colors = random_scene(rng, 5), random_colors(rng, 5)
     with pytest.raises(ValueError, match="colors: expected those of 4 Gaussians, got 5"):
         save_srbf(tmp_path / "a", g[:4], colors)
-    with pytest.raises(ValueError, match="precision: expected None for quantised colours"):
-        save_srbf(tmp_path / "a", g, quantise(colors), precision="wire")
+    with pytest.raises(ValueError, match="precision: expected None for quantized colors"):
+        save_srbf(tmp_path / "a", g, quantize(colors), precision="wire")
     with pytest.raises(ValueError, match="provenance: expected what JSON can say"):
         save_srbf(tmp_path / "a", g, colors, provenance={"x": float("nan")})
     assert not list(tmp_path.iterdir())
@@ -252,7 +252,7 @@ def test_a_newer_version_is_refused_with_a_clear_line(saved: tuple[Path, Gaussia
         (b'"variant":"axes"', b'"variant":"rgb" ', "column 'terms': expected list"),
         (b'"variant":"axes"', b'"variant":["ax"]', "variant: expected one of"),
         (b"opacities", b"opac\xff\xfeies", "an Arrow schema"),
-        (b'"quantised":null', b'"quantised":1234', "quantised: expected an object"),
+        (b'"quantized":null', b'"quantized":1234', "quantized: expected an object"),
         (b"opacities", b"opacitiez", "column 'opacities'"),
         (b'"scene":"', b'"scena":"', "scene: expected the hash of a scene, got None"),
     ],
@@ -281,7 +281,7 @@ def test_integers_and_ranges_are_checked_on_reading(
 ) -> None:
     rng = np.random.default_rng(6)
     g, colors = random_scene(rng, 5), random_colors(rng, 5, "hsv")
-    packed = quantise(colors, replace(PRECISIONS["wire"], base=8))
+    packed = quantize(colors, replace(PRECISIONS["wire"], base=8))
     grids = packed.grids
     if "bits" in change:
         object.__setattr__(grids.precision, "decay", change.pop("bits"))

@@ -1,4 +1,4 @@
-"""SRBF colours as spherical harmonics: what is represented exactly, how well, and nothing that explodes."""
+"""SRBF colors as spherical harmonics: what is represented exactly, how well, and nothing that explodes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_weights_lower_the_error_where_they_are() -> None:
 
 @pytest.mark.parametrize("seen", [0, 1, 4, 40])
 def test_masked_fits_do_not_explode(seen: int) -> None:
-    """From a few directions alone, or none: outside them the colour stays in the region of what was seen."""
+    """From a few directions alone, or none: outside them the color stays in the region of what was seen."""
     colors = lobes(20.0, height=0.5)
     weights = np.zeros((50, 320))
     weights[:, :seen] = 1.0

@@ -91,7 +91,7 @@ def in_visibility(folder: Path, case: Case) -> None:
             ids = store.visible_ids(cell)
             assert not len(ids) or 0 <= ids[0] <= ids[-1] < store.gaussians
             store.classes(cell)
-            store.neighbours(cell)
+            store.neighbors(cell)
         assert store.direction_sets.shape == (store.gaussians, 10)
         store.ever_visible()
         store.sizes()

@@ -67,7 +67,7 @@ def held() -> bytes:
 
 def eyes() -> list[tuple[float, float, float]]:
     """Where viewers walk: the centers of cells of the first scene."""
-    return [(float(x), float(y), float(z)) for x, y, z in scenes()["rgb"].index.grid.centres[:6]]
+    return [(float(x), float(y), float(z)) for x, y, z in scenes()["rgb"].index.grid.centers[:6]]
 
 
 def talk(sender: Sender, receiver: Receiver, batches: int) -> list[bytes]:

@@ -35,7 +35,7 @@ def test_scenes_with_a_known_answer(name: str) -> None:
 
 
 def test_a_ball_behind_an_opaque_one_is_hidden_and_behind_a_faint_one_is_not() -> None:
-    eye, opaque = np.zeros(3), [(3, 0.5, 1.0)] * 3  # three, because one Gaussian is opaque at its very centre only
+    eye, opaque = np.zeros(3), [(3, 0.5, 1.0)] * 3  # three, because one Gaussian is opaque at its very center only
     assert np.array_equal(visible_gaussians(row(*opaque, (8, 0.1, 1.0)), eye), [0, 1, 2])
     assert np.array_equal(visible_gaussians(row((3, 0.5, 0.5), (8, 0.1, 1.0)), eye), [0, 1])
     assert np.array_equal(visible_gaussians(row(*opaque, (-8, 0.1, 1.0)), eye), [0, 1, 2, 3])
@@ -134,8 +134,8 @@ def test_an_eye_inside_an_opaque_gaussian_sees_what_is_around_it_only() -> None:
     assert np.array_equal(visible_gaussians(fog, np.zeros(3)), [0, 3])
     veil = row((0.1, 0.5, 0.3), (8, 0.1, 1.0), (-8, 0.1, 1.0))
     assert np.array_equal(visible_gaussians(veil, np.zeros(3)), [0, 1, 2])
-    centred = row((0.0, 0.5, 1.0), (8, 0.1, 1.0))
-    assert np.array_equal(visible_gaussians(centred, np.zeros(3)), [0])
+    centerd = row((0.0, 0.5, 1.0), (8, 0.1, 1.0))
+    assert np.array_equal(visible_gaussians(centerd, np.zeros(3)), [0])
 
 
 def test_scenes_of_nothing_of_one_and_of_faint_ones() -> None:

@@ -55,7 +55,7 @@ def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
 def test_nothing_visible_is_missing_and_nothing_behind_a_solid_wall_is_kept(name: str) -> None:
     scene = builtin_scene(name)
     splats = Splats.of(scene.gaussians)
-    # Seams of walls seen edge on: splats are ordered by their centres there, rays by where they are densest.
+    # Seams of walls seen edge on: splats are ordered by their centers there, rays by where they are densest.
     allowed = 1e-3 if name == "two_rooms" else 0.0
     for v, viewpoint in enumerate(scene.viewpoints):
         seen = hybrid(scene.gaussians, splats, viewpoint, size=384)

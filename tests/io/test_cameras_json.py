@@ -74,7 +74,7 @@ def test_three_rows_make_a_matrix_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "focals", "centre"),
+    ("values", "focals", "center"),
     [
         ({"camera_angle_x": np.pi / 2}, (40.0, 40.0), (40.0, 30.0)),
         ({"camera_angle_x": np.pi / 2, "camera_angle_y": np.pi / 2}, (40.0, 30.0), (40.0, 30.0)),
@@ -83,10 +83,10 @@ def test_three_rows_make_a_matrix_too(tmp_path: Path) -> None:
     ],
 )
 def test_intrinsics_stand_at_the_top_or_in_a_frame(
-    tmp_path: Path, values: dict[str, float], focals: tuple[float, float], centre: tuple[float, float]
+    tmp_path: Path, values: dict[str, float], focals: tuple[float, float], center: tuple[float, float]
 ) -> None:
     wrong = {"w": 7, "h": 7, "fl_x": 7.0} if "fl_x" in values else {"w": 7, "h": 7}
-    expected = [[focals[0], 0, centre[0]], [0, focals[1], centre[1]], [0, 0, 1]]
+    expected = [[focals[0], 0, center[0]], [0, focals[1], center[1]], [0, 0, 1]]
     top = {"w": 80, "h": 60, **values, "frames": [{"transform_matrix": EYE}]}
     inside = {**wrong, "frames": [{"transform_matrix": EYE, "w": 80, "h": 60, **values}]}
     for content in (top, inside):

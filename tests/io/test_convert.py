@@ -60,7 +60,7 @@ def test_the_rotation_takes_one_axis_to_the_other(old: str, new: str) -> None:
     assert np.linalg.det(r) == pytest.approx(1.0)
 
 
-def test_up_turns_centres_shapes_and_colours() -> None:
+def test_up_turns_centers_shapes_and_colors() -> None:
     scene = random_scene(sh_degree=3)
     got = convert_scene(scene, up=("-y", "+z"))
     r = rotation_between_axes("-y", "+z")

@@ -1,4 +1,4 @@
-"""EyeNavGS recordings: axes and metres by construction, faults, and what all 44 real recordings say of the axes."""
+"""EyeNavGS recordings: axes and meters by construction, faults, and what all 44 real recordings say of the axes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def turned(degrees: float) -> F64:
 
 
 def rows_of(heads: F64, degrees: F64, period: int = 14, digits: int = 3) -> list[str]:
-    """Rows of a level walk in metres, as the headset would have written them for a scene with SETTING."""
+    """Rows of a level walk in meters, as the headset would have written them for a scene with SETTING."""
     rows = []
     for i, (head, angle) in enumerate(zip(heads, degrees, strict=True)):
         rotation = level().T @ turned(angle)
@@ -68,7 +68,7 @@ def walk(count: int = 40) -> tuple[F64, F64]:
 
 
 @pytest.mark.parametrize("name", ["user1_room.csv.gz", "user1_room.csv", "room/user1_room.csv", "room/anything.csv"])
-def test_a_known_walk_comes_out_in_metres_level_and_in_opencv_axes(tmp_path: Path, name: str) -> None:
+def test_a_known_walk_comes_out_in_meters_level_and_in_opencv_axes(tmp_path: Path, name: str) -> None:
     heads, degrees = walk()
     for digits, slack in ((9, 1e-7), (3, 1.5e-3)):
         path = load_path(written(tmp_path, rows_of(heads, degrees, digits=digits), name))
@@ -79,7 +79,7 @@ def test_a_known_walk_comes_out_in_metres_level_and_in_opencv_axes(tmp_path: Pat
         assert np.allclose(path.head_ups, [0, 1, 0], atol=3 * slack)
         assert np.allclose(np.linalg.norm(path.quats, axis=1), 1.0)
         assert np.all(np.sum(path.quats[1:] * path.quats[:-1], axis=1) > 0)
-        assert path.metres_per_unit == 1.0
+        assert path.meters_per_unit == 1.0
         assert np.allclose(path.upright, [0, 1, 0])
 
 

@@ -1,4 +1,4 @@
-"""Compressed PLY, .splat and SPZ: decoded within their quantisation, and refused when damaged."""
+"""Compressed PLY, .splat and SPZ: decoded within their quantization, and refused when damaged."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def assert_within(got: Gaussians, want: Gaussians, **steps: float) -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("count", [1, 256, 300])
-def test_compressed_ply_within_its_quantisation(tmp_path: Path, degree: int, count: int) -> None:
+def test_compressed_ply_within_its_quantization(tmp_path: Path, degree: int, count: int) -> None:
     scene = random_scene(count, degree)
     got = load_ply(put(tmp_path, "a.ply", compressed_ply_bytes(scene)))
     steps = {"means": 6 / 1023, "log_scales": 5 / 1023, "opacities": 0.5 / 254, "sh0": 3 / 254, "shN": 8 / 256}
@@ -90,7 +90,7 @@ def test_compressed_ply_truncated(tmp_path: Path) -> None:
 # --- .splat
 
 
-def test_splat_within_its_quantisation(tmp_path: Path) -> None:
+def test_splat_within_its_quantization(tmp_path: Path) -> None:
     scene = random_scene(200, 0)
     got = load_splat(put(tmp_path, "a.splat", splat_bytes(scene)))
     steps = {"means": 0.0, "log_scales": 1e-6, "opacities": 0.5 / 254, "sh0": 0.5 / 254 / 0.282, "shN": 0.0}
@@ -127,7 +127,7 @@ SPZ_TURN = {1: 0.15, 2: 0.15, 3: 0.003, 4: 0.003}  # w of versions 1 and 2 is wh
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("version", [1, 2, 3, 4])
-def test_spz_within_its_quantisation(tmp_path: Path, version: int, degree: int) -> None:
+def test_spz_within_its_quantization(tmp_path: Path, version: int, degree: int) -> None:
     scene = random_scene(90, degree)
     got = load_spz(put(tmp_path, "a.spz", spz_bytes(scene, version)))
     assert_within(got, scene, **SPZ_STEPS, means=SPZ_MEANS[version], turn=SPZ_TURN[version])
@@ -141,7 +141,7 @@ def test_spz_that_was_written_reads_back(tmp_path: Path, degree: int) -> None:
     assert_within(got, scene, **SPZ_STEPS, means=1e-5, turn=0.003)
     save_spz(got, tmp_path / "b.spz")
     again = load_spz(tmp_path / "b.spz")
-    for name in ("means", "scales", "opacities", "sh0", "shN"):  # quantised once is quantised for good
+    for name in ("means", "scales", "opacities", "sh0", "shN"):  # quantized once is quantized for good
         np.testing.assert_allclose(getattr(again, name), getattr(got, name), atol=1e-6, err_msg=name)
 
 

@@ -65,7 +65,7 @@ def test_a_ply_reads_alike_in_every_encoding_and_type(tmp_path: Path, encoding: 
     assert_same(load_points(tmp_path / "cloud.ply"), want)
 
 
-def test_a_ply_without_colours_is_grey(tmp_path: Path) -> None:
+def test_a_ply_without_colors_is_gray(tmp_path: Path) -> None:
     (tmp_path / "cloud.ply").write_bytes(ply_bytes(dict(zip("xyz", cloud().means.T, strict=True))))
     assert (load_points(tmp_path / "cloud.ply").colors == 0.5).all()
 
@@ -139,11 +139,11 @@ def test_positions_that_are_not_finite_are_named(tmp_path: Path, value: float) -
             load_points(tmp_path / "cloud.ply")
 
 
-def test_colours_that_are_none_are_refused(tmp_path: Path) -> None:
+def test_colors_that_are_none_are_refused(tmp_path: Path) -> None:
     base = {name: [0.0] for name in "xyz"}
     file = tmp_path / "cloud.ply"
     for columns, kind, told in (
-        ({"red": [1.0], "green": [0.0], "blue": [2.0]}, "f4", r"row 0\): expected colours from 0 to white"),
+        ({"red": [1.0], "green": [0.0], "blue": [2.0]}, "f4", r"row 0\): expected colors from 0 to white"),
         ({"red": [1.0], "green": [np.nan], "blue": [0.0]}, "f4", "got 1 nan 0"),
         ({"red": [1.0], "green": [0.0]}, "f4", "expected red, green and blue alike"),
         ({"red": [1], "green": [0], "blue": [0]}, "i4", "got red int32"),

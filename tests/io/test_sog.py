@@ -1,4 +1,4 @@
-"""SOG and streamed SOG: planes decoded within their quantisation, levels of detail, and damage refused."""
+"""SOG and streamed SOG: planes decoded within their quantization, levels of detail, and damage refused."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def test_kernels_say_what_the_slow_twins_say_to_the_bit(layout: RecordLayout, se
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=["rgb", "hsl"])
 @given(seed=st.integers(0, 1 << 30), n=st.integers(1, 600))
-def test_errors_stay_within_their_bounds_whatever_the_neighbours(layout: RecordLayout, seed: int, n: int) -> None:
+def test_errors_stay_within_their_bounds_whatever_the_neighbors(layout: RecordLayout, seed: int, n: int) -> None:
     g = wild(n, seed)
     table = build_chunks(g, layout)
     found = decode_records(encode_records(g, colors_of(n, layout), table, layout), table, layout)
@@ -88,7 +88,7 @@ def test_the_ellipsoid_hardly_turns(layout: RecordLayout, degrees: float) -> Non
     assert np.degrees(np.arccos(np.minimum(cosines, 1.0))).max() < degrees
 
 
-def test_an_outlier_does_not_make_its_neighbours_coarse() -> None:
+def test_an_outlier_does_not_make_its_neighbors_coarse() -> None:
     layout = LAYOUTS[0]
     g = scene(300)
     means = g.means.copy()

@@ -50,7 +50,7 @@ def test_another_value_anywhere_is_read_or_refused(
 ) -> None:
     _, value = made
     trails = list(places(value))
-    assert ("quantisation", "colors", "variant") in trails
+    assert ("quantization", "colors", "variant") in trails
     good = sum(reads(tmp_path / "m.json", signed(replaced(value, trail, OTHERS[name]))) for trail in trails)
     assert good < len(trails)
 
@@ -65,10 +65,10 @@ def test_a_value_that_is_missing_is_read_or_refused(made: tuple[Path, dict[str, 
 @pytest.mark.parametrize(
     ("trail", "named"),
     [
-        (("quantisation", "colors", "variant"), "variant: expected one of"),
+        (("quantization", "colors", "variant"), "variant: expected one of"),
         (("scene",), "scene: expected a string"),
         (("levels", 0, "name"), r"levels\[0\]\.name: expected a string"),
-        (("quantisation", "colors", "precision", "name"), "name: expected a string"),
+        (("quantization", "colors", "precision", "name"), "name: expected a string"),
     ],
 )
 def test_what_is_no_text_is_refused_by_its_name(
@@ -95,7 +95,7 @@ def test_tables_shorter_than_the_records_that_point_into_them_are_no_crash(made:
     folder, value = made
     path = folder / manifests.MANIFEST
     whole = path.read_bytes()
-    path.write_bytes(signed(replaced(value, ("quantisation", "colors", "precision", "base"), 3)))
+    path.write_bytes(signed(replaced(value, ("quantization", "colors", "precision", "base"), 3)))
     try:
         with Package.open(folder) as package:
             StreamedScene.open(package)

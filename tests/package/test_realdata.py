@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.color.records import quantise
+from gsvis.color.records import quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.io import load_scene
 from gsvis.package import Contents, in_package_order, measure_cost
@@ -24,7 +24,7 @@ def test_rounding_costs_less_than_45_db_show(realdata: Path) -> None:
     cameras = space.sample_cameras(3, np.random.default_rng(3), width=240, height=180)
     levels = in_package_order(Levels.single(g))
     exact = SrbfColors.without_terms(np.maximum(0.5 + SH_C0 * levels.union.sh0[:, 0], 0.0))
-    colors = quantise(exact, "wire")
+    colors = quantize(exact, "wire")
     assert measure_cost(levels, exact, colors, cameras).psnr >= 45.0
     contents = Contents.of(levels, colors)
     assert contents.records.shape[1] == 16

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsvis.color.records import Precision, QuantisedColors, bytes_per_term, quantise
+from gsvis.color.records import Precision, QuantizedColors, bytes_per_term, quantize
 from gsvis.color.variants import VARIANTS
 from gsvis.package import TermLayout, decode_terms, encode_terms
 from tests.color.samples import random_colors
@@ -16,7 +16,7 @@ from tests.color.samples import random_colors
 @pytest.mark.parametrize("variant", sorted(VARIANTS))
 @pytest.mark.parametrize("precision", ["coarse", "wire"])
 def test_terms_come_back_to_the_bit_in_as_few_whole_bytes_as_hold_them(variant: str, precision: str) -> None:
-    colors = quantise(random_colors(np.random.default_rng(0), 50, variant), precision)
+    colors = quantize(random_colors(np.random.default_rng(0), 50, variant), precision)
     records = encode_terms(colors)
     assert records.shape == (colors.num_terms, int(np.ceil(bytes_per_term(variant, precision))))
     found = decode_terms(records, colors.grids)
@@ -27,21 +27,21 @@ def test_terms_come_back_to_the_bit_in_as_few_whole_bytes_as_hold_them(variant: 
 @given(data=st.binary(min_size=5, max_size=50))
 def test_any_bytes_decode_to_something_that_can_be_shown(data: bytes) -> None:
     for variant in ("rgb", "hsl", "axes"):
-        grids = quantise(random_colors(np.random.default_rng(0), 3, variant)).grids
+        grids = quantize(random_colors(np.random.default_rng(0), 3, variant)).grids
         width = TermLayout.of(grids).nbytes
         records = np.frombuffer(data[: len(data) // width * width], np.uint8).reshape(-1, width)
         found, n = decode_terms(records, grids), len(records)
         none = np.zeros((1, grids.kind.num_axes, 2), np.uint16)
         scales = np.zeros(0 if grids.kind.space == "rgb" else 1, np.uint16)
-        QuantisedColors(grids, np.zeros((1, 3), np.uint16), scales, none, np.array([0, n]), *found).dequantised()
+        QuantizedColors(grids, np.zeros((1, 3), np.uint16), scales, none, np.array([0, n]), *found).dequantized()
 
 
 def test_terms_that_are_too_wide_are_refused() -> None:
     colors = random_colors(np.random.default_rng(0), 5, "rgb")
     with pytest.raises(ValueError, match="at most 8 bits"):
-        encode_terms(quantise(colors, "fine"))
+        encode_terms(quantize(colors, "fine"))
     wide = Precision("wide", base=8, scale=8, axis=8, center=15, decay=16, intensity=16)
     with pytest.raises(ValueError, match="at most 64 bits"):
-        encode_terms(quantise(colors, wide))
+        encode_terms(quantize(colors, wide))
     with pytest.raises(ValueError, match="records: expected shape"):
-        decode_terms(np.zeros((2, 3), np.uint8), quantise(colors).grids)
+        decode_terms(np.zeros((2, 3), np.uint8), quantize(colors).grids)

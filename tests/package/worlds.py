@@ -1,4 +1,4 @@
-"""Small scenes with levels, colours and, where asked for, visible sets: what packages are made of in tests."""
+"""Small scenes with levels, colors and, where asked for, visible sets: what packages are made of in tests."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsvis.color.records import QuantisedColors, quantise
+from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.package import in_package_order
 from gsvis.prepare.active_terms import build_active_terms
@@ -29,9 +29,9 @@ def levels_of(n: int = 400, seed: int = 0) -> Levels:
     return in_package_order(Levels(random_scene(rng, n), first, last, NAMES))
 
 
-def colors_of(n: int, variant: str = "rgb", seed: int = 0) -> tuple[SrbfColors, QuantisedColors]:
+def colors_of(n: int, variant: str = "rgb", seed: int = 0) -> tuple[SrbfColors, QuantizedColors]:
     exact = random_colors(np.random.default_rng(seed), n, variant)
-    return exact, quantise(exact, "wire")
+    return exact, quantize(exact, "wire")
 
 
 def stores_of(folder: Path, levels: Levels, colors: SrbfColors, cells: int = 9) -> dict[str, Path]:

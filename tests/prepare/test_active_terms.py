@@ -27,7 +27,7 @@ EPSILON = 0.03
 
 @dataclass(frozen=True)
 class World:
-    """A scene, its colours, and the random sets of its cells; the first cell sees nothing."""
+    """A scene, its colors, and the random sets of its cells; the first cell sees nothing."""
 
     g: Gaussians
     colors: SrbfColors
@@ -141,14 +141,14 @@ def test_no_terms_at_all(tmp_path: Path) -> None:
         assert (terms.share(4).of_all, terms.share(4).of_visible) == (0.0, 0.0)
 
 
-def test_it_belongs_to_its_scene_its_colours_and_its_sets(tmp_path: Path) -> None:
+def test_it_belongs_to_its_scene_its_colors_and_its_sets(tmp_path: Path) -> None:
     w, other = world(tmp_path), world(tmp_path, seed=1, name="other.pvs")
     w.build().close()
     ActiveTerms.open(w.path, scene=w.g, colors=w.colors, sets=w.store).close()
     for wrong, told in (
         ({"scene": other.g}, "scene: expected active terms of scene"),
-        ({"colors": w.colors.first(2)}, "colors: expected active terms of colours"),
-        ({"colors": replace(w.colors, decays=w.colors.decays * 2)}, "of colours"),
+        ({"colors": w.colors.first(2)}, "colors: expected active terms of colors"),
+        ({"colors": replace(w.colors, decays=w.colors.decays * 2)}, "of colors"),
         ({"sets": other.store}, "sets: expected active terms of visible sets"),
     ):
         with pytest.raises(FormatError, match=told):

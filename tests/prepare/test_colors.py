@@ -1,4 +1,4 @@
-"""Preparing colours of a scene and comparing them: what is found, kept, gone on with and refused."""
+"""Preparing colors of a scene and comparing them: what is found, kept, gone on with and refused."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_what_is_wrong_is_said() -> None:
         measure_colors(g, SrbfColors.without_terms(np.zeros((3, 3))), cameras)
 
 
-def test_comparison_of_colours_that_do_not_depend_on_direction_finds_no_difference() -> None:
+def test_comparison_of_colors_that_do_not_depend_on_direction_finds_no_difference() -> None:
     scene, g = rooms(0), rooms(0).gaussians
     colors = prepare_colors(g, None, QUICK).fit.colors
     cameras = ViewSampling(2, 32, 24, stream=1).cameras(g, scene.navigable)
@@ -146,7 +146,7 @@ def test_more_terms_and_smaller_epsilons_keep_more() -> None:
     assert (np.diff(quality.active_psnr.mean(axis=1)) < 0).all()
 
 
-def test_the_figures_of_fitted_colours_add_up() -> None:
+def test_the_figures_of_fitted_colors_add_up() -> None:
     scene, g = rooms(), rooms().gaussians
     found = prepare_colors(g, scene.navigable, QUICK)
     for precision in ("exact", "wire"):

@@ -39,7 +39,7 @@ CONFIG = PrepareConfig(
     sets=PvsConfig(size=16, min_viewpoints=2, max_viewpoints=2),
     colors=ColorConfig(FitConfig(max_terms=2, refine=False), FEW),
     cost_views=replace(FEW, stream=3),
-    metres_per_unit=0.5,
+    meters_per_unit=0.5,
 )
 STAGES = ["levels", "sets", "colors", "terms", "cost", "package"]
 
@@ -92,7 +92,7 @@ def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepar
     assert found.manifest.counts[-1] == len(rooms.gaussians)
     assert found.manifest.terms > 0
     assert info.up == (0.0, 0.0, 1.0)
-    assert info.metres_per_unit == 0.5
+    assert info.meters_per_unit == 0.5
     assert info.cost is not None
     assert 30 < info.cost.worst <= info.cost.psnr
     assert info.provenance["scene"] == "rooms"
@@ -114,7 +114,7 @@ def test_nothing_is_made_twice(again: Path, rooms: OccluderScene) -> None:
 
 def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderScene) -> None:
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["terms", "package"]
-    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, metres_per_unit=2.0))) == []  # parts, that is
+    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, meters_per_unit=2.0))) == []  # parts, that is
     flat = replace(CONFIG, epsilon=0.3, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
     told: list[str] = []
     found = prepare(rooms, again, flat, progress=lambda stage, done, total: told.append(stage))
@@ -284,7 +284,7 @@ def test_what_cannot_serve_is_refused_before_any_work(rooms: OccluderScene, tmp_
         ("cells", 0),
         ("cell_size", -1.0),
         ("epsilon", 0.0),
-        ("metres_per_unit", -1.0),
+        ("meters_per_unit", -1.0),
         ("cost_views", replace(FEW, count=0)),
     ],
 )

@@ -1,4 +1,4 @@
-"""What a walk needs of the colours: by cameras and by cells, against the activation itself."""
+"""What a walk needs of the colors: by cameras and by cells, against the activation itself."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_larger_epsilons_send_less() -> None:
 
 def inside(w: World) -> HeadPath:
     """Through the middles of three cells."""
-    return through(*w.store.grid.centres[[2, 5, 9]])
+    return through(*w.store.grid.centers[[2, 5, 9]])
 
 
 def test_by_cells_terms_are_active_anywhere_in_the_cell(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_other_cells_have_terms_active_at_the_eye(tmp_path: Path) -> None:
     assert away.terms[-1] == 0.0
 
 
-def test_colours_without_terms(tmp_path: Path) -> None:
+def test_colors_without_terms(tmp_path: Path) -> None:
     w = world(tmp_path)
     plain = SrbfColors.without_terms(np.full((len(w.g), 3), 0.5))
     found = lawful(terms_over_walk(plain, w.g, inside(w), EPSILON, sets=w.store))

@@ -27,7 +27,7 @@ def some_space(seed: int, share: float = 0.4) -> NavigableSpace:
     return NavigableSpace(rng.normal(0, 50, 3), float(rng.uniform(0.01, 3.0)), free, UP)
 
 
-def centres_of(space: NavigableSpace) -> np.ndarray:
+def centers_of(space: NavigableSpace) -> np.ndarray:
     return space.origin + space.voxel_size * (np.argwhere(space.free) + 0.5)
 
 
@@ -38,13 +38,13 @@ SPACES = st.builds(some_space, st.integers(0, 10_000))
 def test_every_free_voxel_lies_in_one_cell_and_no_cell_is_without(space: NavigableSpace, most: int) -> None:
     grid = CellGrid.over(space, max_cells=most)
     assert 1 <= len(grid) <= most
-    centres = centres_of(space)
-    cells = grid.cell_at(centres)
+    centers = centers_of(space)
+    cells = grid.cell_at(centers)
     assert (cells >= 0).all()
     assert set(cells.tolist()) == set(range(len(grid)))
     corners = np.array([grid.bounds(int(cell)) for cell in cells])
-    assert (corners[:, 0] <= centres).all()
-    assert (centres <= corners[:, 1]).all()
+    assert (corners[:, 0] <= centers).all()
+    assert (centers <= corners[:, 1]).all()
 
 
 @given(SPACES)
@@ -64,7 +64,7 @@ def test_bounds_and_cell_at_are_inverse(space: NavigableSpace, seed: int) -> Non
         low, high = grid.bounds(cell)
         inside = low + (high - low) * rng.uniform(0.001, 0.999, (20, 3))
         assert (grid.cell_at(inside) == cell).all()
-        assert np.allclose(grid.centres[cell], 0.5 * (low + high))
+        assert np.allclose(grid.centers[cell], 0.5 * (low + high))
     far = grid.origin + rng.normal(0, 1e6, (20, 3)) * grid.cell_size
     for point, cell in zip(far, grid.cell_at(far), strict=True):
         if cell >= 0:
@@ -73,15 +73,15 @@ def test_bounds_and_cell_at_are_inverse(space: NavigableSpace, seed: int) -> Non
 
 
 @given(SPACES)
-def test_neighbours_touch_and_gaps_are_distances(space: NavigableSpace) -> None:
+def test_neighbors_touch_and_gaps_are_distances(space: NavigableSpace) -> None:
     grid = CellGrid.over(space, max_cells=30)
     gaps = np.array([grid.gaps(cell) for cell in range(len(grid))])
     assert np.array_equal(gaps, gaps.T)
     assert (np.diag(gaps) == 0).all()
     for cell in range(len(grid)):
-        neighbours = grid.neighbours(cell)
-        assert (np.diff(neighbours) > 0).all()
-        assert set(neighbours.tolist()) == set(np.flatnonzero(gaps[cell] == 0).tolist()) - {cell}
+        neighbors = grid.neighbors(cell)
+        assert (np.diff(neighbors) > 0).all()
+        assert set(neighbors.tolist()) == set(np.flatnonzero(gaps[cell] == 0).tolist()) - {cell}
     for a in range(min(len(grid), 6)):
         for b in range(len(grid)):
             (low_a, high_a), (low_b, high_b) = grid.bounds(a), grid.bounds(b)
@@ -166,7 +166,7 @@ def test_outliers_far_away_do_not_blow_up_the_grid() -> None:
     )
     plain = CellGrid.over(NavigableSpace.from_scene(g), max_cells=64)
     with_strays = CellGrid.over(NavigableSpace.from_scene(Gaussians.concatenate([g, strays])), max_cells=64)
-    assert np.linalg.norm(with_strays.centres - g.means.mean(axis=0), axis=1).max() < 20.0
+    assert np.linalg.norm(with_strays.centers - g.means.mean(axis=0), axis=1).max() < 20.0
     assert 0.5 < with_strays.cell_size / plain.cell_size < 2.0
 
 
@@ -174,9 +174,9 @@ def test_a_corridor_is_the_free_space_near_the_walk() -> None:
     room = NavigableSpace.from_box((0, 0, 0), (4, 4, 4), 40)
     walk = np.array([[0.55, 2.05, 2.05], [3.55, 2.05, 2.05]])
     found = corridor(room, walk, 0.5)
-    centres = centres_of(found)
-    along = np.clip(centres[:, 0], 0.55, 3.55)
-    apart = np.linalg.norm(centres - np.stack([along, *np.full((2, len(along)), 2.05)], axis=1), axis=1)
+    centers = centers_of(found)
+    along = np.clip(centers[:, 0], 0.55, 3.55)
+    apart = np.linalg.norm(centers - np.stack([along, *np.full((2, len(along)), 2.05)], axis=1), axis=1)
     assert apart.max() <= 0.5 + 1.5 * room.voxel_size
     assert found.contains(np.linspace(*walk, 200)).all()
     assert (found.free <= room.free).all()

@@ -150,7 +150,7 @@ def test_an_order_is_taken_only_if_it_pays_for_its_labels(cells: int, shuffled: 
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 11), st.integers(0, 11)), max_size=40))
-def test_parents_are_neighbours_and_chains_are_short(edges: list[tuple[int, int, int]]) -> None:
+def test_parents_are_neighbors_and_chains_are_short(edges: list[tuple[int, int, int]]) -> None:
     edges = [edge for edge in edges if edge[1] != edge[2]]
     parents = _order.parents_of(edges, 12)
     pairs = {(a, b) for shared, a, b in edges if shared} | {(b, a) for shared, a, b in edges if shared}

@@ -21,7 +21,7 @@ from gsvis.scene.solid import buried
 
 MAKERS = {"wall": wall_with_hole, "box": box_in_room, "rooms": two_rooms, "shells": nested_shells}
 SIZES = {"hybrid": 384, "raster": 384, "raycast": 64}
-# Splats are flat and ordered by their centres, so surfaces must be of many; small Gaussians fall between coarse rays,
+# Splats are flat and ordered by their centers, so surfaces must be of many; small Gaussians fall between coarse rays,
 # so there they must be of few.
 COUNTS = {"hybrid": 20_000, "raster": 20_000, "raycast": 1200}
 LOOKS: dict[tuple[str, str], tuple[OccluderScene, Look]] = {}
@@ -49,7 +49,7 @@ def test_no_visible_gaussian_is_missing_and_none_behind_a_wall_is_kept(name: str
         assert not (hidden & mask).any(), f"kept {np.count_nonzero(hidden & mask)}"
         missing += np.count_nonzero(shown & ~mask)
         visible += np.count_nonzero(shown)
-    # Seams of walls seen edge on: splats are ordered by their centres there, rays by where they are densest.
+    # Seams of walls seen edge on: splats are ordered by their centers there, rays by where they are densest.
     assert missing <= (0.003 * visible if name == "rooms" else 0)
 
 

@@ -1,4 +1,4 @@
-"""Levels seen one by one: laws that tie the sets, directions and colours of a union to those of each level."""
+"""Levels seen one by one: laws that tie the sets, directions and colors of a union to those of each level."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ def test_sets_of_levels_are_the_union_of_those_of_each(tmp_path: Path) -> None:
     viewpoints = np.zeros(len(grid), np.int64)
     for scene, ids in level_scenes(levels):
         with build_pvs(scene, grid, space, tmp_path / "one.pvs", CONFIG) as store:
-            here, towards = sets_of(store, ids, count)
-            found, directions = np.maximum(found, here), directions | towards
+            here, toward = sets_of(store, ids, count)
+            found, directions = np.maximum(found, here), directions | toward
             viewpoints = np.maximum(viewpoints, store.viewpoints)
     with build_pvs(levels, grid, space, tmp_path / "all.pvs", CONFIG) as store:
-        together, towards = sets_of(store, np.arange(count), count)
+        together, toward = sets_of(store, np.arange(count), count)
         np.testing.assert_array_equal(together, found)
-        np.testing.assert_array_equal(towards, directions)
+        np.testing.assert_array_equal(toward, directions)
         np.testing.assert_array_equal(store.viewpoints, viewpoints)
         assert store.info.config["levels"] == levels_record(levels)
         assert store.info.scene == scene_hash(levels.union)

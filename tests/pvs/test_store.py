@@ -69,8 +69,8 @@ def truth_of(n: int, cells: int, share: float, seed: int) -> Truth:
 
 
 def naive_distances(truth: Truth, cell: int) -> np.ndarray:
-    centres = truth.grid.centres
-    apart = np.linalg.norm(centres - centres[cell], axis=1)
+    centers = truth.grid.centers
+    apart = np.linalg.norm(centers - centers[cell], axis=1)
     return np.where(truth.seen, apart[:, None], np.inf).min(axis=0)
 
 
@@ -118,12 +118,12 @@ def test_a_search_within_a_distance_stops_there(tmp_path: Path) -> None:
             store.distance_to_visibility(4, within=-1.0)
 
 
-def test_places_and_neighbours_are_those_of_the_grid(tmp_path: Path) -> None:
+def test_places_and_neighbors_are_those_of_the_grid(tmp_path: Path) -> None:
     truth = truth_of(100, 30, 0.2, seed=1)
     with truth.write(tmp_path / "x.pvs") as store:
         for cell in range(30):
-            assert store.cell_at(store.grid.centres[cell]) == cell
-            assert np.array_equal(store.neighbours(cell), truth.grid.neighbours(cell))
+            assert store.cell_at(store.grid.centers[cell]) == cell
+            assert np.array_equal(store.neighbors(cell), truth.grid.neighbors(cell))
             assert np.array_equal(store.grid.bounds(cell), truth.grid.bounds(cell))
         assert store.cell_at([1e9, 0.0, 0.0]) == -1
         assert store.info.config == {"method": "raycast", "rays": 128}
@@ -346,7 +346,7 @@ def test_the_hash_is_of_the_content_alone() -> None:
 def test_numbers_out_of_range_are_refused(tmp_path: Path) -> None:
     with truth_of(90, 4, 0.3, seed=2).write(tmp_path / "x.pvs") as store:
         for bad in (-1, 4, 1.5, True):
-            for ask in (store.visible, store.classes, store.distance_to_visibility, store.neighbours):
+            for ask in (store.visible, store.classes, store.distance_to_visibility, store.neighbors):
                 with pytest.raises(ValueError, match=r"cell: expected a number in \[0, 3\]"):
                     ask(bad)  # type: ignore[arg-type]
             with pytest.raises(ValueError, match="cell"):

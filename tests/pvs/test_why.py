@@ -114,7 +114,7 @@ def test_without_a_tracer_the_store_tells_what_it_knows(tmp_path: Path) -> None:
         assert store.why(WALL, 0).verdict == "visible"
 
 
-def test_an_eye_in_the_centre_of_the_gaussian_is_no_trouble(tmp_path: Path) -> None:
+def test_an_eye_in_the_center_of_the_gaussian_is_no_trouble(tmp_path: Path) -> None:
     with open_store(tmp_path, tracer().proxies.gaussians, [[], []]) as store:
         answer = why(store, tracer(), BEHIND, 0, viewpoints=[[-5.0, 0.0, 0.0]])
         assert answer.verdict == "missed"

@@ -50,7 +50,7 @@ def scene(kind: str, seed: int = 0, n: int = 300) -> Gaussians:
 
 
 def rays(kind: str, seed: int = 1, count: int = 120) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rays from outside, from inside, from the very centres of Gaussians, and along the axes."""
+    """Rays from outside, from inside, from the very centers of Gaussians, and along the axes."""
     rng = np.random.default_rng(seed)
     origins = rng.uniform(-1.5, 1.5, (count, 3))
     origins[: count // 4] = rng.uniform(-0.05, 0.05, (count // 4, 3))

@@ -113,7 +113,7 @@ def test_more_rays_a_face_never_lose_a_face() -> None:
     box = NavigableSpace.from_box([-3, -3, 1.5], [3, 3, 3], 24)
     coarse = dirs.trace_directions(tracer, box, rays_per_face=1)
     fine = dirs.trace_directions(tracer, box, rays_per_face=4)
-    assert not (coarse & ~fine).any()  # the middle part of a face has the same centre
+    assert not (coarse & ~fine).any()  # the middle part of a face has the same center
 
 
 def test_traced_and_gathered_agree_where_eyes_are_dense() -> None:

@@ -21,8 +21,8 @@ def test_what_must_be_seen_is_seen_and_what_is_hidden_is_not(name: str) -> None:
     by_gaussians = visible_from(tracer, known.viewpoints, sampling="gaussians", rays=GaussianRays(ring=0))
     by_ring = visible_from(tracer, known.viewpoints, sampling="gaussians", rays=GaussianRays(ring=4))
     by_pixels = visible_from(tracer, known.viewpoints, sampling="pixels", size=64)
-    # Discs of one sheet overlap, and a disc that content puts behind its neighbours can be lost on the one ray to its
-    # centre; visible is what some ray sees.
+    # Discs of one sheet overlap, and a disc that content puts behind its neighbors can be lost on the one ray to its
+    # center; visible is what some ray sees.
     assert (by_ring[known.visible] >= TAU).all()
     assert (by_gaussians[known.visible] >= TAU).mean() > 0.9999
     for weights in (by_gaussians, by_ring, by_pixels):

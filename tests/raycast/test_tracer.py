@@ -88,7 +88,7 @@ def test_an_opaque_gaussian_in_front_stops_the_ray() -> None:
     np.testing.assert_allclose(found.transmittance, [0.5 * 0.001 * 0.001], rtol=1e-3)
 
 
-def test_an_eye_past_the_centre_looks_through_what_is_left() -> None:
+def test_an_eye_past_the_center_looks_through_what_is_left() -> None:
     g = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1.0, 1.0, 1.0]], [0.8], [[[0, 0, 0]]])
     found = tracer_of(g).contributions([[0, 0, 1.0]], [[0, 0, 1.0]])
     np.testing.assert_allclose(found.alphas, [0.8 * np.exp(-0.5)], rtol=1e-6)

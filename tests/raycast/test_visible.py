@@ -70,13 +70,13 @@ def test_the_floor_only_drops_what_is_below_it() -> None:
 
 def test_a_ring_of_rays_never_sees_less() -> None:
     tracer = tracer_of("discs")
-    centre = visible_from(tracer, [[0, -2.0, 0]], sampling="gaussians")[0]
+    center = visible_from(tracer, [[0, -2.0, 0]], sampling="gaussians")[0]
     ring = visible_from(tracer, [[0, -2.0, 0]], sampling="gaussians", rays=GaussianRays(6))[0]
-    assert (ring >= centre).all()
-    assert (ring > centre).any()
+    assert (ring >= center).all()
+    assert (ring > center).any()
 
 
-def test_an_eye_in_the_very_centre_sees_that_gaussian() -> None:
+def test_an_eye_in_the_very_center_sees_that_gaussian() -> None:
     g = Gaussians([[1, 2, 3]], [[1, 0, 0, 0]], [[0.5] * 3], [0.7], [[[0, 0, 0]]])
     weights = visible_from(
         Tracer(EllipsoidProxies.from_scene(g)), [[1, 2, 3]], sampling="gaussians", rays=GaussianRays(4)
@@ -100,7 +100,7 @@ def test_more_opacity_in_front_never_shows_more_behind() -> None:
         last = part
 
 
-def test_an_image_is_the_weighted_sum_of_colours() -> None:
+def test_an_image_is_the_weighted_sum_of_colors() -> None:
     red, green = (0.5 / 0.28209479177387814), -(0.5 / 0.28209479177387814)
     sh0 = np.array([[[red, green, green]], [[green, red, green]]])
     g = Gaussians([[0, 0, 2.0], [0, 0, 4.0]], [[1, 0, 0, 0]] * 2, [[0.5] * 3, [2.0] * 3], [0.6, 0.9], sh0)

@@ -132,7 +132,7 @@ def test_a_wall_of_equal_depths_does_not_depend_on_order() -> None:
     torch.testing.assert_close(rasterize(g[::-1], view).images, plain, atol=0, rtol=0)
 
 
-def test_colours_given_instead_of_sh() -> None:
+def test_colors_given_instead_of_sh() -> None:
     g, views = scene("blobs"), Cameras.orbit([0, 0, 0], 3.0, 2, width=30, height=20)
     rng = np.random.default_rng(2)
     shared, own = rng.uniform(0, 1, (len(g), 3)), rng.uniform(0, 1, (2, len(g), 3))
@@ -241,7 +241,7 @@ def test_cuda_equals_cpu(kind: str) -> None:
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("degree", [0, 2])
-def test_frozen_gaussians_gather_no_gradient_but_that_of_their_centres(
+def test_frozen_gaussians_gather_no_gradient_but_that_of_their_centers(
     backend: str, antialiased: bool, degree: int
 ) -> None:
     scene = random_scene(np.random.default_rng(3), 40, sh_degree=degree)
@@ -253,11 +253,11 @@ def test_frozen_gaussians_gather_no_gradient_but_that_of_their_centres(
         weights = torch.linspace(0.5, 1.5, drawn.images.numel()).reshape(drawn.images.shape)
         (drawn.images * weights).sum().backward()
         found.append((tensors, drawn.means2d.grad))
-    (whole, centres), *others = found
-    assert centres is not None
-    assert centres.abs().sum() > 0
-    for frozen, (tensors, by_centres) in zip((25, 40), others, strict=True):
-        assert torch.allclose(by_centres, centres, rtol=1e-5, atol=1e-5 * float(centres.abs().max()))
+    (whole, centers), *others = found
+    assert centers is not None
+    assert centers.abs().sum() > 0
+    for frozen, (tensors, by_centers) in zip((25, 40), others, strict=True):
+        assert torch.allclose(by_centers, centers, rtol=1e-5, atol=1e-5 * float(centers.abs().max()))
         for name, tensor in vars(tensors).items():
             if tensor.numel():
                 assert not tensor.grad[:frozen].any(), name

@@ -25,12 +25,12 @@ EYE = np.eye(4)
 FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
-def balls(depths: Any, opacities: Any, colours: Any, scale: float = 0.2) -> GaussianTensors:
+def balls(depths: Any, opacities: Any, colors: Any, scale: float = 0.2) -> GaussianTensors:
     """Balls one behind the other on the axis of the camera at the origin, in float64."""
     n = len(depths)
     means = np.zeros((n, 3))
     means[:, 2] = depths
-    sh0 = (np.asarray(colours, np.float64).reshape(n, 1, 3) - 0.5) / SH_C0
+    sh0 = (np.asarray(colors, np.float64).reshape(n, 1, 3) - 0.5) / SH_C0
     arrays = (means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), scale), opacities, sh0, np.zeros((n, 0, 3)))
     return GaussianTensors(*(torch.tensor(np.asarray(a, np.float64)) for a in arrays))
 
@@ -64,7 +64,7 @@ def draw(tensors: GaussianTensors, width: int = 9, height: int = 7, fov: float =
 
 def test_one_gaussian_peaks_at_its_projected_pixel() -> None:
     scene = balls([2.0], [0.8], [[0.9, 0.4, 0.1]])
-    drawn = draw(scene, 9, 7)  # the axis meets the centre of pixel (4, 3)
+    drawn = draw(scene, 9, 7)  # the axis meets the center of pixel (4, 3)
     assert torch.allclose(drawn.means2d[0], torch.tensor([4.5, 3.5]).double())
     assert drawn.alpha[3, 4].item() == pytest.approx(0.8, abs=1e-12)
     assert drawn.image[3, 4].tolist() == pytest.approx([0.72, 0.32, 0.08], abs=1e-12)
@@ -107,8 +107,8 @@ def test_nothing_is_seen_where_no_gaussian_is() -> None:
 
 
 def test_blending_stops_before_the_gaussian_that_would_spend_transmittance() -> None:
-    colours = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
-    scene = balls([1.0, 2.0, 3.0, 4.0], [0.99, 0.98, 0.96, 0.1], colours)  # 1e-2, 2e-4, 8e-6 are left
+    colors = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
+    scene = balls([1.0, 2.0, 3.0, 4.0], [0.99, 0.98, 0.96, 0.1], colors)  # 1e-2, 2e-4, 8e-6 are left
     drawn = draw(scene, 1, 1)
     assert drawn.image[0, 0].tolist() == pytest.approx([0.99, 0.01 * 0.98, 0.0], abs=1e-12)
     assert drawn.alpha[0, 0].item() == pytest.approx(1 - 2e-4, abs=1e-12)
@@ -176,7 +176,7 @@ def test_the_jacobian_is_clamped_outside_the_view() -> None:
     assert not torch.allclose(at_edge.conics, inside.conics)
 
 
-def test_colour_is_the_scene_s_harmonics_from_eye_to_gaussian_clipped_at_zero() -> None:
+def test_color_is_the_scene_s_harmonics_from_eye_to_gaussian_clipped_at_zero() -> None:
     scene = cloud(25)
     scene = replace(scene, sh0=scene.sh0 * 3 - 1)
     camera = Cameras.look_at([[1.0, -2.0, 0.5]], [0.0, 0.0, 3.0], up=[0, -1, 0])
@@ -184,10 +184,10 @@ def test_colour_is_the_scene_s_harmonics_from_eye_to_gaussian_clipped_at_zero() 
     directions = scene.means.numpy() - camera.viewpoints[0]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     coefficients = np.concatenate([scene.sh0.numpy(), scene.shN.numpy()], axis=1)
-    colour = 0.5 + np.einsum("nk,nkc->nc", sh_basis(directions, 3), coefficients)
-    assert colour.min() < 0
-    assert colour.max() > 1
-    assert found.numpy() == pytest.approx(np.maximum(colour, 0), abs=1e-12)
+    color = 0.5 + np.einsum("nk,nkc->nc", sh_basis(directions, 3), coefficients)
+    assert color.min() < 0
+    assert color.max() > 1
+    assert found.numpy() == pytest.approx(np.maximum(color, 0), abs=1e-12)
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -197,7 +197,7 @@ def test_a_lower_degree_leaves_the_higher_coefficients_out(degree: int) -> None:
     assert torch.equal(draw(scene, sh_degree=degree).image, draw(truncated).image)
 
 
-def test_given_colours_stand_in_for_the_harmonics() -> None:
+def test_given_colors_stand_in_for_the_harmonics() -> None:
     scene = cloud(10)
     K = intrinsics(9, 7, 60.0)
     own = project_reference(scene, EYE, K, 9, 7).colors
@@ -354,7 +354,7 @@ def test_gradients_are_those_of_finite_differences(name: str, antialiased: bool)
     scene = cloud(4, size=0.5)
     tilted = Cameras.look_at([[0.3, -0.2, 0.1]], [0.1, 0.0, 3.0], up=[0, -1, 0], width=5, height=4, fov=50.0)
     K = tilted.Ks[0] + [[0, 0, 0.3], [0, 4.0, -0.2], [0, 0, 0]]
-    colours = torch.rand(4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    colors = torch.rand(4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 
     def drawn(value: Tensor) -> tuple[Tensor, ...]:
         given = value if name == "colors" else None
@@ -364,7 +364,7 @@ def test_gradients_are_those_of_finite_differences(name: str, antialiased: bool)
         )
         return out.image, out.alpha, out.depth, out.median_depth
 
-    start = colours if name == "colors" else getattr(scene, name)
+    start = colors if name == "colors" else getattr(scene, name)
     assert torch.autograd.gradcheck(drawn, start.clone().requires_grad_(), atol=1e-7, rtol=1e-5)
 
 

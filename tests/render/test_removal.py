@@ -118,7 +118,7 @@ def test_presence_thins_alpha() -> None:
         removal_effects(g, cameras, presence=4.0 * share)
 
 
-def test_order_threads_and_colours_change_nothing(two_threads: None) -> None:
+def test_order_threads_and_colors_change_nothing(two_threads: None) -> None:
     g, cameras = scene("mixed", n=200), views()
     plain = removal_effects(g, cameras)
     turn = np.random.default_rng(0).permutation(len(g))
@@ -126,8 +126,8 @@ def test_order_threads_and_colours_change_nothing(two_threads: None) -> None:
     numba.set_num_threads(1)
     alone = removal_effects(g, cameras)
     flat = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
-    colours = np.maximum(0.5 + 0.28209479177387814 * g.sh0[:, 0], 0.0)
-    given, own = removal_effects(flat, cameras, colors=colours), removal_effects(flat, cameras)
+    colors = np.maximum(0.5 + 0.28209479177387814 * g.sh0[:, 0], 0.0)
+    given, own = removal_effects(flat, cameras, colors=colors), removal_effects(flat, cameras)
     for name in NAMES:
         np.testing.assert_array_equal(getattr(turned, name), getattr(plain, name)[turn])
         np.testing.assert_array_equal(getattr(alone, name), getattr(plain, name))

@@ -83,7 +83,7 @@ def test_what_does_not_fit_is_refused(scene: tuple[Gaussians, SrbfColors, Camera
         Approximations(g, colors, cameras[:0])
 
 
-def test_colours_without_terms_have_no_share() -> None:
+def test_colors_without_terms_have_no_share() -> None:
     made = two_rooms(1000, sh_degree=0)
     cameras = made.navigable.sample_cameras(1, np.random.default_rng(0), width=8, height=8)
     plain = Approximations(made.gaussians, SrbfColors.without_terms(made.gaussians.sh0[:, 0] * 0.28 + 0.5), cameras)

@@ -1,4 +1,4 @@
-"""The report on colours: complete, self-contained, the same every time; and the spheres in it."""
+"""The report on colors: complete, self-contained, the same every time; and the spheres in it."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_the_same_again_and_no_pictures_of_an_earlier_report(
         assert (tmp_path / f"{name}.png").read_bytes() == (folder / f"{name}.png").read_bytes()
 
 
-def test_colours_without_terms_have_a_report_too(tmp_path: Path) -> None:
+def test_colors_without_terms_have_a_report_too(tmp_path: Path) -> None:
     scene = two_rooms(1000, sh_degree=0)
     write_color_report(tmp_path, made(scene), subject(scene))
     assert not (tmp_path / "spheres.png").exists()
@@ -163,6 +163,6 @@ def test_spheres_come_closer_with_every_term(kept: tuple[FittedColors, Path]) ->
     assert len(set(spheres.ids.tolist())) == 2
     assert (np.diff(spheres.errors, axis=1) <= 1e-9).all()
     base = spheres.images[:, 1]
-    assert np.ptp(base, axis=(1, 2)).max() < 1e-6  # one colour all over
+    assert np.ptp(base, axis=(1, 2)).max() < 1e-6  # one color all over
     last = np.abs(spheres.images[:, -1] - spheres.images[:, 0]).max()
     assert last < 0.1 * np.abs(base - spheres.images[:, 0]).max()

@@ -109,7 +109,7 @@ def test_the_document_holds_every_figure(kept: tuple[VisibilityStore, Quality, P
     assert (document["format"], document["version"]) == ("gsvis-pvs-report", 1)
     assert document["quality"] == json.loads(json.dumps(found.as_dict()))
     assert document["store"]["cells"]["visible"] == store.visible_counts.tolist()
-    assert len(document["store"]["cells"]["centres"]) == len(store)
+    assert len(document["store"]["cells"]["centers"]) == len(store)
     assert document["store"]["cells_still_growing"] == np.count_nonzero(still_growing(store))
 
 
@@ -143,7 +143,7 @@ def test_figures_stand_beside_their_targets_and_worst_cells_have_places(
     for target in ("at least 99.9%", "at least 99.5%", "at least 45 dB", "at least 40 dB", "at most 1.3"):
         assert target in text
     worst = int(found.cells[found.worst()[0]])
-    x, y, z = store.grid.centres[worst]
+    x, y, z = store.grid.centers[worst]
     assert f"cell {worst}{x:.2f}, {y:.2f}, {z:.2f}" in text
     assert "92 bytes a Gaussian" in text
     assert "16 x 16 pixels" in text
@@ -190,7 +190,7 @@ def test_cells_above_each_other_share_a_square_with_the_largest_value(up: tuple[
     for square, value in zip(corners, most, strict=True):
         middle = square.mean(axis=0)
         across = [axis for axis in range(3) if axis != along]
-        under = np.all(np.isclose(grid.centres[:, across], middle[across]), axis=1)
+        under = np.all(np.isclose(grid.centers[:, across], middle[across]), axis=1)
         known = values[under][np.isfinite(values[under])]
         assert value == known.max() if len(known) else np.isnan(value)
         assert np.ptp(square[:, across], axis=0) == pytest.approx([2.0, 2.0])

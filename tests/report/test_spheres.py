@@ -48,7 +48,7 @@ def test_a_side_is_the_first_one_turned_about_z(side: float) -> None:
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
-def test_a_figure_is_a_png_on_the_colour_of_the_page(fit: SphereFit, theme: object) -> None:
+def test_a_figure_is_a_png_on_the_color_of_the_page(fit: SphereFit, theme: object) -> None:
     png = sphere_figure(hill, fit, counts=(1, 3), title="hill", theme=theme)  # type: ignore[arg-type]
     with Image.open(io.BytesIO(png)) as image:
         assert image.width > 700

@@ -56,7 +56,7 @@ def test_the_field_of_view_is_horizontal() -> None:
     np.testing.assert_allclose(k, [[100, 0, 100], [0, 100, 50], [0, 0, 1]])
 
 
-def test_an_orbit_goes_round_its_centre() -> None:
+def test_an_orbit_goes_round_its_center() -> None:
     cameras = Cameras.orbit([1, 2, 3], 4.0, 12, up=[0, -1, 0], elevation=30.0)
     offsets = cameras.viewpoints - [1, 2, 3]
     np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), 4.0)
@@ -88,7 +88,7 @@ def test_cubemap_rays_belong_to_their_face_and_cover_the_sphere_evenly() -> None
     np.testing.assert_allclose(second, np.broadcast_to(4 * np.pi / 3 * np.eye(3), (2, 3, 3)), rtol=1e-2, atol=1e-12)
 
 
-def test_rays_pass_through_the_centres_of_their_pixels() -> None:
+def test_rays_pass_through_the_centers_of_their_pixels() -> None:
     cameras = Cameras.orbit([0, 0, 0], 3.0, 2, width=7, height=5)
     rays_o, rays_d = cameras.rays()
     np.testing.assert_allclose(np.linalg.norm(rays_d, axis=1), 1)

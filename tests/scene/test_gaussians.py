@@ -69,7 +69,7 @@ def test_read_only_and_float64_input_is_taken() -> None:
     assert all(getattr(scene, name).dtype == np.float32 for name in FIELDS)
 
 
-def test_quaternions_of_any_length_are_normalised() -> None:
+def test_quaternions_of_any_length_are_normalized() -> None:
     given_ = arrays()
     reference = Gaussians(**given_)
     given_["quats"] = given_["quats"] * np.array([1e-6, 1e-3, 1, 10, 1e6, 1e18], np.float32)[:, None]
@@ -186,17 +186,17 @@ def test_motions_compose_and_undo(seed: int) -> None:
 
 
 @given(seed=st.integers(0, 10**6))
-def test_covariances_and_colours_move_with_the_scene(seed: int) -> None:
+def test_covariances_and_colors_move_with_the_scene(seed: int) -> None:
     scene = Gaussians(**arrays(seed=seed))
     r, t, s = motion(seed)
     moved = scene.transformed(r, t, s)
     np.testing.assert_allclose(moved.covars(), s * s * r @ scene.covars() @ r.T, rtol=1e-3, atol=1e-4 * s * s)
     np.testing.assert_allclose(moved.means, s * scene.means @ r.T + t, rtol=1e-4, atol=1e-4)
     eye = np.array([0.3, -4.0, 2.0])
-    np.testing.assert_allclose(colours(moved, s * r @ eye + t), colours(scene, eye), atol=1e-4)
+    np.testing.assert_allclose(colors(moved, s * r @ eye + t), colors(scene, eye), atol=1e-4)
 
 
-def colours(scene: Gaussians, eye: np.ndarray) -> np.ndarray:
+def colors(scene: Gaussians, eye: np.ndarray) -> np.ndarray:
     d = scene.means - eye
     basis = sh_basis(d / np.linalg.norm(d, axis=1, keepdims=True), scene.sh_degree)
     return 0.5 + np.einsum("nk,nkc->nc", basis, np.concatenate([scene.sh0, scene.shN], axis=1))

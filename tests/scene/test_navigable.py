@@ -107,7 +107,7 @@ class TestRooms:
 
 class TestOccupancy:
     @pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 7))
-    def test_no_thin_sheet_slips_between_voxel_centres(self, offset: float) -> None:
+    def test_no_thin_sheet_slips_between_voxel_centers(self, offset: float) -> None:
         sheet = wall(2, 4.0 + offset, (-2, -2), (12, 12), 0.5)
         depth = _optical_depth(sheet, np.zeros(3), 1.0, (10, 10, 10))
         assert np.all(depth.max(axis=2) > -np.log(0.25))
@@ -133,11 +133,11 @@ class TestOccupancy:
         g = Gaussians(
             rng.uniform(-2, 9, (n, 3)), rng.normal(size=(n, 4)), scales, rng.uniform(0, 1, n), np.zeros((n, 1, 3))
         )
-        centres = np.stack(np.meshgrid(*(np.arange(k) + 0.5 for k in shape), indexing="ij"), axis=-1)
+        centers = np.stack(np.meshgrid(*(np.arange(k) + 0.5 for k in shape), indexing="ij"), axis=-1)
         expected = np.zeros(shape)
         for mean, quat, scale, opacity in zip(g.means, g.quats, g.scales.astype(np.float64), g.opacities, strict=True):
             blurred = np.sqrt(scale**2 + INFLATION**2)
-            local = (centres - mean) @ rotations_from_quats(quat[None])[0] / blurred
+            local = (centers - mean) @ rotations_from_quats(quat[None])[0] / blurred
             m = (local**2).sum(axis=-1)
             cover = np.prod(np.sort(scale)[1:] / np.sort(blurred)[1:])
             alpha = min(float(opacity), 0.999) * cover * np.exp(-0.5 * m)

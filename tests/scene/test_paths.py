@@ -163,8 +163,8 @@ def test_nothing_and_nonsense_are_refused() -> None:
         HeadPath(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
     with pytest.raises(ValueError, match="finite"):
         HeadPath(np.zeros(1), np.full((1, 3), np.nan), np.ones((1, 4)))
-    with pytest.raises(ValueError, match="metres_per_unit"):
-        wander(metres_per_unit=0.0)
+    with pytest.raises(ValueError, match="meters_per_unit"):
+        wander(meters_per_unit=0.0)
     with pytest.raises(ValueError, match="read-only"):
         wander().positions[0] = 1.0
 
@@ -186,12 +186,12 @@ def test_a_similarity_keeps_angles_and_ratios_and_comes_back(seed: int) -> None:
 
 @given(st.integers(0, 2**31))
 def test_a_moved_path_looks_at_the_moved_world(seed: int) -> None:
-    path, similarity = wander(6, seed, up=np.array([0.0, 1.0, 0.0]), metres_per_unit=2.0), some_similarity(seed + 7)
+    path, similarity = wander(6, seed, up=np.array([0.0, 1.0, 0.0]), meters_per_unit=2.0), some_similarity(seed + 7)
     moved = path.transformed(similarity)
     ahead = path.positions + 3.0 * path.forwards
     assert np.allclose(moved.positions + 3.0 * similarity.scale * moved.forwards, similarity.apply(ahead))
     assert moved.length == pytest.approx(similarity.scale * path.length)
-    assert moved.metres_per_unit == pytest.approx(2.0 / similarity.scale)
+    assert moved.meters_per_unit == pytest.approx(2.0 / similarity.scale)
     assert moved.up is not None
     assert path.up is not None
     assert np.allclose(moved.up, similarity.rotation @ path.up)

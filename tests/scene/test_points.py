@@ -22,7 +22,7 @@ def test_points_are_checked_and_cannot_be_written_to() -> None:
         cloud.means[0] = 1.0
 
 
-def test_slices_keep_colours_with_their_points() -> None:
+def test_slices_keep_colors_with_their_points() -> None:
     cloud = PointCloud(np.eye(3), np.eye(3))
     assert repr(cloud[[2, 0]]) == "PointCloud(2)"
     assert (cloud[[2, 0]].means == cloud[[2, 0]].colors).all()

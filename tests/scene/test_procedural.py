@@ -64,7 +64,7 @@ def drawn(rng: np.random.Generator, mask: NDArray[np.bool_], count: int) -> list
 
 @pytest.mark.parametrize("name", NAMES)
 class TestClosedForm:
-    def test_visible_ones_are_seen_on_the_ray_to_their_centre(self, name: str) -> None:
+    def test_visible_ones_are_seen_on_the_ray_to_their_center(self, name: str) -> None:
         scene, rng = small(name), np.random.default_rng(1)
         brute = BruteForce(scene.gaussians)
         for eye, visible in zip(scene.viewpoints, scene.visible, strict=True):
@@ -104,7 +104,7 @@ class TestClosedForm:
         distance = np.linalg.norm(cameras.viewpoints[:, None] - scene.gaussians.means[None], axis=2).min(axis=1)
         assert (distance > 0.1).all()
 
-    def test_colours_are_plausible_and_drift_with_the_view(self, name: str) -> None:
+    def test_colors_are_plausible_and_drift_with_the_view(self, name: str) -> None:
         g = small(name).gaussians
         assert g.sh_degree >= 2
         directions = unit(np.random.default_rng(3).normal(size=(12, 3)), 3)

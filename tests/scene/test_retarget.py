@@ -24,7 +24,7 @@ from gsvis.scene.similarity import Similarity
 F64 = NDArray[np.float64]
 
 
-def stroll(up: int = 1, size: float = 1.0, metres: float | None = 1.0, shift: float = 0.0) -> HeadPath:
+def stroll(up: int = 1, size: float = 1.0, meters: float | None = 1.0, shift: float = 0.0) -> HeadPath:
     """A figure of eight with +`up` up, 3 `size` long, looking about."""
     t = np.linspace(0.0, 20.0, 401)
     turn = 2.0 * np.pi * t / 20.0
@@ -33,7 +33,7 @@ def stroll(up: int = 1, size: float = 1.0, metres: float | None = 1.0, shift: fl
     axis = np.eye(3)[up]
     level = {0: [1.0, 0.0, 0.0, 1.0], 1: [0.0, 1.0, 0.0, 0.0], 2: [1.0, -1.0, 0.0, 0.0]}[up]  # camera -y along +up
     quats = [_product(np.array([np.cos(a / 2), *np.sin(a / 2) * axis]), np.array(level)) for a in turn]
-    return HeadPath(t, positions, np.array(quats), up=axis, metres_per_unit=metres)
+    return HeadPath(t, positions, np.array(quats), up=axis, meters_per_unit=meters)
 
 
 def _product(a: F64, b: F64) -> F64:
@@ -71,20 +71,20 @@ def floor_of(space: NavigableSpace) -> float:
 
 def test_the_natural_scale_stands_on_the_floor() -> None:
     space = hall()
-    for metres, scene in ((1.0, 1.0), (0.5, 1.0), (1.0, 1.25)):
-        path = stroll(size=1.0 / metres, metres=metres)
-        found = checked(retarget(path, space, RetargetConfig(metres_per_unit=scene)), path, space)
-        assert found.similarity.scale == pytest.approx(metres / scene)
+    for meters, scene in ((1.0, 1.0), (0.5, 1.0), (1.0, 1.25)):
+        path = stroll(size=1.0 / meters, meters=meters)
+        found = checked(retarget(path, space, RetargetConfig(meters_per_unit=scene)), path, space)
+        assert found.similarity.scale == pytest.approx(meters / scene)
         assert found.inside >= 0.99
         assert found.rule == "natural scale, standing with the eyes at 1.6 m"
         eyes = float(np.median(found.path.positions @ space.up)) - floor_of(space)
         assert eyes * scene == pytest.approx(1.6, abs=0.25)
-        assert found.path.metres_per_unit == scene
+        assert found.path.meters_per_unit == scene
 
 
 def test_the_largest_scale_fills_the_space_and_is_the_largest() -> None:
     space = hall()
-    path = stroll(metres=None)
+    path = stroll(meters=None)
     found = checked(retarget(path, space), path, space)
     assert found.inside >= 0.99
     assert found.rule.startswith("largest scale")
@@ -97,7 +97,7 @@ def test_the_largest_scale_fills_the_space_and_is_the_largest() -> None:
     assert retarget(path, space, RetargetConfig(enough=0.7, shrink=1.0)).similarity.scale >= largest
 
 
-def test_with_metres_the_largest_scale_still_stands() -> None:
+def test_with_meters_the_largest_scale_still_stands() -> None:
     space = hall()
     path = stroll()
     found = checked(retarget(path, space), path, space)
@@ -108,12 +108,12 @@ def test_with_metres_the_largest_scale_still_stands() -> None:
 
 @settings(max_examples=8)
 @given(st.integers(0, 2**31), st.sampled_from([None, 1.0]))
-def test_the_frame_of_the_recording_is_forgotten(seed: int, metres: float | None) -> None:
+def test_the_frame_of_the_recording_is_forgotten(seed: int, meters: float | None) -> None:
     rng = np.random.default_rng(seed)
-    path = stroll(metres=metres)
+    path = stroll(meters=meters)
     other = path.transformed(Similarity(float(np.exp(rng.normal())), rng.normal(size=4), 5 * rng.normal(size=3)))
     space = hall((30, 25, 26))
-    config = RetargetConfig(placements=256, yaws=8, seed=seed, keep=False, metres_per_unit=metres)
+    config = RetargetConfig(placements=256, yaws=8, seed=seed, keep=False, meters_per_unit=meters)
     here, there = (retarget(p, space, config) for p in (path, other))
     assert np.allclose(here.path.positions, there.path.positions, atol=1e-6)
     assert np.allclose(here.path.forwards, there.path.forwards, atol=1e-6)
@@ -130,7 +130,7 @@ def test_a_moved_scene_moves_the_walk() -> None:
 @pytest.mark.parametrize("recorded", [0, 1, 2])
 @pytest.mark.parametrize("scene", [0, 1, 2])
 def test_up_goes_to_up(recorded: int, scene: int) -> None:
-    path, space = stroll(up=recorded, metres=None), hall(up=scene)
+    path, space = stroll(up=recorded, meters=None), hall(up=scene)
     found = checked(retarget(path, space, RetargetConfig(scale=1.0, keep=False)), path, space)
     assert found.inside >= 0.99
     assert np.allclose(found.path.head_ups, space.up, atol=1e-6)
@@ -154,7 +154,7 @@ def test_a_walk_that_is_inside_stays() -> None:
 
 def test_seeds_are_places_and_the_same_seed_the_same_place() -> None:
     space, path = hall((120, 90, 26)), stroll()
-    config = RetargetConfig(metres_per_unit=1.0)
+    config = RetargetConfig(meters_per_unit=1.0)
     found = [retarget(path, space, replace(config, seed=seed)).path.positions[0] for seed in (0, 0, 1, 2)]
     assert np.array_equal(found[0], found[1])
     assert len({tuple(place) for place in found}) == 3
@@ -162,7 +162,7 @@ def test_seeds_are_places_and_the_same_seed_the_same_place() -> None:
 
 def test_what_is_outside_is_told_and_moved_on_request() -> None:
     space = hall()
-    path = stroll(metres=None)
+    path = stroll(meters=None)
     told = checked(retarget(path, space, RetargetConfig(scale=3.0)), path, space)
     assert 0.3 < told.inside < 0.99
     assert told.moved == 0
@@ -184,7 +184,7 @@ def test_nobody_stands_on_the_roof_where_there_is_a_floor() -> None:
     free[:, :, 27:] &= np.arange(60)[:, None, None] < 40  # but smaller
     space = NavigableSpace(low.origin, low.voxel_size, free, low.up, occupied)
     for seed in range(6):
-        found = retarget(stroll(), space, RetargetConfig(metres_per_unit=1.0, seed=seed))
+        found = retarget(stroll(), space, RetargetConfig(meters_per_unit=1.0, seed=seed))
         assert found.path.positions[:, 2].max() < 2.6
 
 
@@ -195,7 +195,7 @@ def test_of_all_headings_it_takes_one_that_looks_at_the_scene() -> None:
     free = np.zeros(shape, bool)
     free[4:-4, 6:-4, 2:-2] = True
     space = NavigableSpace(np.zeros(3), 0.1, free, np.array([0.0, 0.0, 1.0]), occupied)
-    staring = stroll(metres=None, up=2)
+    staring = stroll(meters=None, up=2)
     staring = HeadPath(staring.times, staring.positions, np.tile(staring.quats[0], (len(staring), 1)), up=staring.up)
     for seed in range(4):
         found = retarget(staring, space, RetargetConfig(scale=0.3, seed=seed))
@@ -210,7 +210,7 @@ def test_without_floor_or_room_it_floats_or_shrinks_but_comes_to_an_end() -> Non
     assert found.inside >= 0.99
     assert "floating" in found.rule
     assert found.looking == 0.0  # there is nothing to look at
-    assert "floating" in retarget(stroll(), air, RetargetConfig(metres_per_unit=1.0)).rule
+    assert "floating" in retarget(stroll(), air, RetargetConfig(meters_per_unit=1.0)).rule
     one = NavigableSpace(np.zeros(3), 1.0, np.ones((1, 1, 1), bool), np.array([0.0, 0.0, 1.0]))
     assert retarget(stroll(size=100.0), one).inside == 1.0
     still = HeadPath([0.0], [[5.0, 5.0, 5.0]], [[1.0, 0, 0, 0]])  # type: ignore[arg-type]
@@ -223,7 +223,7 @@ def test_without_floor_or_room_it_floats_or_shrinks_but_comes_to_an_end() -> Non
     "wrong",
     [
         {"scale": 0.0},
-        {"metres_per_unit": np.inf},
+        {"meters_per_unit": np.inf},
         {"eye_height": -1.0},
         {"enough": 0.0},
         {"shrink": 2.0},
@@ -253,7 +253,7 @@ def test_recordings_walk_through_the_showroom_at_their_own_size(realdata: Path) 
     space = NavigableSpace.from_scene(load_scene(realdata / "scenes" / "showroom" / "lod-meta.json", lod=3))
     for seed, name in enumerate(("room/user111_room", "room/user120_room", "truck/user107_truck")):
         path = load_path(realdata / "traces" / "eyenav_rutgers" / f"{name}.csv.gz").cut(0.0, 30.0)
-        found = checked(retarget(path, space, RetargetConfig(metres_per_unit=1.0, seed=seed)), path, space)
+        found = checked(retarget(path, space, RetargetConfig(meters_per_unit=1.0, seed=seed)), path, space)
         assert found.inside >= 0.99
         assert "standing" in found.rule
         assert 0.5 < float(np.median(found.path.positions[:, 2])) < 1.3  # the floor lies at -0.7

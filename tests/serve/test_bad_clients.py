@@ -85,7 +85,7 @@ def is_over(one: socket.socket) -> bool:
 
 @contextmanager
 def streaming(server: Server) -> Iterator[None]:
-    """A viewer that streams before, and is connected afterwards."""
+    """A viewer that streams before, and is connected afterward."""
     with raw(server) as ws:
         heard(ws)
         ws.send(pose())

@@ -47,8 +47,8 @@ def with_column(folder: Path, name: bytes) -> None:
 
 
 DAMAGES = {
-    "a variant that is a list": lambda folder: with_manifest(folder, ("quantisation", "colors", "variant"), []),
-    "a variant that is an object": lambda folder: with_manifest(folder, ("quantisation", "colors", "variant"), {}),
+    "a variant that is a list": lambda folder: with_manifest(folder, ("quantization", "colors", "variant"), []),
+    "a variant that is an object": lambda folder: with_manifest(folder, ("quantization", "colors", "variant"), {}),
     "a column whose name is not UTF-8": lambda folder: with_column(folder, b"first_le\xff\xfel"),
     "no manifest": lambda folder: (folder / manifests.MANIFEST).unlink(),
     "a manifest that is no JSON": lambda folder: (folder / manifests.MANIFEST).write_bytes(b"{"),

@@ -91,7 +91,7 @@ def test_morton_order_sends_the_highest_level_with_its_terms(scene: StreamedScen
     assert p.twice == 0
 
 
-def test_a_curve_visits_neighbours_together() -> None:
+def test_a_curve_visits_neighbors_together() -> None:
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 8)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     order = morton_order(grid)
     assert np.array_equal(np.sort(order), np.arange(512))

@@ -82,7 +82,7 @@ def test_the_scene_before_it_became_a_package_can_be_the_reference(made: tuple[S
     other = replace(stage, reference=stage.drawn[stage.highest])
     frame = Frame(other, camera())
     assert frame.psnr(stage.highest[frame.ids], np.zeros(stage.size[1], bool)) > 60.0
-    assert "unquantised" in other.compared_with
+    assert "unquantized" in other.compared_with
     assert "decoded" in stage.compared_with
 
 

@@ -126,7 +126,7 @@ def test_cells_with_gaussians_or_terms_that_the_scene_lacks_are_refused() -> Non
             CandidateStore(with_cells(index, lambda m: m, terms)).of(0)
 
 
-def test_neighbours_with_gaussians_that_the_scene_lacks_are_refused() -> None:
+def test_neighbors_with_gaussians_that_the_scene_lacks_are_refused() -> None:
     index = random_index(1, 300)
 
     class Longer(ArrayCells):

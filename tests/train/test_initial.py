@@ -1,4 +1,4 @@
-"""What training starts with: balls as large as their neighbours are far, or points where cameras look."""
+"""What training starts with: balls as large as their neighbors are far, or points where cameras look."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_a_grid_has_balls_of_its_step() -> None:
     step = 0.25
     grid = np.stack(np.meshgrid(*[np.arange(5) * step] * 3), axis=-1).reshape(-1, 3)
     start = gaussians_from_points(PointCloud(grid), sh_degree=3)
-    np.testing.assert_allclose(start.scales, step, rtol=1e-6)  # three neighbours at one step, in the corners too
+    np.testing.assert_allclose(start.scales, step, rtol=1e-6)  # three neighbors at one step, in the corners too
     np.testing.assert_array_equal(start.opacities, np.float32(0.1))
     np.testing.assert_array_equal(start.covars()[0], np.diag(start.scales[0].astype(np.float64) ** 2))
     assert start.sh_degree == 3
@@ -44,14 +44,14 @@ def test_scales_go_with_the_unit_and_the_order(shift: float, scale: float, seed:
     np.testing.assert_allclose(gaussians_from_points(moved).scales, want, rtol=1e-3)
 
 
-def test_points_at_one_place_share_their_size_and_are_no_neighbours() -> None:
+def test_points_at_one_place_share_their_size_and_are_no_neighbors() -> None:
     twice = PointCloud(np.concatenate([cloud().means] * 2), np.concatenate([cloud().colors] * 2))
     once = gaussians_from_points(cloud())
     np.testing.assert_array_equal(gaussians_from_points(twice).scales, np.concatenate([once.scales] * 2))
 
 
 @pytest.mark.parametrize("count", [2, 3])
-def test_few_points_take_the_neighbours_there_are(count: int) -> None:
+def test_few_points_take_the_neighbors_there_are(count: int) -> None:
     start = gaussians_from_points(PointCloud(np.eye(3)[:count]))
     np.testing.assert_allclose(start.scales, np.sqrt(2.0), rtol=1e-6)
 

@@ -170,7 +170,7 @@ def test_views_that_show_nothing_do_no_harm(scene: Gaussians) -> None:
     assert same(levels.union[:COUNT], scene)
 
 
-def test_colours_without_bands_stay_so(views: PosedImages) -> None:
+def test_colors_without_bands_stay_so(views: PosedImages) -> None:
     plain = made(degree=0)
     assert train_levels(plain, views, BRIEF).levels.union.sh_degree == 0
 

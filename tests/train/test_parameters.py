@@ -43,14 +43,14 @@ def test_opacities_of_nothing_and_all_stay_finite(opacity: float) -> None:
 
 def test_steps_are_those_of_adam() -> None:
     p, q = (Parameters.from_gaussians(some_gaussians(5)) for _ in range(2))
-    optimiser = torch.optim.Adam([{"params": [q.values[n]], "lr": RATES[n]} for n in NAMES], eps=1e-15)
+    optimizer = torch.optim.Adam([{"params": [q.values[n]], "lr": RATES[n]} for n in NAMES], eps=1e-15)
     generator = torch.Generator().manual_seed(3)
     for _ in range(4):
         for name in NAMES:
             gradient = torch.randn(p.values[name].shape, generator=generator)
             p.values[name].grad, q.values[name].grad = gradient, gradient.clone()
         p.adam_step(RATES)
-        optimiser.step()
+        optimizer.step()
     for name in NAMES:
         assert torch.allclose(p.values[name], q.values[name], rtol=1e-5, atol=1e-6), name
 

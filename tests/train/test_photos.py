@@ -183,7 +183,7 @@ def test_damaged_images_are_told(tmp_path: Path) -> None:
     ):
         load_photos(tmp_path)
     Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint16)).save(file)
-    with pytest.raises(FormatError, match="expected grey or RGB with 8 bits a channel, got Pillow's mode I;16"):
+    with pytest.raises(FormatError, match="expected gray or RGB with 8 bits a channel, got Pillow's mode I;16"):
         load_photos(tmp_path)
 
 

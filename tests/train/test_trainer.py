@@ -80,7 +80,7 @@ def test_every_view_is_drawn_once_a_round(views: PosedImages, start: Gaussians) 
     assert rounds[0] != rounds[1]
 
 
-def test_rates_of_centres_fall_from_first_to_last(views: PosedImages, start: Gaussians) -> None:
+def test_rates_of_centers_fall_from_first_to_last(views: PosedImages, start: Gaussians) -> None:
     trainer = Trainer(views, start, CONFIG)
     extent = extent_of(views.cameras)
     assert trainer.rates()["means"] == pytest.approx(1.6e-4 * extent)
@@ -159,7 +159,7 @@ def test_frozen_ones_keep_a_higher_degree(views: PosedImages, truth: Gaussians, 
     assert result.gaussians.sh_degree == 2
 
 
-def test_colours_above_white_are_aimed_at(truth: Gaussians, start: Gaussians) -> None:
+def test_colors_above_white_are_aimed_at(truth: Gaussians, start: Gaussians) -> None:
     cameras = Cameras.orbit((0, 0, 0), 4.0, 4, width=32, height=32)
     bright = rasterize(truth, cameras).images.numpy() * 2.0
     trainer = Trainer(PosedImages(cameras, bright.astype(np.float32)), start, STEADY)

@@ -127,7 +127,7 @@ def add_words(words, seen, fresh):
 
 @njit(**_OPTIONS)
 def ring_units(fresh, every, found):
-    """The units of neighbours: of those of all Gaussians (`every`) what is `fresh`. Gives what `cell_units` gives."""
+    """The units of neighbors: of those of all Gaussians (`every`) what is `fresh`. Gives what `cell_units` gives."""
     words, masks, areas, pixels, codes = every
     out_words, out_masks, out_areas, out_pixels, out_codes = found
     filled = 0

@@ -1,6 +1,6 @@
 """Kernels that tell what each term adds from an eye, and which terms can matter from anywhere in a box.
 
-A term matters within a cap around its centre, so a box needs no exponential: the directions from a box to a Gaussian
+A term matters within a cap around its center, so a box needs no exponential: the directions from a box to a Gaussian
 lie in a cone, and the term can matter if cone and cap meet. Directions run from the eye to the Gaussian.
 """
 
@@ -13,7 +13,7 @@ from gsvis.color._kernels.rgb import to_rgb
 
 __all__ = ["changes", "mark_terms", "responses"]
 
-_SLACK = 2e-6  # in cosines: centres are float32
+_SLACK = 2e-6  # in cosines: centers are float32
 
 
 @njit(cache=True, nogil=True)
@@ -25,7 +25,7 @@ def responses(means, offsets, centers, decays, factors, eye, out):
             continue
         x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
         length = np.sqrt(x * x + y * y + z * z)
-        if length == 0.0:  # an eye at the very centre looks along +z
+        if length == 0.0:  # an eye at the very center looks along +z
             z, length = 1.0, 1.0
         x, y, z = x / length, y / length, z / length
         for t in range(first, last):
@@ -35,11 +35,11 @@ def responses(means, offsets, centers, decays, factors, eye, out):
 
 @njit(cache=True, nogil=True)
 def changes(space, base, scales, offsets, amplitudes, lobes, out):
-    """What leaving out each term changes in the colour of its Gaussian, largest of the channels, into out (T,).
+    """What leaving out each term changes in the color of its Gaussian, largest of the channels, into out (T,).
 
     Args:
         space: Code of `_kernels_rgb.SPACES`.
-        base: (N, 3) base colours in that space.
+        base: (N, 3) base colors in that space.
         scales: (N,) what brings RGB back to scale.
         offsets: (N + 1,) terms of each Gaussian.
         amplitudes: (T, 3) what a term adds where its lobe is 1.
@@ -49,7 +49,7 @@ def changes(space, base, scales, offsets, amplitudes, lobes, out):
     most = 0
     for i in range(len(base)):
         most = max(most, offsets[i + 1] - offsets[i])
-    colours, factors = np.empty((3, most + 1), np.float32), np.empty(most + 1, np.float32)
+    colors, factors = np.empty((3, most + 1), np.float32), np.empty(most + 1, np.float32)
     for i in range(len(base)):
         first, count = offsets[i], offsets[i + 1] - offsets[i]
         if count == 0:
@@ -59,14 +59,14 @@ def changes(space, base, scales, offsets, amplitudes, lobes, out):
             total = np.float64(base[i, c])
             for k in range(count):
                 total += amplitudes[first + k, c] * lobes[first + k]
-            colours[c, count] = total
+            colors[c, count] = total
             for k in range(count):
-                colours[c, k] = total - amplitudes[first + k, c] * lobes[first + k]
-        to_rgb(space, colours[:, : count + 1], factors[: count + 1])
+                colors[c, k] = total - amplitudes[first + k, c] * lobes[first + k]
+        to_rgb(space, colors[:, : count + 1], factors[: count + 1])
         for k in range(count):
             largest = np.float32(0.0)
             for c in range(3):
-                largest = max(largest, abs(colours[c, k] - colours[c, count]))
+                largest = max(largest, abs(colors[c, k] - colors[c, count]))
             out[first + k] = largest
 
 
@@ -99,7 +99,7 @@ def mark_terms(ids, faint, means, offsets, centers, logs, widths, low, high, out
     Args:
         ids: (V,) Gaussians.
         faint: (V,) minus the logarithm of the factor of each Gaussian's terms, or (0,) for none.
-        means: (N, 3) centres.
+        means: (N, 3) centers.
         offsets: (N + 1,) terms of each Gaussian.
         centers: (T, 3) unit vectors.
         logs: (T,) logarithm of the largest contribution over the least that matters.

@@ -143,14 +143,14 @@ def fit_lobes(directions, dictionary, starts, targets, weights, importance, most
     Args:
         directions: (3, D) float32 unit vectors.
         dictionary: (A, D) float32, values of the atoms.
-        starts: (A, 3) decay times centre of each atom.
-        targets: (n, C, D) float32, C at most 4; what is left once the base colour is taken away.
+        starts: (A, 3) decay times center of each atom.
+        targets: (n, C, D) float32, C at most 4; what is left once the base color is taken away.
         weights: (n, D) float32 >= 0; a direction of weight 0 is not looked at.
         importance: (n,) float64, what a unit of weighted mean squared error costs.
         most: (n,) int64, most lobes of each.
         price: What a lobe costs.
         limits: Of `refine`; the ridge is relative to the sum of the weights.
-        v: (n, K, 3) float32, written: decay times centre, in the order in which to send.
+        v: (n, K, 3) float32, written: decay times center, in the order in which to send.
         a: (n, K, C) float32, written: intensities.
         counts: (n,) int64, written: lobes worth their price.
         curves: (n, K + 1) float32, written: weighted mean squared error (summed over channels) with 0, 1, ... lobes.
@@ -200,7 +200,7 @@ def settle_lobes(directions, targets, weights, limits, counts, v, a, errors):
         weights: (n, D) float32.
         limits: Of `refine`; the ridge is relative to the sum of the weights.
         counts: (n,) int64, lobes of each.
-        v: (n, K, 3) float32, decay times centre.
+        v: (n, K, 3) float32, decay times center.
         a: (n, K, C) float32, written: intensities.
         errors: (n,) float32, written: weighted mean squared error.
     """

@@ -29,7 +29,7 @@ def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
         typing_context: numba's, unused.
         points: (4, D) float32.
         place: First direction.
-        v: Three float32, decay times centre.
+        v: Three float32, decay times center.
         decay: float32.
         rows: (P, D) float32, written.
         row: Row of the values.

@@ -1,7 +1,7 @@
 """Kernels of orthogonal matching pursuit: blocks of signals, all of a block one term further at a time.
 
 Correlations are float32, the chosen atoms are orthogonalised in float64. What comes out for a signal does not depend on
-its neighbours, on blocks or on threads.
+its neighbors, on blocks or on threads.
 """
 
 from __future__ import annotations

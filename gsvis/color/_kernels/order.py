@@ -1,6 +1,6 @@
 """Kernel that puts the lobes of several functions into one order along which the RGB error never rises.
 
-The error is that of the colours as shown, so that what two functions do together counts. A lobe that would make it rise
+The error is that of the colors as shown, so that what two functions do together counts. A lobe that would make it rise
 where it stands is dropped.
 """
 
@@ -16,14 +16,14 @@ __all__ = ["order_lobes", "shown_errors"]
 
 
 @njit(cache=True, nogil=True)
-def _shown_error(space, summed, factors, count, colours, weights, shown):
+def _shown_error(space, summed, factors, count, colors, weights, shown):
     """Weighted squared RGB error of the first `count` directions."""
     copy(summed, 3, count, shown)
     to_rgb(space, shown[:, :count], factors[:count])
     error = 0.0
     for c in range(3):
         for d in range(count):
-            error += np.float64(weights[d]) * (np.float64(shown[c, d]) - np.float64(colours[c, d])) ** 2
+            error += np.float64(weights[d]) * (np.float64(shown[c, d]) - np.float64(colors[c, d])) ** 2
     return error
 
 
@@ -37,20 +37,20 @@ def _add(directions, count, v, amplitude, summed, out):
 
 
 @njit(cache=True, nogil=True)
-def _gather(directions, colours, weights, seen, target, heavy):
+def _gather(directions, colors, weights, seen, target, heavy):
     """Directions of weight > 0 next to each other; their number."""
     count = 0
     for d in range(len(weights)):
         if weights[d] > 0.0:
             for c in range(3):
-                seen[c, count], target[c, count] = directions[c, d], colours[c, d]
+                seen[c, count], target[c, count] = directions[c, d], colors[c, d]
             heavy[count] = weights[d]
             count += 1
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _order_one(g, space, directions, colours, weights, base, scales, v, amplitudes, counts, order, kept):
+def _order_one(g, space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
     """Gaussian g of `order_lobes`."""
     functions, most = v.shape[0], v.shape[2]
     width = directions.shape[1]
@@ -59,7 +59,7 @@ def _order_one(g, space, directions, colours, weights, base, scales, v, amplitud
         np.empty((3, width), np.float32),
         np.empty(width, np.float32),
     )
-    count = _gather(directions, colours[g], weights[g], seen, target, heavy)
+    count = _gather(directions, colors[g], weights[g], seen, target, heavy)
     summed, trial = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
     shown, factors = np.empty((3, width), np.float32), np.full(width, scales[g])
     for c in range(3):
@@ -87,28 +87,28 @@ def _order_one(g, space, directions, colours, weights, base, scales, v, amplitud
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def order_lobes(space, directions, colours, weights, base, scales, v, amplitudes, counts, order, kept):
+def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
     """Merge the lobes of F functions of each of n Gaussians.
 
     Args:
         space: Code of the space the base lives in.
         directions: (3, D) float32.
-        colours: (n, 3, D) RGB to be met.
+        colors: (n, 3, D) RGB to be met.
         weights: (n, D) of the directions.
         base: (n, 3) in the space.
         scales: (n,).
-        v: (F, n, K, 3) float32, decay times centre, the lobes of a function in the order to keep.
+        v: (F, n, K, 3) float32, decay times center, the lobes of a function in the order to keep.
         amplitudes: (F, n, K, 3) float32, what a lobe adds in the space.
         counts: (F, n) lobes of each.
         order: (n, F K) int64, written: f K + k for the lobes kept.
         kept: (n,) int64, written.
     """
     for g in prange(v.shape[1]):
-        _order_one(np.int64(g), space, directions, colours, weights, base, scales, v, amplitudes, counts, order, kept)
+        _order_one(np.int64(g), space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _errors_of_one(g, space, directions, colours, weights, base, scales, v, amplitudes, order, kept, before, after):
+def _errors_of_one(g, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
     """Gaussian g of `shown_errors`."""
     most = v.shape[2]
     width = directions.shape[1]
@@ -117,7 +117,7 @@ def _errors_of_one(g, space, directions, colours, weights, base, scales, v, ampl
         np.empty((3, width), np.float32),
         np.empty(width, np.float32),
     )
-    count = _gather(directions, colours[g], weights[g], seen, target, heavy)
+    count = _gather(directions, colors[g], weights[g], seen, target, heavy)
     summed, shown = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
     factors, total = np.full(width, scales[g]), 0.0
     for d in range(count):
@@ -132,9 +132,9 @@ def _errors_of_one(g, space, directions, colours, weights, base, scales, v, ampl
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def shown_errors(space, directions, colours, weights, base, scales, v, amplitudes, order, kept, before, after):
+def shown_errors(space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
     """Weighted mean squared RGB errors (n,) of the bases alone and with all lobes kept; arguments as above."""
     for g in prange(v.shape[1]):
         _errors_of_one(
-            np.int64(g), space, directions, colours, weights, base, scales, v, amplitudes, order, kept, before, after
+            np.int64(g), space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after
         )

@@ -1,4 +1,4 @@
-"""Kernels that find intensities for SRBFs whose centres and decays have been rounded.
+"""Kernels that find intensities for SRBFs whose centers and decays have been rounded.
 
 Inner products are means over the whole sphere, so nothing but the terms themselves is needed. Terms of different
 functions do not mix. float64; T terms of N Gaussians, Gaussian i from offsets[i] to offsets[i + 1].
@@ -12,12 +12,12 @@ from numba import njit
 __all__ = ["project", "round_jointly"]
 
 RIDGE = 1e-4
-"""Pull towards the intensities as they were, relative to each term's own energy."""
+"""Pull toward the intensities as they were, relative to each term's own energy."""
 
 
 @njit(cache=True, nogil=True)
 def _product(a, b):
-    """Mean over the sphere of two SRBFs, each as decay times centre (3,) and the decay."""
+    """Mean over the sphere of two SRBFs, each as decay times center (3,) and the decay."""
     x, y, z = a[0] + b[0], a[1] + b[1], a[2] + b[2]
     length = np.sqrt(x * x + y * y + z * z)
     # sinh(length) / length exp(-both decays), without overflow
@@ -42,7 +42,7 @@ def _cholesky(matrix, count):
 def project(offsets, functions, lobes, rounded, intensities, out):
     """The intensities (T, I) with which rounded SRBFs come nearest to the given ones, in the mean over the sphere.
 
-    lobes, rounded: (T, 4) decay times centre and decay, before and after rounding.
+    lobes, rounded: (T, 4) decay times center and decay, before and after rounding.
     """
     most = 0
     for g in range(len(offsets) - 1):

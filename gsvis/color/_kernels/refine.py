@@ -1,6 +1,6 @@
 """Kernels that move the lobes of one Gaussian until their sum fits best: variable projection with damping.
 
-A lobe is exp(v.x - |v|): v is its centre times its decay, free in three dimensions. Intensities are always the best for
+A lobe is exp(v.x - |v|): v is its center times its decay, free in three dimensions. Intensities are always the best for
 the lobes (ridge added), so that only the v are searched: Levenberg-Marquardt on them with the intensities eliminated.
 """
 

@@ -1,4 +1,4 @@
-"""Kernels that turn colours of the spaces of `gsvis.color.variants` into RGB, many at a time and in place.
+"""Kernels that turn colors of the spaces of `gsvis.color.variants` into RGB, many at a time and in place.
 
 The formulas have no branches, so that loops over them become vectors. `tests/color/test_evaluate.py` holds them to
 those of `gsvis.color.spaces`.
@@ -34,51 +34,51 @@ def _hsv_channel(shift, hue, chroma, value):
 
 
 @njit(cache=True, error_model="numpy")
-def _from_hsl(colours):
-    for j in range(colours.shape[1]):
-        hue = _12 * (colours[0, j] - np.floor(colours[0, j]))
-        saturation = min(max(colours[1, j], _0), _1)
-        lightness = min(max(colours[2, j], _0), _1)
+def _from_hsl(colors):
+    for j in range(colors.shape[1]):
+        hue = _12 * (colors[0, j] - np.floor(colors[0, j]))
+        saturation = min(max(colors[1, j], _0), _1)
+        lightness = min(max(colors[2, j], _0), _1)
         chroma = saturation * min(lightness, _1 - lightness)
-        colours[0, j] = _hsl_channel(_0, hue, chroma, lightness)
-        colours[1, j] = _hsl_channel(_8, hue, chroma, lightness)
-        colours[2, j] = _hsl_channel(_4, hue, chroma, lightness)
+        colors[0, j] = _hsl_channel(_0, hue, chroma, lightness)
+        colors[1, j] = _hsl_channel(_8, hue, chroma, lightness)
+        colors[2, j] = _hsl_channel(_4, hue, chroma, lightness)
 
 
 @njit(cache=True, error_model="numpy")
-def _from_hsv(colours):
-    for j in range(colours.shape[1]):
-        hue = _6 * (colours[0, j] - np.floor(colours[0, j]))
-        saturation = min(max(colours[1, j], _0), _1)
-        value = min(max(colours[2, j], _0), _1)
+def _from_hsv(colors):
+    for j in range(colors.shape[1]):
+        hue = _6 * (colors[0, j] - np.floor(colors[0, j]))
+        saturation = min(max(colors[1, j], _0), _1)
+        value = min(max(colors[2, j], _0), _1)
         chroma = saturation * value
-        colours[0, j] = _hsv_channel(_5, hue, chroma, value)
-        colours[1, j] = _hsv_channel(_3, hue, chroma, value)
-        colours[2, j] = _hsv_channel(_1, hue, chroma, value)
+        colors[0, j] = _hsv_channel(_5, hue, chroma, value)
+        colors[1, j] = _hsv_channel(_3, hue, chroma, value)
+        colors[2, j] = _hsv_channel(_1, hue, chroma, value)
 
 
 @njit(cache=True)
-def _from_yuv(colours):
-    for j in range(colours.shape[1]):
-        y, u, v = colours[0, j], colours[1, j], colours[2, j]
+def _from_yuv(colors):
+    for j in range(colors.shape[1]):
+        y, u, v = colors[0, j], colors[1, j], colors[2, j]
         red, blue = _V_RED * v, _U_BLUE * u
-        colours[0, j] = y + red
-        colours[1, j] = y - _GREEN_RED * red - _GREEN_BLUE * blue
-        colours[2, j] = y + blue
+        colors[0, j] = y + red
+        colors[1, j] = y - _GREEN_RED * red - _GREEN_BLUE * blue
+        colors[2, j] = y + blue
 
 
 @njit(cache=True)
-def to_rgb(space, colours, factors):
-    """RGB of colours (3, D) float32, in place; brought back to scale by factors (D,); nothing below 0 is left."""
+def to_rgb(space, colors, factors):
+    """RGB of colors (3, D) float32, in place; brought back to scale by factors (D,); nothing below 0 is left."""
     if space == 1:
-        _from_hsl(colours)
+        _from_hsl(colors)
     elif space == 2:
-        _from_hsv(colours)
+        _from_hsv(colors)
     elif space == 3:
-        _from_yuv(colours)
+        _from_yuv(colors)
     for c in range(3):
-        for j in range(colours.shape[1]):
-            colours[c, j] = max(colours[c, j], _0)
+        for j in range(colors.shape[1]):
+            colors[c, j] = max(colors[c, j], _0)
         if space != 0:
-            for j in range(colours.shape[1]):
-                colours[c, j] *= factors[j]
+            for j in range(colors.shape[1]):
+                colors[c, j] *= factors[j]

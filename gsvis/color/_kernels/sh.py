@@ -1,6 +1,6 @@
-"""Kernels that turn SH coefficients into colours from one eye, and carry gradients back.
+"""Kernels that turn SH coefficients into colors from one eye, and carry gradients back.
 
-Directions run from the eye to the Gaussian; colour = max(0.5 + SH, 0). The basis is that of `gsvis.scene.sh`, here
+Directions run from the eye to the Gaussian; color = max(0.5 + SH, 0). The basis is that of `gsvis.scene.sh`, here
 with its derivatives; `tests/color/test_sh_kernels.py` compares the two.
 """
 
@@ -79,7 +79,7 @@ def basis_slopes(x, y, z, degree, out):
 
 @njit(cache=True)
 def _direction(x, y, z):
-    """Unit vector along the offset from the eye, and the offset's length; +z for an eye at the very centre."""
+    """Unit vector along the offset from the eye, and the offset's length; +z for an eye at the very center."""
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
         return 0.0, 0.0, 1.0, 1.0
@@ -88,9 +88,9 @@ def _direction(x, y, z):
 
 
 @njit(cache=True, fastmath={"contract"})
-def _plus_band(colour, band, higher, i, first):
-    """Colour plus the terms of one band, the coefficients of which start at higher[i, first]; the loop unrolls."""
-    red, green, blue = colour
+def _plus_band(color, band, higher, i, first):
+    """Color plus the terms of one band, the coefficients of which start at higher[i, first]; the loop unrolls."""
+    red, green, blue = color
     for k in range(len(band)):
         red += band[k] * higher[i, first + k, 0]
         green += band[k] * higher[i, first + k, 1]
@@ -99,33 +99,33 @@ def _plus_band(colour, band, higher, i, first):
 
 
 @njit(cache=True, fastmath={"contract"}, inline="always")  # a call would count references to the arrays each time
-def _colour(i, means, sh0, higher, degree, eye):
+def _color(i, means, sh0, higher, degree, eye):
     """Red, green, blue of Gaussian i, unclipped: the direction in float64, the rest in float32."""
     f, half = _FACTORS_32, np.float32(0.5)
-    colour = half + f[0] * sh0[i, 0, 0], half + f[0] * sh0[i, 0, 1], half + f[0] * sh0[i, 0, 2]
+    color = half + f[0] * sh0[i, 0, 0], half + f[0] * sh0[i, 0, 1], half + f[0] * sh0[i, 0, 2]
     if degree == 0:
-        return colour
+        return color
     x64, y64, z64, _ = _direction(means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2])
     x, y, z = np.float32(x64), np.float32(y64), np.float32(z64)
-    colour = _plus_band(colour, _band_1(x, y, z, f), higher, i, 0)
+    color = _plus_band(color, _band_1(x, y, z, f), higher, i, 0)
     if degree >= 2:
-        colour = _plus_band(colour, _band_2(x, y, z, f), higher, i, 3)
+        color = _plus_band(color, _band_2(x, y, z, f), higher, i, 3)
     if degree >= 3:
-        colour = _plus_band(colour, _band_3(x, y, z, f), higher, i, 8)
-    return colour
+        color = _plus_band(color, _band_3(x, y, z, f), higher, i, 8)
+    return color
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
-    """Colours of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
+def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
+    """Colors of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
     for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
         for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
-            red, green, blue = _colour(ids[j], means, sh0, higher, degree, eye)
+            red, green, blue = _color(ids[j], means, sh0, higher, degree, eye)
             features[j, 0], features[j, 1], features[j, 2] = max(red, lowest), max(green, lowest), max(blue, lowest)
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means):
+def colors_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means):
     """Gradients by sh0, shN and means (through the direction), added into the last three."""
     for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
         values, slopes = np.empty(16), np.zeros((16, 3))

@@ -1,6 +1,6 @@
-"""Kernels that split the colours of Gaussians over directions into a base and the functions that are left to fit.
+"""Kernels that split the colors of Gaussians over directions into a base and the functions that are left to fit.
 
-Colours come as (n, 3, D) RGB, nowhere below 0, with weights (n, D); a direction of weight 0 has no say. Residuals carry
+Colors come as (n, 3, D) RGB, nowhere below 0, with weights (n, D); a direction of weight 0 has no say. Residuals carry
 the weight that they have in RGB.
 """
 
@@ -31,49 +31,49 @@ def _hue_chroma(r, g, b):
 
 @njit(cache=True, nogil=True)
 def _pure(hue, shift):
-    """Component of the fully saturated colour of a hue; shift 5, 3, 1 for red, green, blue."""
+    """Component of the fully saturated color of a hue; shift 5, 3, 1 for red, green, blue."""
     k = (shift + 6.0 * hue) % 6.0
     return 1.0 - max(0.0, min(k, 4.0 - k, 1.0))
 
 
 @njit(cache=True, nogil=True)
-def _largest(colours, weights):
+def _largest(colors, weights):
     largest = np.float32(0.0)
     for c in range(3):
         for d in range(len(weights)):
             if weights[d] > 0.0:
-                largest = max(largest, colours[c, d])
+                largest = max(largest, colors[c, d])
     return largest
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def split_linear(colours, weights, base, covariance):
-    """Weighted mean into base (n, 3), subtracted from the colours in place; their covariance (n, 3, 3)."""
-    for g in prange(len(colours)):
+def split_linear(colors, weights, base, covariance):
+    """Weighted mean into base (n, 3), subtracted from the colors in place; their covariance (n, 3, 3)."""
+    for g in prange(len(colors)):
         total = 0.0
         for d in range(weights.shape[1]):
             total += weights[g, d]
         for c in range(3):
             s = 0.0
             for d in range(weights.shape[1]):
-                s += np.float64(weights[g, d]) * colours[g, c, d]
+                s += np.float64(weights[g, d]) * colors[g, c, d]
             base[g, c] = s / total
             for d in range(weights.shape[1]):
-                colours[g, c, d] -= base[g, c]
+                colors[g, c, d] -= base[g, c]
         for c in range(3):
             for e in range(c + 1):
                 s = 0.0
                 for d in range(weights.shape[1]):
-                    s += np.float64(weights[g, d]) * colours[g, c, d] * colours[g, e, d]
+                    s += np.float64(weights[g, d]) * colors[g, c, d] * colors[g, e, d]
                 covariance[g, c, e] = s / total
                 covariance[g, e, c] = s / total
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def split_hsl(colours, weights, scales, base, saturation, by_saturation, lightness, by_lightness):
+def split_hsl(colors, weights, scales, base, saturation, by_saturation, lightness, by_lightness):
     """HSL of RGB / scale: bases (n, 3); S - S_ref, L - L_ref (n, D) and the weights of their errors in RGB (n, D)."""
-    for g in prange(len(colours)):
-        largest = _largest(colours[g], weights[g])
+    for g in prange(len(colors)):
+        largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
         scales[g] = scale
         east, north = 0.0, 0.0
@@ -81,7 +81,7 @@ def split_hsl(colours, weights, scales, base, saturation, by_saturation, lightne
             saturation[g, d], lightness[g, d] = 0.0, 0.0
             if weights[g, d] <= 0.0:
                 continue
-            r, green, b = colours[g, 0, d] / scale, colours[g, 1, d] / scale, colours[g, 2, d] / scale
+            r, green, b = colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale
             hue, spread = _hue_chroma(r, green, b)
             light = 0.5 * (max(r, green, b) + min(r, green, b))
             room = 1.0 - abs(2.0 * light - 1.0)
@@ -115,8 +115,8 @@ def split_hsl(colours, weights, scales, base, saturation, by_saturation, lightne
 
 
 @njit(cache=True, nogil=True)
-def _nearest_lightness(colour, offsets, saturation):
-    """L for which HSL with this hue and saturation comes nearest to a colour in RGB, and what a step in L changes.
+def _nearest_lightness(color, offsets, saturation):
+    """L for which HSL with this hue and saturation comes nearest to a color in RGB, and what a step in L changes.
 
     RGB is linear in L below and above 1/2: L (1 + 2 S q) and L (1 - 2 S q) + 2 S q with q = h - 1/2.
     """
@@ -126,23 +126,23 @@ def _nearest_lightness(colour, offsets, saturation):
         along, length = 0.0, 0.0
         for c in range(3):
             slope = 1.0 + 2.0 * sign * saturation * offsets[c]
-            along += slope * (colour[c] - 2.0 * half * saturation * offsets[c])
+            along += slope * (color[c] - 2.0 * half * saturation * offsets[c])
             length += slope * slope
         light = along / length if length > 1e-12 else 0.5
         light = min(max(light, 0.5 * half), 0.5 + 0.5 * half)
         error = 0.0
         for c in range(3):
             shown = light * (1.0 + 2.0 * sign * saturation * offsets[c]) + 2.0 * half * saturation * offsets[c]
-            error += (colour[c] - shown) ** 2
+            error += (color[c] - shown) ** 2
         if error < best:
             best, nearest, change = error, light, length
     return nearest, change
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def hold_saturation(colours, weights, scales, base, lightness, by_lightness):
+def hold_saturation(colors, weights, scales, base, lightness, by_lightness):
     """Replace lightness by what is nearest in RGB with hue and saturation held at their bases; arguments as above."""
-    for g in prange(len(colours)):
+    for g in prange(len(colors)):
         turn, scale = base[g, 0], scales[g]
         offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
         total, mean = 0.0, 0.0
@@ -150,8 +150,8 @@ def hold_saturation(colours, weights, scales, base, lightness, by_lightness):
             lightness[g, d], by_lightness[g, d] = 0.0, 0.0
             if weights[g, d] <= 0.0:
                 continue
-            colour = (colours[g, 0, d] / scale, colours[g, 1, d] / scale, colours[g, 2, d] / scale)
-            light, change = _nearest_lightness(colour, offsets, base[g, 1])
+            color = (colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale)
+            light, change = _nearest_lightness(color, offsets, base[g, 1])
             lightness[g, d], by_lightness[g, d] = light, weights[g, d] * scale * scale * change
             total += by_lightness[g, d]
             mean += by_lightness[g, d] * light
@@ -161,33 +161,33 @@ def hold_saturation(colours, weights, scales, base, lightness, by_lightness):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def split_hsv(colours, weights, scales, base, value, by_value):
+def split_hsv(colors, weights, scales, base, value, by_value):
     """HSV of RGB / scale: bases (n, 3); V - V_ref (n, D) and the weights of its errors in RGB (n, D).
 
-    With hue and saturation held, RGB is V times a tint: V is what comes nearest to the colour.
+    With hue and saturation held, RGB is V times a tint: V is what comes nearest to the color.
     """
-    for g in prange(len(colours)):
-        largest = _largest(colours[g], weights[g])
+    for g in prange(len(colors)):
+        largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
         scales[g] = scale
-        east, north, colour, all_colour = 0.0, 0.0, 0.0, 0.0
+        east, north, color, all_color = 0.0, 0.0, 0.0, 0.0
         for d in range(weights.shape[1]):
             value[g, d] = 0.0
             if weights[g, d] <= 0.0:
                 continue
-            r, green, b = colours[g, 0, d] / scale, colours[g, 1, d] / scale, colours[g, 2, d] / scale
+            r, green, b = colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale
             hue, spread = _hue_chroma(r, green, b)
             high = max(r, green, b)
             pure = spread / high if high > 1e-7 else 0.0
             value[g, d] = high
             east += weights[g, d] * pure * np.cos(2.0 * np.pi * hue)
             north += weights[g, d] * pure * np.sin(2.0 * np.pi * hue)
-            colour += weights[g, d] * high * high * pure
-            all_colour += weights[g, d] * high * high
+            color += weights[g, d] * high * high * pure
+            all_color += weights[g, d] * high * high
         turn = np.arctan2(north, east) / (2.0 * np.pi)
         turn -= np.floor(turn)
         base[g, 0] = turn
-        base[g, 1] = colour / all_colour if all_colour > 0.0 else 0.0
+        base[g, 1] = color / all_color if all_color > 0.0 else 0.0
         tint = (
             1.0 - base[g, 1] * (1.0 - _pure(turn, 5.0)),
             1.0 - base[g, 1] * (1.0 - _pure(turn, 3.0)),
@@ -195,7 +195,7 @@ def split_hsv(colours, weights, scales, base, value, by_value):
         )
         change, total, mean = tint[0] ** 2 + tint[1] ** 2 + tint[2] ** 2, 0.0, 0.0
         for d in range(weights.shape[1]):
-            along = tint[0] * colours[g, 0, d] + tint[1] * colours[g, 1, d] + tint[2] * colours[g, 2, d]
+            along = tint[0] * colors[g, 0, d] + tint[1] * colors[g, 1, d] + tint[2] * colors[g, 2, d]
             value[g, d] = along / (change * scale) if weights[g, d] > 0.0 else 0.0
             by_value[g, d] = weights[g, d] * scale * scale * change
             total += by_value[g, d]

@@ -1,4 +1,4 @@
-"""Kernels that turn a base and its SRBF terms into colours: all Gaussians from one eye, or each along many directions.
+"""Kernels that turn a base and its SRBF terms into colors: all Gaussians from one eye, or each along many directions.
 
 Gaussians go in windows of WINDOW, sorted in each by their number of terms and cut into groups of LANES: a vector holds
 the k-th terms of the Gaussians of a group. Directions run from the eye to the Gaussian. The exponent is taken from the
@@ -18,14 +18,14 @@ from numba.extending import intrinsic
 from gsvis._kernels.simd import Builder, Vector
 from gsvis.color._kernels.rgb import to_rgb
 
-__all__ = ["LANES", "SLOT", "WINDOW", "colours_along", "colours_from_eye", "pack"]
+__all__ = ["LANES", "SLOT", "WINDOW", "colors_along", "colors_from_eye", "pack"]
 
 LANES = 16
 GROUPS = 16
 WINDOW = LANES * GROUPS
 
 SLOT = 7
-"""Rows of a slot: the centre's x, y, z; -decay/2 log2 e; what the term adds in each component of the space."""
+"""Rows of a slot: the center's x, y, z; -decay/2 log2 e; what the term adds in each component of the space."""
 
 _HALF_LOG2E = np.float32(0.7213475204444817)
 _I64 = ir.IntType(64)
@@ -146,7 +146,7 @@ def pack(order, offsets, starts, terms, slots):
         order: (N,) uint8, the Gaussians of each window by falling numbers of terms, from 0 in each window.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
         starts: (groups + 1,) int64, first slot of each group.
-        terms: Centres (T, 2), decays (T,) and amplitudes (T, 3), float32.
+        terms: Centers (T, 2), decays (T,) and amplitudes (T, 3), float32.
         slots: (S * SLOT, LANES) float32, zeros; written.
     """
     for group in prange(len(starts) - 1):
@@ -191,7 +191,7 @@ def _put(sums, order, out):
 
 @njit(cache=True)
 def _window_from_eye(window, means, eye, space, packed, active, out):
-    """Colours of one window into out (WINDOW or fewer, 3)."""
+    """Colors of one window into out (WINDOW or fewer, 3)."""
     order, offsets, starts, slots, base, scales = packed
     first = window * WINDOW
     own = order[first : first + WINDOW]
@@ -211,11 +211,11 @@ def _window_from_eye(window, means, eye, space, packed, active, out):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_from_eye(windows, means, eye, space, packed, active, out):
-    """Colours from one eye.
+def colors_from_eye(windows, means, eye, space, packed, active, out):
+    """Colors from one eye.
 
     Args:
-        windows: (W,) int64, which windows; their colours lie behind each other in `out`.
+        windows: (W,) int64, which windows; their colors lie behind each other in `out`.
         means: (N, 3) float32.
         eye: Three float64.
         space: Code of the space, of `SPACES`.
@@ -247,13 +247,13 @@ def _group_along(group, x, space, packed, out):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def colours_along(x, space, packed, out):
-    """Colours along directions that all Gaussians share.
+def colors_along(x, space, packed, out):
+    """Colors along directions that all Gaussians share.
 
     Args:
         x: (3, D) float32, unit directions, padded to a multiple of LANES.
         space: Code of the space.
-        packed: As for `colours_from_eye`.
+        packed: As for `colors_from_eye`.
         out: (N, D without padding, 3) float32, written.
     """
     for group in prange(len(packed[2]) - 1):

@@ -62,7 +62,7 @@ def direction_on_face(face, u, v):
 
 @njit(cache=True, inline="always")
 def direction_of(cell, size):
-    """Direction of a cell's centre, not of unit length."""
+    """Direction of a cell's center, not of unit length."""
     face, rest = cell // (size * size), cell % (size * size)
     return direction_on_face(face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0)
 
@@ -143,7 +143,7 @@ def _outside_cone(points, a, b, inner, x, y, z):
 
 @njit(cache=True)
 def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
-    """The facet through which the ray from `inner` towards a place leaves the hull; -1 after too many steps.
+    """The facet through which the ray from `inner` toward a place leaves the hull; -1 after too many steps.
 
     `slack` is what rounding does to a product of three lengths: without it a ray through a corner goes round for ever.
     """
@@ -313,7 +313,7 @@ def count_creases(points, corners, neighbors, band, out):
 
 @njit(cache=True, nogil=True)
 def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
-    """A facet near the direction of each cell, into out (6 size^2,): one with a corner there, or that at its centre."""
+    """A facet near the direction of each cell, into out (6 size^2,): one with a corner there, or that at its center."""
     out[:] = -1
     for f in range(len(corners)):
         for k in range(3):

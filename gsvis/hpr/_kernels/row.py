@@ -1,7 +1,7 @@
 """Sixteen pixels of a row meet one Gaussian, as explicit vectors: light is taken, the largest weight is kept.
 
 The row comes as `p(k) = c + l k + a k^2` = log2 alpha over its pixels k = 0..15, which float32 knows well wherever the
-Gaussian's centre lies.
+Gaussian's center lies.
 """
 
 from __future__ import annotations

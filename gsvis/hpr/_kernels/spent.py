@@ -34,13 +34,13 @@ def _whitening(quats, scales, i):
 
 @njit(cache=True, nogil=True, parallel=True)
 def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, faces, out):
-    """What the eye needs of each Gaussian: centres relative to it into toward (N, 3), and a row of out (N, 5).
+    """What the eye needs of each Gaussian: centers relative to it into toward (N, 3), and a row of out (N, 5).
 
     The face of the cubemap it is on goes into faces (N,): 6 for those so wide that they are on many, 7 for those too
     faint to be seen.
 
-    The row is: distance of the centre, distance of the nearest point where alpha reaches min_alpha in that direction
-    (0 where the eye is inside), largest angle between the centre and the ring of one standard deviation, solid angle
+    The row is: distance of the center, distance of the nearest point where alpha reaches min_alpha in that direction
+    (0 where the eye is inside), largest angle between the center and the ring of one standard deviation, solid angle
     times opacity of the whole Gaussian, and squared distance of the eye in standard deviations.
     """
     for i in prange(len(means)):
@@ -58,7 +58,7 @@ def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, fac
         if squared <= reach or far == 0.0:
             out[i, 1], out[i, 2], out[i, 3] = 0.0, np.pi, 4.0 * np.pi * opacities[i]
             continue
-        # Extent towards the eye: sqrt(d^T covariance d), from the whitened unit direction times squared scales.
+        # Extent toward the eye: sqrt(d^T covariance d), from the whitened unit direction times squared scales.
         u, v, w = p * s[0] * s[0] / far, q * s[1] * s[1] / far, r * s[2] * s[2] / far
         out[i, 1] = max(far - np.sqrt(reach * (u * u + v * v + w * w)), 0.0)
         out[i, 2] = largest / far
@@ -85,8 +85,8 @@ def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
 def thicken(toward, quats, scales, opacities, shapes, order, begins, size, nearest, steps_per_log, thickness):
     """Optical thickness that Gaussians put into each cell at each depth, into thickness (6 size^2, bins).
 
-    Small ones are spread over the cell they lie in, larger ones taken at the centres of cells of their face where
-    their alpha is above 1/64, and very wide ones at the centres of blocks of 4 x 4 cells of all faces. `order` and
+    Small ones are spread over the cell they lie in, larger ones taken at the centers of cells of their face where
+    their alpha is above 1/64, and very wide ones at the centers of blocks of 4 x 4 cells of all faces. `order` and
     `begins` list the Gaussians of each face, then the wide ones. One thread works on one face.
     """
     cell_angle = 2.0 / size
@@ -169,8 +169,8 @@ def spent_depths(thickness, limit, nearest, steps_per_log, out):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def centres_of_cells(size, out):
-    """Unit directions of the centres of all cells, into out (6 size^2, 3)."""
+def centers_of_cells(size, out):
+    """Unit directions of the centers of all cells, into out (6 size^2, 3)."""
     for cell in prange(len(out)):
         x, y, z = direction_of(cell, size)
         length = np.sqrt(x * x + y * y + z * z)
@@ -179,7 +179,7 @@ def centres_of_cells(size, out):
 
 @njit(cache=True, inline="always")
 def _deepest_near(depths, x, y, z, size):
-    """Largest depth of the up to four cells whose centres surround a direction; those of other faces do not count."""
+    """Largest depth of the up to four cells whose centers surround a direction; those of other faces do not count."""
     ax, ay, az = abs(x), abs(y), abs(z)
     face = cell_of(x, y, z, 1)
     u, v = _place_on_face(x, y, z, face) if max(ax, ay, az) > 0.0 else (0.0, 0.0)
@@ -196,7 +196,7 @@ def _deepest_near(depths, x, y, z, size):
 def nearness(toward, quats, scales, opacities, shapes, min_alpha, depths, size, out):
     """Distance of each Gaussian's nearest point over the depth to which the eye sees there, the least, into out (N,).
 
-    Looked up towards the centre and, for those larger than half a cell, the six ends of the ellipsoid of one standard
+    Looked up toward the center and, for those larger than half a cell, the six ends of the ellipsoid of one standard
     deviation; 0 where the eye is inside, infinite for what is too faint to be seen.
     """
     for i in prange(len(toward)):

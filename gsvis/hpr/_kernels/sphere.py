@@ -131,11 +131,11 @@ def _bound(light, size, bx, by):
 
 
 @njit(cache=True)
-def _pixels(centre, radius, size):
-    """First and last pixel with its centre within the radius."""
+def _pixels(center, radius, size):
+    """First and last pixel with its center within the radius."""
     return (
-        max(math.ceil(centre - radius - np.float32(0.5)), 0),
-        min(math.floor(centre + radius - np.float32(0.5)), size - 1),
+        max(math.ceil(center - radius - np.float32(0.5)), 0),
+        min(math.floor(center + radius - np.float32(0.5)), size - 1),
     )
 
 
@@ -284,7 +284,7 @@ def hidden_behind(near, eye, pyramid, first_row, size, out):
                 v0, v1 = _span(w, v, radius, math.sqrt(w * w + v * v))
                 if u0 > u1 or v0 > v1:
                     continue
-                # One pixel more on each side: light passes between the pixel centres too.
+                # One pixel more on each side: light passes between the pixel centers too.
                 x0, x1 = int(0.5 * size * (u0 + 1.0)) - 1, int(0.5 * size * (u1 + 1.0)) + 1
                 y0, y1 = int(0.5 * size * (v0 + 1.0)) - 1, int(0.5 * size * (v1 + 1.0)) + 1
                 x0, x1, y0, y1 = max(x0, 0), min(x1, size - 1), max(y0, 0), min(y1, size - 1)

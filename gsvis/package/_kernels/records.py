@@ -18,12 +18,12 @@ LARGEST = np.float64(np.finfo(np.float32).max)
 
 
 @njit(cache=True, nogil=True)
-def morton(means, centre, half, out):
-    """Place (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the centre (3,)."""
+def morton(means, center, half, out):
+    """Place (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
     for i in range(len(means)):
         code = np.uint64(0)
         for axis in range(3):
-            u = (np.float64(means[i, axis]) - centre[axis]) / half
+            u = (np.float64(means[i, axis]) - center[axis]) / half
             if u > 1.0:
                 u = 2.0 - 1.0 / u
             elif u < -1.0:
@@ -107,7 +107,7 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
         quats: (N, 4) float32, unit, wxyz.
         levels: (N, 3) int32 log-scales.
         opacities: (N,) float32.
-        colors: (N, 3 or 4) uint8 base colour, and its scale.
+        colors: (N, 3 or 4) uint8 base color, and its scale.
         bits: Of a coordinate, of a component of a quaternion, and of a log-scale.
         out: (N, 16) uint8.
     """

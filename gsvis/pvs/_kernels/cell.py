@@ -9,7 +9,7 @@ from gsvis._kernels.faces import face_of
 
 
 @njit(cache=True, nogil=True)
-def add_viewpoint(ids, weights, tau, means, viewpoint, centres, planes, best, sets):
+def add_viewpoint(ids, weights, tau, means, viewpoint, centers, planes, best, sets):
     """Join what one viewpoint sees to best (N,) and to the direction sets (N, 10); how many Gaussians are new."""
     new = 0
     for k in range(len(ids)):
@@ -19,6 +19,6 @@ def add_viewpoint(ids, weights, tau, means, viewpoint, centres, planes, best, se
         i = ids[k]
         new += best[i] < tau
         best[i] = max(best[i], weight)
-        f = face_of(viewpoint[0] - means[i, 0], viewpoint[1] - means[i, 1], viewpoint[2] - means[i, 2], centres, planes)
+        f = face_of(viewpoint[0] - means[i, 0], viewpoint[1] - means[i, 1], viewpoint[2] - means[i, 2], centers, planes)
         sets[i, f >> 3] |= np.uint8(1 << (f & 7))
     return new

@@ -98,14 +98,14 @@ def add_signature(words, bit, signatures):
 
 
 @njit(**_OPTIONS)
-def nearest_centres(signatures, centres, labels):
-    """The centre (K, W) with the fewest differing bits for each signature (M, W); the first of equals."""
+def nearest_centers(signatures, centers, labels):
+    """The center (K, W) with the fewest differing bits for each signature (M, W); the first of equals."""
     for i in range(len(signatures)):
         best, label = 1 << 30, 0
-        for k in range(len(centres)):
+        for k in range(len(centers)):
             apart = 0
-            for w in range(centres.shape[1]):
-                apart += np.int64(ones(signatures[i, w] ^ centres[k, w]))
+            for w in range(centers.shape[1]):
+                apart += np.int64(ones(signatures[i, w] ^ centers[k, w]))
             if apart < best:
                 best, label = apart, k
         labels[i] = label

@@ -86,7 +86,7 @@ def _split(order, start, stop, lo, hi):
                 cost = left_cost[k - 1] + total * _area(run_lo, run_hi)
                 if cost < best:
                     best, best_axis, best_bin = cost, a, k
-    if best_axis < 0:  # all centres coincide (or a box is not finite): halve by position
+    if best_axis < 0:  # all centers coincide (or a box is not finite): halve by position
         return (start + stop) // 2
     i, j = start, stop - 1
     while i <= j:

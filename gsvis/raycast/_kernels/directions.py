@@ -14,15 +14,15 @@ from gsvis.raycast._kernels.trace import STACK, weight_of
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def faces_of(directions, centres, planes, out):
+def faces_of(directions, centers, planes, out):
     """Faces of directions (D, 3) into out (D,)."""
     for i in prange(len(directions)):
-        out[i] = face_of(directions[i, 0], directions[i, 1], directions[i, 2], centres, planes)
+        out[i] = face_of(directions[i, 0], directions[i, 1], directions[i, 2], centers, planes)
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def gather(means, weights, viewpoints, tau, centres, planes, sets):
-    """Set the bit of the face towards every viewpoint that sees the Gaussian."""
+def gather(means, weights, viewpoints, tau, centers, planes, sets):
+    """Set the bit of the face toward every viewpoint that sees the Gaussian."""
     for i in prange(len(means)):
         for v in range(len(viewpoints)):
             if weights[v, i] >= tau:
@@ -30,7 +30,7 @@ def gather(means, weights, viewpoints, tau, centres, planes, sets):
                     viewpoints[v, 0] - means[i, 0],
                     viewpoints[v, 1] - means[i, 1],
                     viewpoints[v, 2] - means[i, 2],
-                    centres,
+                    centers,
                     planes,
                 )
                 sets[i, f >> 3] |= np.uint8(1 << (f & 7))

@@ -1,4 +1,4 @@
-"""The ray-box test of eight boxes as explicit vectors; the loop form is not vectorised reliably.
+"""The ray-box test of eight boxes as explicit vectors; the loop form is not vectorized reliably.
 
 `tests/raycast/test_kernels.py` compares it with the loop it stands for. World frame, scene units.
 """

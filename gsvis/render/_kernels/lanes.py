@@ -2,8 +2,8 @@
 
 A tile is 16 pixels wide, one vector, and 16 rows high. Its state is (16, CHANNELS, 16) float32. A Gaussian comes as a
 record of 16 float32: `p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels
-x, y = 0..15, which float32 knows well where a pixel sees the Gaussian, however far its centre lies; then red, green,
-blue, depth; then the centre from the tile's first pixel. A pixel whose transmittance is spent holds it negated.
+x, y = 0..15, which float32 knows well where a pixel sees the Gaussian, however far its center lies; then red, green,
+blue, depth; then the center from the tile's first pixel. A pixel whose transmittance is spent holds it negated.
 
 Records and rows are worked out for a batch of Gaussians before they are blended: the loop over the rows of one ends
 unforeseeably, and what follows must not have to wait for anything long.
@@ -202,7 +202,7 @@ def blend(typing_context, state, records, number, todo, lit, place):
 
 @intrinsic
 def weigh(typing_context, state, records, number, todo, lit):
-    """Like `blend` without colours: the largest and the summed weight over the tile.
+    """Like `blend` without colors: the largest and the summed weight over the tile.
 
     Args:
         typing_context: numba's, unused.
@@ -252,7 +252,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         todo: int64, rows to take it out of.
         place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never blended it.
         sums: (P, 12) float32, receives in row `pair` the gradients by red, green, blue, depth; then, with
-            q = dL/dalpha * alpha (0 where alpha is capped) and d = centre - pixel, the sums of q, q dx, q dy, q dx^2,
+            q = dL/dalpha * alpha (0 where alpha is capped) and d = center - pixel, the sums of q, q dx, q dy, q dx^2,
             q dx dy, q dy^2; and two zeros.
         pair: Which row.
 
@@ -267,7 +267,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         features = [record[6 + k] for k in range(4)]
-        dx, centre_y, place = record[10] - lanes.counting(), record[11], lanes.splat(args[4])
+        dx, center_y, place = record[10] - lanes.counting(), record[11], lanes.splat(args[4])
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(10)]
 
         def add(k: int, value: Vector, factor: Vector | None = None) -> None:
@@ -290,7 +290,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             for k, gradient in enumerate(gradients):
                 add(k, weight, gradient)
             q = (live & response.compare("<", 0.999)).where(by_alpha * response, 0.0)
-            dy = centre_y - y
+            dy = center_y - y
             qx, qy = q * dx, q * dy
             add(4, q)
             add(5, qx)

@@ -1,6 +1,6 @@
 """Kernels that project Gaussians to the image, and carry gradients back. One Gaussian at a time, float64.
 
-Per visible Gaussian, `splats` (M, 8) float64 holds its centre (x, y) in pixels; A, B, C of log2 alpha = lo + A dx^2 +
+Per visible Gaussian, `splats` (M, 8) float64 holds its center (x, y) in pixels; A, B, C of log2 alpha = lo + A dx^2 +
 B dx dy + C dy^2; lo = log2 opacity; and the half width and half height of the box where alpha >= 1/255.
 Camera axes are OpenCV's. `intrinsics` is (fx, fy, cx, cy).
 

@@ -1,7 +1,7 @@
 """Kernels that take each Gaussian out of a tile, one at a time, and sum what that does to the tile's pixels.
 
-A pixel's colour is linear in the alpha of any one Gaussian: without it, the light it took falls on what lies behind.
-With B the colour that full light would show behind it, c its own and w its weight, the pixel changes by w (B - c).
+A pixel's color is linear in the alpha of any one Gaussian: without it, the light it took falls on what lies behind.
+With B the color that full light would show behind it, c its own and w its weight, the pixel changes by w (B - c).
 Gaussians may be present in part, with a share of their alpha. Sums are per (tile, splat) pair and do not depend on the
 number of threads.
 """
@@ -30,7 +30,7 @@ PRESENT = 9
 """Entry of a record, in the place of a depth: the share of its alpha with which the Gaussian is there, in [0, 1]."""
 
 BEHIND, RESIDUAL = (1, 2, 3), (4, 5, 7)
-"""Channels of the state on the way back: the colour behind, and image minus target. T and STOP are the lanes'."""
+"""Channels of the state on the way back: the color behind, and image minus target. T and STOP are the lanes'."""
 
 
 @intrinsic
@@ -82,7 +82,7 @@ def _dim(typing_context, state, records, number, todo, lit, place):
 def _remove(typing_context, state, records, number, todo, place, sums, pair):
     """Go past one Gaussian of a tile on the way to the front, and sum what its absence does, next to its presence.
 
-    The state holds the transmittance behind the Gaussian in T, the colour behind it under full light in BEHIND, and the
+    The state holds the transmittance behind the Gaussian in T, the color behind it under full light in BEHIND, and the
     image minus the target in RESIDUAL.
 
     Args:
@@ -104,7 +104,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
-        colour, place = [record[6 + k] for k in range(3)], lanes.splat(args[4])
+        color, place = [record[6 + k] for k in range(3)], lanes.splat(args[4])
         present = record[PRESENT]
         excess = present.times_plus(2.0, -1.0)
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
@@ -118,7 +118,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
             totals = [Vector(lanes, builder.load(room)) for room in rooms]
             for channel in range(3):
                 behind = _load(lanes, row, BEHIND[channel])
-                further = behind - colour[channel]
+                further = behind - color[channel]
                 change = weight * further
                 residual = _load(lanes, row, RESIDUAL[channel])
                 totals[0] = totals[0] + change.most(change * -1.0)
@@ -154,7 +154,7 @@ def _turn(state, gates, residual, background, left, top, rows, columns):
 def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
     """Sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
 
-    `features` is (M, 4) float32: colour, and the share of its alpha with which the splat is there. `residual` is
+    `features` is (M, 4) float32: color, and the share of its alpha with which the splat is there. `residual` is
     (H, W, 3) float32.
     """
     height, width = residual.shape[:2]

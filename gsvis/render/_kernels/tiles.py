@@ -1,6 +1,6 @@
 """Kernels that sort projected Gaussians into tiles and blend the tiles, forward and backward.
 
-A tile is 16 x 16 pixels; its list holds the splats that reach alpha 1/255 at one of its pixel centres, front to back.
+A tile is 16 x 16 pixels; its list holds the splats that reach alpha 1/255 at one of its pixel centers, front to back.
 Lists, images and gradients do not depend on the number of threads.
 """
 
@@ -28,7 +28,7 @@ def _row_order(rows, i, j):
 
 @njit(cache=True)
 def _less(i, j, ids, means, scales, quats, opacities, sh0):
-    """Content order of two splats of equal depth: means, scales, quats, opacity, colour."""
+    """Content order of two splats of equal depth: means, scales, quats, opacity, color."""
     i, j = ids[i], ids[j]
     for rows in (means, scales, quats, opacities, sh0):
         sign = _row_order(rows, i, j)
@@ -89,7 +89,7 @@ def _span(splat, low, high):
 
 @njit(cache=True)
 def _tiles_between(low, high, tiles):
-    """First and last of `tiles` tiles along an axis with a pixel centre in [low, high]."""
+    """First and last of `tiles` tiles along an axis with a pixel center in [low, high]."""
     return max(int(np.ceil((low + 0.5) / TILE)) - 1, 0), min(int(np.floor((high - 0.5) / TILE)), tiles - 1)
 
 
@@ -221,7 +221,7 @@ def _gcd(a, b):
 
 @njit(cache=True, parallel=True, nogil=True)
 def blend_tiles(splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, stop_at):
-    """Render all tiles. `features` is (M, 4) float32: colour and depth. Outputs are (H, W, ...)."""
+    """Render all tiles. `features` is (M, 4) float32: color and depth. Outputs are (H, W, ...)."""
     height, width = transmittance.shape
     tiles = len(offsets) - 1
     for i in prange(tiles):

@@ -26,9 +26,9 @@ def splat_depth(
 
     Args:
         depth: (X, Y, Z) optical depths, changed in place.
-        means: (N, 3) centres in voxel units; voxel i has its centre at i + 0.5.
+        means: (N, 3) centers in voxel units; voxel i has its center at i + 0.5.
         precisions: (N, 6) inverse covariances in voxel units: xx, xy, xz, yy, yz, zz.
-        alphas: (N,) alpha at the centre, < 1.
+        alphas: (N,) alpha at the center, < 1.
         reach: Standard deviations after which a Gaussian ends.
     """
     nx, ny, nz = depth.shape

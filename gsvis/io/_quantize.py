@@ -1,4 +1,4 @@
-"""Vector quantisation for the SOG writer: codebooks of numbers and palettes of vectors.
+"""Vector quantization for the SOG writer: codebooks of numbers and palettes of vectors.
 
 Deterministic: the same values give the same entries. This module knows no Gaussians.
 """
@@ -59,7 +59,7 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
     """At most `entries` vectors that stand for all, and which stands for which.
 
     Two levels: about sqrt(entries) groups, then each group on its own with a share of the entries that follows its
-    squared error. That is a hundred times faster than flat k-means with 65,536 centres, at a slightly larger error.
+    squared error. That is a hundred times faster than flat k-means with 65,536 centers, at a slightly larger error.
 
     Args:
         vectors: (N, F), N >= 1.
@@ -82,10 +82,10 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
     shares = _shares([float(np.var(vectors[rows], axis=0).sum() * len(rows)) for rows in members], members, entries)
     palette, labels, used = [], np.empty(len(vectors), np.int64), 0
     for rows, share in zip(members, shares, strict=True):
-        centres = _lloyd(vectors[rows], share, rng)
-        labels[rows] = used + _assign(vectors[rows], centres)[1]
-        palette.append(centres)
-        used += len(centres)
+        centers = _lloyd(vectors[rows], share, rng)
+        labels[rows] = used + _assign(vectors[rows], centers)[1]
+        palette.append(centers)
+        used += len(centers)
     return np.concatenate(palette), labels
 
 
@@ -104,29 +104,29 @@ def _shares(errors: list[float], members: list[NDArray[np.int64]], entries: int)
 
 
 def _lloyd(vectors: F32, entries: int, rng: np.random.Generator) -> F32:
-    """(entries, F) centres of k-means from a random start."""
-    centres: F32 = vectors[rng.choice(len(vectors), min(entries, len(vectors)), replace=False)].copy()
-    if len(centres) == len(vectors):
-        return centres
+    """(entries, F) centers of k-means from a random start."""
+    centers: F32 = vectors[rng.choice(len(vectors), min(entries, len(vectors)), replace=False)].copy()
+    if len(centers) == len(vectors):
+        return centers
     for _ in range(_ROUNDS):
-        distance, label = _assign(vectors, centres)
-        size = np.bincount(label, minlength=len(centres))
+        distance, label = _assign(vectors, centers)
+        size = np.bincount(label, minlength=len(centers))
         order = np.argsort(label, kind="stable")
         filled = size > 0
         starts = (np.cumsum(size) - size)[filled]
-        centres[filled] = np.add.reduceat(vectors[order], starts, axis=0) / size[filled, None]
-        centres[~filled] = vectors[np.argsort(-distance, kind="stable")[: int((~filled).sum())]]
-    return centres
+        centers[filled] = np.add.reduceat(vectors[order], starts, axis=0) / size[filled, None]
+        centers[~filled] = vectors[np.argsort(-distance, kind="stable")[: int((~filled).sum())]]
+    return centers
 
 
-def _assign(vectors: F32, centres: F32) -> tuple[F32, NDArray[np.int64]]:
-    """(N,) squared distance to the nearest centre, and its index."""
-    half = 0.5 * np.einsum("ij,ij->i", centres, centres)
+def _assign(vectors: F32, centers: F32) -> tuple[F32, NDArray[np.int64]]:
+    """(N,) squared distance to the nearest center, and its index."""
+    half = 0.5 * np.einsum("ij,ij->i", centers, centers)
     label, score = np.empty(len(vectors), np.int64), np.empty(len(vectors), np.float32)
-    rows = max(1, _BLOCK // len(centres))
+    rows = max(1, _BLOCK // len(centers))
     for start in range(0, len(vectors), rows):
         some = slice(start, start + rows)
-        against = vectors[some] @ centres.T
+        against = vectors[some] @ centers.T
         against -= half
         label[some] = against.argmax(axis=1)
         score[some] = against.max(axis=1)

@@ -1,6 +1,6 @@
-"""Colours that stand in for SH in `rasterize`: one for all cameras, one for each, or SRBF colours seen from each.
+"""Colors that stand in for SH in `rasterize`: one for all cameras, one for each, or SRBF colors seen from each.
 
-SRBF colours are evaluated when their camera is drawn, never for all cameras at once.
+SRBF colors are evaluated when their camera is drawn, never for all cameras at once.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from gsvis.color.srbf import SrbfColors
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 
-__all__ = ["CameraColours", "Colours", "camera_colours"]
+__all__ = ["CameraColors", "Colors", "camera_colors"]
 
-Colours = Tensor | ArrayLike | SrbfColors | SrbfTensors | Evaluator | None
+Colors = Tensor | ArrayLike | SrbfColors | SrbfTensors | Evaluator | None
 
 
 @dataclass(frozen=True, eq=False)
-class CameraColours:
-    """Where the colours of each camera come from.
+class CameraColors:
+    """Where the colors of each camera come from.
 
     Attributes:
-        of: Number of a camera -> (N, 3) RGB of the Gaussians' type; None where SH colours them.
-        requires_grad: Whether the colours have gradients of their own.
+        of: Number of a camera -> (N, 3) RGB of the Gaussians' type; None where SH colors them.
+        requires_grad: Whether the colors have gradients of their own.
     """
 
     of: Callable[[int], Tensor | None]
     requires_grad: bool
 
 
-def camera_colours(colors: Colours, tensors: GaussianTensors, cameras: Cameras, backend: str) -> CameraColours:
-    """Check the colours that `rasterize` was given, and say how to make those of one camera.
+def camera_colors(colors: Colors, tensors: GaussianTensors, cameras: Cameras, backend: str) -> CameraColors:
+    """Check the colors that `rasterize` was given, and say how to make those of one camera.
 
     Args:
         colors: As `rasterize` takes them.
@@ -48,13 +48,13 @@ def camera_colours(colors: Colours, tensors: GaussianTensors, cameras: Cameras, 
         backend: Name of the backend that draws; "cpu" evaluates SRBF by kernels, unless gradients are taken.
 
     Raises:
-        ValueError: If there is not one colour for each Gaussian, or a value is not finite.
+        ValueError: If there is not one color for each Gaussian, or a value is not finite.
     """
     if colors is None:
-        return CameraColours(lambda c: None, False)
+        return CameraColors(lambda c: None, False)
     if not isinstance(colors, SrbfColors | SrbfTensors | Evaluator):
         given = _given(colors, len(tensors), len(cameras)).to(tensors.means)
-        return CameraColours(lambda c: given[c if len(given) > 1 else 0], given.requires_grad)
+        return CameraColors(lambda c: given[c if len(given) > 1 else 0], given.requires_grad)
     if len(colors) != len(tensors):
         raise ValueError(
             f"colors: expected those of {len(tensors)} Gaussians, got {len(colors)}; fit them to this scene"
@@ -64,7 +64,7 @@ def camera_colours(colors: Colours, tensors: GaussianTensors, cameras: Cameras, 
     if backend == "cpu" and not training and not isinstance(colors, SrbfTensors):
         evaluator = colors if isinstance(colors, Evaluator) else Evaluator(colors)
         means = tensors.means.detach().cpu().numpy()
-        return CameraColours(lambda c: torch.from_numpy(evaluator.colors(means, eyes[c])).to(tensors.means), False)
+        return CameraColors(lambda c: torch.from_numpy(evaluator.colors(means, eyes[c])).to(tensors.means), False)
     if not isinstance(colors, SrbfTensors):
         source = colors.source if isinstance(colors, Evaluator) else colors
         colors = SrbfTensors.from_colors(source, tensors.means.dtype, tensors.means.device)
@@ -74,7 +74,7 @@ def camera_colours(colors: Colours, tensors: GaussianTensors, cameras: Cameras, 
         found = evaluate_torch(terms, tensors.means, eyes[c]).to(tensors.means)
         return found if training or found.requires_grad else _finite(found)  # a training step checks shapes alone
 
-    return CameraColours(seen, terms.requires_grad)
+    return CameraColors(seen, terms.requires_grad)
 
 
 def _given(colors: Tensor | ArrayLike, n: int, cameras: int) -> Tensor:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gsvis.io._quantise import codebook_of, nearest_entry, palette_of
+from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 
 
 def test_few_distinct_values_are_kept_exactly() -> None:
@@ -58,8 +58,8 @@ def test_a_palette_has_at_most_its_entries_and_each_vector_the_nearest_of_its_gr
 
 def test_more_entries_err_less() -> None:
     rng = np.random.default_rng(0)
-    centres = rng.standard_normal((40, 9))
-    vectors = (centres[rng.integers(0, 40, 4000)] + 0.05 * rng.standard_normal((4000, 9))).astype(np.float32)
+    centers = rng.standard_normal((40, 9))
+    vectors = (centers[rng.integers(0, 40, 4000)] + 0.05 * rng.standard_normal((4000, 9))).astype(np.float32)
     errors = []
     for entries in (8, 64, 512):
         palette, labels = palette_of(vectors, entries)

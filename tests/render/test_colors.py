@@ -1,4 +1,4 @@
-"""SRBF colours through `rasterize`: backends agree, each camera sees its own, gradients reach the terms."""
+"""SRBF colors through `rasterize`: backends agree, each camera sees its own, gradients reach the terms."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_every_way_to_give_them_is_the_same() -> None:
     assert len(rasterize(g, VIEWS[:0], colors=colors).images) == 0
 
 
-def test_colours_without_terms_are_colours() -> None:
+def test_colors_without_terms_are_colors() -> None:
     g = scene("blobs")
     colors = random_colors(np.random.default_rng(2), len(g)).first(0)
     plain = rasterize(g, VIEWS, colors=colors.base)
@@ -69,8 +69,8 @@ def test_gradients_agree(name: str) -> None:
         assert (fast - slow).norm() <= 2e-3 * slow.norm() + 1e-6
 
 
-def test_fixed_colours_still_move_the_means() -> None:
-    """The direction to a Gaussian changes with it, and its colour with the direction."""
+def test_fixed_colors_still_move_the_means() -> None:
+    """The direction to a Gaussian changes with it, and its color with the direction."""
     g = scene("blobs")
     colors = random_colors(np.random.default_rng(5), len(g))
     tensors = GaussianTensors.from_gaussians(g, requires_grad=True)
