@@ -190,9 +190,7 @@ def main() -> None:
     write_result(options.out, question, figures, details)
 
 
-def fitted_colors(
-    g: Gaussians, space: NavigableSpace, options: argparse.Namespace
-) -> tuple[dict[str, Any], SrbfColors]:
+def load_or_fit(g: Gaussians, space: NavigableSpace, options: argparse.Namespace) -> tuple[dict[str, Any], SrbfColors]:
     """The colors of the scene, and how they came about."""
     if options.colors is not None:
         loaded, colors = load_srbf(options.colors)

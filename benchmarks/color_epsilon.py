@@ -200,9 +200,7 @@ def nearest(epsilon: float, views: Views) -> float:
     return float(known[np.abs(np.log(known / epsilon)).argmin()])
 
 
-def fitted_colors(
-    g: Gaussians, space: NavigableSpace, options: argparse.Namespace
-) -> tuple[dict[str, Any], SrbfColors]:
+def load_or_fit(g: Gaussians, space: NavigableSpace, options: argparse.Namespace) -> tuple[dict[str, Any], SrbfColors]:
     """The colors of the scene, and how they came about."""
     if options.colors is not None:
         loaded, colors = load_srbf(options.colors)
