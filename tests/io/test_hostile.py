@@ -139,13 +139,12 @@ def test_devices_and_folders_are_refused(tmp_path: Path) -> None:
 
 # Where a file is opened for reading by other means, and why that is no door: file of the package, or call.
 OPENED_OTHERWISE = {
-    "io/_arrow.py": "memory_map",  # opened as a regular file before
-    "visibility/active_terms.py": "memory_map",  # opened as a regular file before
+    "files/arrow.py": "memory_map",  # opened as a regular file before
+    "package/active_terms.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
-    "visibility/_work.py": "memmap",  # what this run wrote for its workers
+    "pvs/_work.py": "memmap",  # what this run wrote for its workers
     "cli/pictures.py": "load",  # what this run wrote
-    "io/_limits.py": "open",
 }
 
 
@@ -386,7 +385,7 @@ def test_counts_of_a_store_are_bounded_by_its_size(tmp_path: Path) -> None:
 
 
 def test_a_group_of_terms_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> None:
-    from gsvis.prepare import active_terms as module
+    from gsvis.package import active_terms as module
 
     said = {"format": module.FORMAT, "version": module.VERSION, "cells": 1, "terms": 1, "gaussians": 1}
     said |= {

@@ -228,12 +228,12 @@ def test_no_byte_can_change_unnoticed(tmp_path: Path) -> None:
 
 def test_other_versions_and_foreign_metadata(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     w = world(tmp_path)
-    monkeypatch.setattr("gsvis.prepare.active_terms.VERSION", 2)
+    monkeypatch.setattr("gsvis.package.active_terms.VERSION", 2)
     w.build().close()
     monkeypatch.undo()
     with pytest.raises(FormatError, match="version: expected 1, got 2; update gsvis"):
         ActiveTerms.open(w.path)
-    monkeypatch.setattr("gsvis.prepare.active_terms.FORMAT", "gsvis visible sets")
+    monkeypatch.setattr("gsvis.package.active_terms.FORMAT", "gsvis visible sets")
     w.build().close()
     monkeypatch.undo()
     with pytest.raises(FormatError, match="format: expected 'gsvis active terms'"):
