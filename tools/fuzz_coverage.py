@@ -60,7 +60,7 @@ APART = {
         "gsvis.pvs.codec:encode_classes",
         "gsvis.pvs.codec:encode_labels",
         "gsvis.pvs.codec:encode_set",
-        "gsvis.pvs._container:ContainerWriter",
+        "gsvis.files.sections:SectionWriter",
         "gsvis.pvs._journal:Journal.keep",
         "gsvis.pvs._journal:Journal.remove",
         "gsvis.pvs._journal:pack_view",

@@ -219,7 +219,7 @@ TARGETS = [
         lambda: [{"a.pvs": both_stores()[0]}],
         in_visibility,
         kinds={"a.pvs": "pvs"},
-        modules=(PVS + "store", PVS + "_container", PVS + "codec"),
+        modules=(PVS + "store", FILES + "sections", PVS + "codec"),
         weight=1.5,
     ),
     Target(

@@ -9,6 +9,7 @@ import os
 import threading
 import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from gsvis.files.archive import load_arrays
 from gsvis.files.fields import parse_json, parsed_bytes
 from gsvis.files.kept import Kept
 from gsvis.files.limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
+from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.io.cameras import load_cameras
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.levels import load_levels
@@ -32,9 +34,8 @@ from gsvis.io.poses import load_path
 from gsvis.io.scenes import load_scene
 from gsvis.package import Package
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.pvs._container import HEAD_BYTES, ContainerWriter
 from gsvis.pvs._journal import Journal
-from gsvis.pvs._writer import FORMAT
+from gsvis.pvs._writer import FILE_KIND, FORMAT
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report.staircase import load_staircase_result
 from gsvis.serve.parts import read_part
@@ -140,7 +141,6 @@ def test_devices_and_folders_are_refused(tmp_path: Path) -> None:
 # Where a file is opened for reading by other means, and why that is no door: file of the package, or call.
 OPENED_OTHERWISE = {
     "files/arrow.py": "memory_map",  # opened as a regular file before
-    "package/active_terms.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
     "pvs/_work.py": "memmap",  # what this run wrote for its workers
@@ -369,7 +369,7 @@ def store_of(path: Path, gaussians: int, cells: int) -> Path:
     grid = {"cells": cells, "origin": [0, 0, 0], "cell_size": 1.0, "shape": [1, 1, 1], "up": [0, 0, 1]}
     header = {"format": FORMAT, "scene": "0", "gaussians": gaussians, "tau": 0.5, "class_edges": [0.5]}
     with path.open("wb") as file:
-        writer = ContainerWriter(file)
+        writer = SectionWriter(file, FILE_KIND)
         writer.append(b"x")
         writer.close_section("coords")
         writer.finish(header | {"config": {}, "grid": grid})
@@ -398,7 +398,7 @@ def test_a_group_of_terms_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> 
         "sets": "",
     }
     text = json.dumps(said).encode()
-    schema = module._SCHEMA.with_metadata({b"gsvis": text, b"gsvis-crc32": module._crc_text(text)})
+    schema = module._SCHEMA.with_metadata({b"gsvis": text, b"gsvis-crc32": b"%08x" % zlib.crc32(text)})
     path = tmp_path / "a.terms.arrow"
     columns = [[0], [0], [0], [0], [bytes(MIN_BUDGET + (16 << 20))]]
     arrays = [pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
