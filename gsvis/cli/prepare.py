@@ -52,7 +52,7 @@ def run_prepare(command: Prepare) -> None:
         status("space", 0, 1)
         space = free_space(source, command.box, command.up)
         status("space", 1, 1)
-        work = WorkFolder(command.out).path
+        work = WorkFolder(command.out).folder
         if work.exists():
             status.line(f"what {work.name} keeps is taken from there, as far as it fits")
         about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}

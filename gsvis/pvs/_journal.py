@@ -1,55 +1,36 @@
-"""The journal of a build: one small file for each finished cell, so that a killed build goes on where it stood.
-
-It is a folder beside the result, named after the plan, so that builds of different plans never meet in one. A file
-that is damaged or half-written counts as missing.
-"""
+"""What cells see as bytes: as workers send it and as a build keeps it until its store is whole."""
 
 from __future__ import annotations
 
-import json
-import shutil
 import struct
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zstandard
 
-from gsvis.errors import FormatError
-from gsvis.files.atomic import atomic_path, remove_all_partials
-from gsvis.files.limits import MAX_EXPANSION, MIN_BUDGET, read_whole
-from gsvis.files.locks import locked
+from gsvis.files.limits import MAX_EXPANSION, MIN_BUDGET
+from gsvis.files.resume import KeptWork
 from gsvis.pvs.codec import CodecError, decompress
 from gsvis.pvs.config import CellView
 
-__all__ = ["Journal", "pack_view", "unpack_view"]
+__all__ = ["entry_of", "kept_cells", "kept_view", "pack_view", "unpack_view"]
 
-_HEAD = struct.Struct("<4sIIIf")
-_MAGIC = b"gvc2"  # gvc1 had a checksum of the packed bytes alone
-_CHECKED = 8  # from this byte on, all of it is under the checksum
+_HEAD = struct.Struct("<IIf")
 
 
 def pack_view(view: CellView) -> bytes:
-    """What one cell sees, as bytes that `unpack_view` can check."""
+    """Return what one cell sees as bytes that `unpack_view` reads."""
     deltas = np.diff(view.ids, prepend=np.int32(0)).astype("<i4")
     body = deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + view.classes.tobytes() + view.directions.T.tobytes()
     packed = zstandard.ZstdCompressor(level=1).compress(body)
-    data = bytearray(_HEAD.pack(_MAGIC, 0, len(view.ids), view.viewpoints, view.growth) + packed)
-    struct.pack_into("<I", data, 4, zlib.crc32(data[_CHECKED:]))
-    return bytes(data)
+    return _HEAD.pack(len(view.ids), view.viewpoints, view.growth) + packed
 
 
 def unpack_view(data: bytes) -> CellView | None:
-    """What was packed; None if the bytes are damaged."""
+    """Return what was packed; None if the bytes are none of a view."""
     if len(data) < _HEAD.size:
         return None
-    magic, check, count, viewpoints, growth = _HEAD.unpack_from(data)
+    count, viewpoints, growth = _HEAD.unpack_from(data)
     packed = data[_HEAD.size :]
-    if magic != _MAGIC or zlib.crc32(data[_CHECKED:]) != check:
-        return None
     try:
         if 15 * count > MIN_BUDGET + MAX_EXPANSION * len(data):  # promises more than such a file can hold
             return None
@@ -64,62 +45,18 @@ def unpack_view(data: bytes) -> CellView | None:
     return CellView(ids.astype(np.int32), body[4 * count : 5 * count].copy(), directions, viewpoints, growth)
 
 
-class Journal:
-    """Finished cells of one plan.
+def entry_of(cell: int) -> str:
+    """Return the name under which the view of a cell is kept."""
+    return f"cell-{cell:06d}.bin"
 
-    Args:
-        folder: Where they are kept; there may be none yet.
-        plan: What is being built, written there for people to read.
-    """
 
-    def __init__(self, folder: Path, plan: dict[str, Any]) -> None:
-        self.folder, self._plan = folder, plan
+def kept_view(work: KeptWork, cell: int) -> CellView | None:
+    """Return the view of a cell, if it was kept and is whole."""
+    data = work.read(entry_of(cell))
+    return None if data is None else unpack_view(data)
 
-    @contextmanager
-    def opened(self) -> Iterator[None]:
-        """The folder made and kept from other processes; it goes with the last cell in it, or if it never had one.
 
-        Raises:
-            ValueError: If another process builds the same.
-            OSError: If the folder cannot be written.
-        """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / "lock").open("a+") as lock:
-            if not locked(lock):
-                raise ValueError(
-                    f"path: expected a build that no other process is busy with, got one that is, in {self.folder};"
-                    " wait for it or stop it"
-                )
-            try:
-                remove_all_partials(self.folder)  # of a build that was killed
-                if not (self.folder / "plan.json").exists():
-                    with atomic_path(self.folder / "plan.json", sweep=False) as partial:
-                        partial.write_text(json.dumps(self._plan, indent=1) + "\n", encoding="utf-8")
-                yield
-            finally:
-                if not any(self.folder.glob("cell-*.bin")):
-                    self.remove()
-
-    def keep(self, cell: int, data: bytes) -> None:
-        """Keep the packed view of a cell."""
-        with atomic_path(self._path(cell), sweep=False) as partial:  # to list all cells for each takes too long
-            partial.write_bytes(data)
-
-    def view(self, cell: int) -> CellView | None:
-        """The view of a cell, if it was kept and is whole."""
-        try:
-            return unpack_view(read_whole(self._path(cell)))
-        except (FileNotFoundError, FormatError):
-            return None
-
-    def finished(self, count: int) -> list[int]:
-        """Those of the first `count` cells that were kept and are whole."""
-        kept = {path.name for path in self.folder.glob("cell-*.bin")} if self.folder.is_dir() else ()
-        return [cell for cell in range(count) if self._path(cell).name in kept and self.view(cell) is not None]
-
-    def remove(self) -> None:
-        """Delete the journal."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _path(self, cell: int) -> Path:
-        return self.folder / f"cell-{cell:06d}.bin"
+def kept_cells(work: KeptWork, count: int) -> list[int]:
+    """Return those of the first `count` cells that were kept and are whole."""
+    names = work.names()
+    return [cell for cell in range(count) if entry_of(cell) in names and kept_view(work, cell) is not None]

@@ -11,7 +11,6 @@ References:
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
@@ -34,7 +33,10 @@ from gsvis.train.importance import prune
 from gsvis.train.merge import merged
 from gsvis.train.trainer import TrainConfig, train
 
-__all__ = ["LevelsConfig", "TrainedLevels", "train_levels"]
+__all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "train_levels"]
+
+SUBSETS = "subsets.npz"
+"""Name of the file of the chosen subsets in a folder of unfinished work."""
 
 Mask = NDArray[np.bool_]
 
@@ -252,32 +254,26 @@ def _subsets(
 
     if work is None:
         return dict(zip(counts, chosen(), strict=True))
-    path = Path(work) / "subsets.npz"
     shape = cameras.width, cameras.height
     rules = [scene_hash(scene), counts, config.prune_share, looks, shape]
-    digest = hashlib.sha256(json.dumps(rules).encode())
+    digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)
-    key = digest.hexdigest()
-    if path.exists():
+    kept = KeptWork(work, {"rules": rules, "views": digest.hexdigest()}, argument="work")
+    found = kept.read_own(SUBSETS)
+    if found is not None:
         try:
-            archive = load_arrays(path)
-            found, packed = archive["key"].tobytes().decode(), archive["masks"]
-            bits = np.unpackbits(packed, axis=1, count=len(scene)).astype(bool)
-            if found == key and bits.sum(axis=1).tolist() != counts:
+            bits = np.unpackbits(found["masks"], axis=1, count=len(scene)).astype(bool)
+            if bits.sum(axis=1).tolist() != counts:
                 raise ValueError("masks of other sizes")
-        except (FormatError, KeyError, TypeError, ValueError) as error:
-            told = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
-            raise FormatError(path, "", "the chosen subsets", told, "delete it to choose anew") from error
-        if found != key:
-            raise ValueError(
-                f"work: expected {os.fspath(work)} to be of the same scene, views and sizes, got another run's; "
-                "delete it to begin anew, or name another folder"
-            )
+        except (LookupError, TypeError, ValueError) as error:
+            got = f"{type(error).__name__}: {error}"
+            raise FormatError(
+                kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to begin anew"
+            ) from error
         return dict(zip(counts, bits, strict=True))
     masks = chosen()
-    packed = np.packbits(np.stack(masks), axis=1)
-    save_arrays(path, {"key": np.frombuffer(key.encode(), np.uint8), "masks": packed})
+    kept.keep_own(SUBSETS, {"masks": np.packbits(np.stack(masks), axis=1)})
     return dict(zip(counts, masks, strict=True))
 
 

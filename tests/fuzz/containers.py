@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from gsvis.errors import FormatError
 from gsvis.files import arrow as _arrow
+from gsvis.files.resume import seal
 from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.package.active_terms import _CRC
 from gsvis.pvs._writer import CELL_ROW, FILE_KIND
@@ -329,8 +330,7 @@ def change_journal(rng: Random, data: bytes) -> bytes:
         struct.pack_into("<I", head, 8, rng.choice((0, 1, 255, 1 << 20, (1 << 28) + 1, (1 << 32) - 1)))
     else:
         packed = change_zstd(rng, packed)
-    struct.pack_into("<I", head, 4, zlib.crc32(packed))
-    return bytes(head) + packed
+    return seal(bytes(head[8:]) + packed)
 
 
 KINDS.update(

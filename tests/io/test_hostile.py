@@ -23,8 +23,8 @@ from gsvis.color.storage import load_srbf
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays
 from gsvis.files.fields import parse_json, parsed_bytes
-from gsvis.files.kept import Kept
 from gsvis.files.limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
+from gsvis.files.resume import KeptWork
 from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.io.cameras import load_cameras
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
@@ -34,7 +34,6 @@ from gsvis.io.poses import load_path
 from gsvis.io.scenes import load_scene
 from gsvis.package import Package
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.pvs._journal import Journal
 from gsvis.pvs._writer import FILE_KIND, FORMAT
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report.staircase import load_staircase_result
@@ -115,12 +114,11 @@ def test_a_pipe_among_the_files_of_a_scene_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_pipe_in_place_of_what_was_kept_counts_as_missing(tmp_path: Path) -> None:
-    kept = Kept(tmp_path / "out", {})
-    assert kept.path is not None
-    os.mkfifo(kept.path)
-    assert finish(lambda: kept.load({})) == {}
+    kept = KeptWork(tmp_path, {})
+    os.mkfifo(tmp_path / "found.npz")
+    assert finish(lambda: kept.read_arrays("found.npz", {})) == {}
     os.mkfifo(tmp_path / "cell-000000.bin")
-    assert finish(lambda: Journal(tmp_path, {}).view(0)) is None
+    assert finish(lambda: kept.read("cell-000000.bin")) is None
 
 
 def test_devices_and_folders_are_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The journal: what is packed comes back, what is damaged is not believed."""
+"""The work: what is packed comes back, what is damaged is not believed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.files.atomic import _host, atomic_path
-from gsvis.pvs._journal import Journal, pack_view, unpack_view
+from gsvis.files.resume import KeptWork, seal, unseal
+from gsvis.pvs._journal import entry_of, kept_cells, kept_view, pack_view, unpack_view
 from gsvis.pvs.config import CellView
 
 
@@ -38,6 +39,15 @@ def same(a: CellView | None, b: CellView) -> bool:
     )
 
 
+def kept_bytes(view: CellView) -> bytes:
+    return seal(pack_view(view))
+
+
+def unkept(data: bytes) -> CellView | None:
+    body = unseal(data)
+    return None if body is None else unpack_view(body)
+
+
 @given(VIEWS)
 def test_what_is_packed_comes_back(view: CellView) -> None:
     assert same(unpack_view(pack_view(view)), view)
@@ -46,68 +56,68 @@ def test_what_is_packed_comes_back(view: CellView) -> None:
 
 @given(VIEWS, st.data())
 def test_a_changed_byte_or_a_cut_is_noticed(view: CellView, data: st.DataObject) -> None:
-    packed = pack_view(view)
+    packed = kept_bytes(view)
     place = data.draw(st.integers(0, len(packed) - 1))
     changed = bytearray(packed)
     changed[place] ^= 1 << data.draw(st.integers(0, 7))
-    found = unpack_view(bytes(changed))
+    found = unkept(bytes(changed))
     assert found is None
-    assert unpack_view(packed[:place]) is None
-    assert unpack_view(packed + b"x") is None
+    assert unkept(packed[:place]) is None
+    assert unkept(packed + b"x") is None
 
 
 @given(st.binary(max_size=100))
 def test_other_bytes_are_no_view(data: bytes) -> None:
-    assert unpack_view(data) is None
+    assert unkept(data) is None
 
 
-def test_cells_are_kept_until_the_journal_goes(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "deep" / "j", {"what": "a test"})
-    assert journal.finished(9) == []
-    assert not journal.folder.exists()
-    with journal.opened():
+def test_cells_are_kept_until_the_work_goes(tmp_path: Path) -> None:
+    work = KeptWork(tmp_path / "deep" / "j", {"what": "a test"})
+    assert kept_cells(work, 9) == []
+    assert not work.folder.exists()
+    with work.opened():
         for cell in (0, 3, 7):
-            journal.keep(cell, pack_view(some_view(cell)))
-        with pytest.raises(ValueError, match="no other process"), Journal(journal.folder, {}).opened():
+            work.keep(entry_of(cell), pack_view(some_view(cell)))
+        with pytest.raises(ValueError, match="no other process"), KeptWork(work.folder, {}).opened():
             raise AssertionError("not reached")
-    assert journal.finished(9) == [0, 3, 7]
-    assert journal.finished(5) == [0, 3]
-    assert same(journal.view(3), some_view(3))
-    assert journal.view(1) is None
-    assert json.loads((journal.folder / "plan.json").read_text()) == {"what": "a test"}
-    (journal.folder / "cell-000003.bin").write_bytes(b"")
-    assert journal.finished(9) == [0, 7]
-    journal.remove()
-    assert not journal.folder.exists()
+    assert kept_cells(work, 9) == [0, 3, 7]
+    assert kept_cells(work, 5) == [0, 3]
+    assert same(kept_view(work, 3), some_view(3))
+    assert kept_view(work, 1) is None
+    assert json.loads((work.folder / "plan.json").read_text()) == {"what": "a test"}
+    (work.folder / "cell-000003.bin").write_bytes(b"")
+    assert kept_cells(work, 9) == [0, 7]
+    work.remove()
+    assert not work.folder.exists()
 
 
 def test_what_a_killed_build_left_goes_once_and_cells_are_not_listed_for_each(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    journal = Journal(tmp_path / "j", {})
-    journal.folder.mkdir()
-    left = journal.folder / f".cell-000001.gsvis-{_host()}01234567.bin"
+    work = KeptWork(tmp_path / "j", {})
+    work.folder.mkdir()
+    left = work.folder / f".cell-000001.gsvis-{_host()}01234567.bin"
     left.write_bytes(b"half")
-    (journal.folder / ".mine").write_text("somebody's")
-    with atomic_path(journal.folder / "cell-000002.bin") as live:
+    (work.folder / ".mine").write_text("somebody's")
+    with atomic_path(work.folder / "cell-000002.bin") as live:
         live.write_bytes(b"")
-        with journal.opened():
+        with work.opened():
             assert live.exists()
             assert left.exists() == (os.name != "posix")
             with monkeypatch.context() as patched:
                 patched.delattr("gsvis.files.atomic.os.listdir")
-                journal.keep(0, pack_view(some_view(0)))
-    assert (journal.folder / ".mine").exists()
-    assert journal.finished(3) == [0]
+                work.keep(entry_of(0), pack_view(some_view(0)))
+    assert (work.folder / ".mine").exists()
+    assert kept_cells(work, 3) == [0]
 
 
 def test_every_flipped_bit_and_every_cut_counts_as_missing() -> None:
-    packed = pack_view(some_view(3))
+    packed = kept_bytes(some_view(3))
     for bit in range(8 * len(packed)):
         changed = bytearray(packed)
         changed[bit >> 3] ^= 1 << (bit & 7)
-        assert unpack_view(bytes(changed)) is None
-    assert all(unpack_view(packed[:length]) is None for length in range(len(packed)))
+        assert unkept(bytes(changed)) is None
+    assert all(unkept(packed[:length]) is None for length in range(len(packed)))
 
 
 def forged(count: int, packed: bytes) -> bytes:
@@ -123,7 +133,7 @@ def view_bytes(ids: list[int]) -> bytes:
 
 
 def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
-    good = unpack_view(forged(3, view_bytes([4, 5, 9])))
+    good = unkept(forged(3, view_bytes([4, 5, 9])))
     assert good is not None
     assert good.ids.tolist() == [4, 5, 9]
     for count, packed in (
@@ -134,4 +144,4 @@ def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
         (3, view_bytes([-4, 5, 9])),
         (0xFFFFFFFF, view_bytes([4, 5, 9])),
     ):
-        assert unpack_view(forged(count, packed)) is None
+        assert unkept(forged(count, packed)) is None
