@@ -11,7 +11,7 @@ import pytest
 import gsvis.prepare.colors as colors_module
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
-from gsvis.prepare.colors import ColorConfig, kept_beside, prepare_colors
+from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
 from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
 from gsvis.pvs.cells import CellGrid
@@ -91,7 +91,7 @@ def test_a_single_level_is_the_scene_to_the_byte(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(plain, name), getattr(single, name))
     for name in ("base", "offsets", "centers", "decays", "intensities"):
         np.testing.assert_array_equal(getattr(plain.fit.colors, name), getattr(single.fit.colors, name))
-    one, other = (kept_beside(each, space, QUICK, "x") for each in (g, Levels.single(g)))
+    one, other = (find_kept(each, space, QUICK, "x") for each in (g, Levels.single(g)))
     assert one is not None
     assert other is not None
     assert one.folder == other.folder
@@ -137,7 +137,7 @@ def test_a_build_of_other_levels_is_another_build() -> None:
         Levels(levels.union, levels.first, levels.last, ("a", "b", "c")),
     ]
     assert len({journal_of(each, grid, space, "x.pvs", CONFIG) for each in others}) == len(others)
-    kept = [kept_beside(each, space, QUICK, "x.arrow") for each in others]
+    kept = [find_kept(each, space, QUICK, "x.arrow") for each in others]
     assert len({work.folder for work in kept if work is not None}) == len(others)
 
 
