@@ -41,6 +41,8 @@ def write_arrow(
     fields: Iterable[pa.Field],
     header: Mapping[str, Any],
     batches: Iterable[pa.RecordBatch],
+    *,
+    sweep: bool = True,
 ) -> None:
     """Write batches as they come, compressed with zstd, whole or not at all.
 
@@ -49,11 +51,12 @@ def write_arrow(
         fields: Of the schema that all batches have.
         header: What JSON can say; holds `format` and `version`.
         batches: Kept in memory one at a time.
+        sweep: As in `atomic_path`.
     """
     text = json.dumps(dict(header), separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
     schema = pa.schema(fields, metadata={_HEADER: text, _CHECKSUM: _MARK + b"0" * _DIGITS + b'"}'})
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
-    with atomic_path(path) as partial:
+    with atomic_path(path, sweep=sweep) as partial:
         with pa.OSFile(os.fspath(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
             for batch in batches:
                 writer.write_batch(batch.replace_schema_metadata(schema.metadata))

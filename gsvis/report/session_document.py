@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
-from gsvis.report.files import write_files
+from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.session_page import session_page
@@ -142,7 +142,7 @@ def write_session_report(
     document = session_document(simulation)
     figures = _figures(simulation, progress)
     folder = _check.path("folder", folder)
-    with atomic_folder(folder) as partial_folder:
+    with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(
             partial_folder, figures.values(), document, session_page(simulation, document, figures), simulation.seconds
         )

@@ -119,7 +119,7 @@ def test_a_pipe_in_place_of_what_was_kept_counts_as_missing(tmp_path: Path) -> N
     os.mkfifo(kept.path)
     assert finish(lambda: kept.load({})) == {}
     os.mkfifo(tmp_path / "cell-000000.bin")
-    assert finish(lambda: Journal(tmp_path, {}).view(0)) is None
+    assert finish(lambda: Journal(tmp_path, {}, 9).view(0)) is None
 
 
 def test_devices_and_folders_are_refused(tmp_path: Path) -> None:
