@@ -20,7 +20,7 @@ import zstandard
 
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path, remove_all_partials
-from gsvis.files.limits import MAX_EXPANSION, MIN_BUDGET, read_whole
+from gsvis.files.limits import read_whole
 from gsvis.files.locks import locked
 from gsvis.pvs.codec import CodecError, decompress
 from gsvis.pvs.config import CellView
@@ -29,6 +29,9 @@ __all__ = ["Journal", "pack_view", "unpack_view"]
 
 _HEAD = struct.Struct("<4sIIIf")
 _MAGIC = b"gvc2"  # gvc1 had a checksum of the packed bytes alone
+_BYTES = 15  # a Gaussian: what changes from the id before, its class and the directions that it is seen from
+_MOST_PACKED = _BYTES + 1  # bytes a Gaussian that a file may have: zstd adds little to what it cannot compress
+_FREE = 1 << 12
 _CHECKED = 8  # from this byte on, all of it is under the checksum
 
 
@@ -42,24 +45,30 @@ def pack_view(view: CellView) -> bytes:
     return bytes(data)
 
 
-def unpack_view(data: bytes) -> CellView | None:
-    """What was packed; None if the bytes are damaged."""
+def unpack_view(data: bytes, gaussians: int) -> CellView | None:
+    """What was packed; None if the bytes are damaged.
+
+    Args:
+        data: Of `pack_view`.
+        gaussians: Of the scene. A view of more of them, or of one that is not among them, is damaged; so memory is
+            bounded by the size of the scene, and a cell may see all of it.
+    """
     if len(data) < _HEAD.size:
         return None
     magic, check, count, viewpoints, growth = _HEAD.unpack_from(data)
     packed = data[_HEAD.size :]
     if magic != _MAGIC or zlib.crc32(data[_CHECKED:]) != check:
         return None
+    if count > gaussians:
+        return None
     try:
-        if 15 * count > MIN_BUDGET + MAX_EXPANSION * len(data):  # promises more than such a file can hold
-            return None
-        body = np.frombuffer(decompress(packed, 15 * count), np.uint8)
+        body = np.frombuffer(decompress(packed, _BYTES * count), np.uint8)
     except CodecError:
         return None
     deltas = np.ascontiguousarray(body[: 4 * count].reshape(4, count).T).view("<i4")[:, 0]
     directions = np.ascontiguousarray(body[5 * count :].reshape(10, count).T)
     ids = np.cumsum(deltas, dtype=np.int64)
-    if count and (ids[0] < 0 or ids[-1] >= 1 << 31 or (deltas[1:] <= 0).any()):
+    if count and (ids[0] < 0 or ids[-1] >= gaussians or (deltas[1:] <= 0).any()):
         return None
     return CellView(ids.astype(np.int32), body[4 * count : 5 * count].copy(), directions, viewpoints, growth)
 
@@ -70,10 +79,11 @@ class Journal:
     Args:
         folder: Where they are kept; there may be none yet.
         plan: What is being built, written there for people to read.
+        gaussians: Of the scene; what says that a cell sees more is damaged.
     """
 
-    def __init__(self, folder: Path, plan: dict[str, Any]) -> None:
-        self.folder, self._plan = folder, plan
+    def __init__(self, folder: Path, plan: dict[str, Any], gaussians: int) -> None:
+        self.folder, self._plan, self._gaussians = folder, plan, gaussians
 
     @contextmanager
     def opened(self) -> Iterator[None]:
@@ -108,7 +118,8 @@ class Journal:
     def view(self, cell: int) -> CellView | None:
         """The view of a cell, if it was kept and is whole."""
         try:
-            return unpack_view(read_whole(self._path(cell)))
+            data = read_whole(self._path(cell), _HEAD.size + _MOST_PACKED * self._gaussians + _FREE)
+            return unpack_view(data, self._gaussians)
         except (FileNotFoundError, FormatError):
             return None
 

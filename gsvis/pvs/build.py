@@ -150,7 +150,7 @@ def build_pvs(
     count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
     target, plan = _check.path("path", path), _plan(levels, grid, space, config)
-    journal = Journal(_folder_of(target, plan), plan)
+    journal = Journal(_folder_of(target, plan), plan, len(levels.union))
     try:
         with journal.opened():
             finished = journal.finished(len(grid))
@@ -206,7 +206,8 @@ def estimate_pvs(
     viewpoints = CellViewpoints(grid, space)
     _check.positive_int("sample", sample)
     plan = _plan(levels, grid, space, config)
-    finished = len(Journal(_folder_of(_check.path("path", path), plan), plan).finished(len(grid)))
+    journal = Journal(_folder_of(_check.path("path", path), plan), plan, len(levels.union))
+    finished = len(journal.finished(len(grid)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
     scene = SceneArrays.of(_key(plan), levels, config)
     scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -17,6 +18,9 @@ from hypothesis import strategies as st
 from gsvis.files.atomic import _host, atomic_path
 from gsvis.pvs._journal import Journal, pack_view, unpack_view
 from gsvis.pvs.config import CellView
+
+N = 400
+"""Gaussians of the scene."""
 
 
 def some_view(seed: int) -> CellView:
@@ -40,7 +44,7 @@ def same(a: CellView | None, b: CellView) -> bool:
 
 @given(VIEWS)
 def test_what_is_packed_comes_back(view: CellView) -> None:
-    assert same(unpack_view(pack_view(view)), view)
+    assert same(unpack_view(pack_view(view), N), view)
     assert pack_view(view) == pack_view(view)
 
 
@@ -50,25 +54,25 @@ def test_a_changed_byte_or_a_cut_is_noticed(view: CellView, data: st.DataObject)
     place = data.draw(st.integers(0, len(packed) - 1))
     changed = bytearray(packed)
     changed[place] ^= 1 << data.draw(st.integers(0, 7))
-    found = unpack_view(bytes(changed))
+    found = unpack_view(bytes(changed), N)
     assert found is None
-    assert unpack_view(packed[:place]) is None
-    assert unpack_view(packed + b"x") is None
+    assert unpack_view(packed[:place], N) is None
+    assert unpack_view(packed + b"x", N) is None
 
 
 @given(st.binary(max_size=100))
 def test_other_bytes_are_no_view(data: bytes) -> None:
-    assert unpack_view(data) is None
+    assert unpack_view(data, N) is None
 
 
 def test_cells_are_kept_until_the_journal_goes(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "deep" / "j", {"what": "a test"})
+    journal = Journal(tmp_path / "deep" / "j", {"what": "a test"}, N)
     assert journal.finished(9) == []
     assert not journal.folder.exists()
     with journal.opened():
         for cell in (0, 3, 7):
             journal.keep(cell, pack_view(some_view(cell)))
-        with pytest.raises(ValueError, match="no other process"), Journal(journal.folder, {}).opened():
+        with pytest.raises(ValueError, match="no other process"), Journal(journal.folder, {}, N).opened():
             raise AssertionError("not reached")
     assert journal.finished(9) == [0, 3, 7]
     assert journal.finished(5) == [0, 3]
@@ -84,7 +88,7 @@ def test_cells_are_kept_until_the_journal_goes(tmp_path: Path) -> None:
 def test_what_a_killed_build_left_goes_once_and_cells_are_not_listed_for_each(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    journal = Journal(tmp_path / "j", {})
+    journal = Journal(tmp_path / "j", {}, N)
     journal.folder.mkdir()
     left = journal.folder / f".cell-000001.gsvis-{_host()}01234567.bin"
     left.write_bytes(b"half")
@@ -106,8 +110,8 @@ def test_every_flipped_bit_and_every_cut_counts_as_missing() -> None:
     for bit in range(8 * len(packed)):
         changed = bytearray(packed)
         changed[bit >> 3] ^= 1 << (bit & 7)
-        assert unpack_view(bytes(changed)) is None
-    assert all(unpack_view(packed[:length]) is None for length in range(len(packed)))
+        assert unpack_view(bytes(changed), N) is None
+    assert all(unpack_view(packed[:length], N) is None for length in range(len(packed)))
 
 
 def forged(count: int, packed: bytes) -> bytes:
@@ -123,7 +127,7 @@ def view_bytes(ids: list[int]) -> bytes:
 
 
 def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
-    good = unpack_view(forged(3, view_bytes([4, 5, 9])))
+    good = unpack_view(forged(3, view_bytes([4, 5, 9])), N)
     assert good is not None
     assert good.ids.tolist() == [4, 5, 9]
     for count, packed in (
@@ -134,4 +138,33 @@ def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
         (3, view_bytes([-4, 5, 9])),
         (0xFFFFFFFF, view_bytes([4, 5, 9])),
     ):
-        assert unpack_view(forged(count, packed)) is None
+        assert unpack_view(forged(count, packed), N) is None
+    assert unpack_view(forged(3, view_bytes([4, 5, 9])), 10) is not None
+    assert unpack_view(forged(3, view_bytes([4, 5, 9])), 9) is None  # there is no Gaussian 9
+    assert unpack_view(forged(3, view_bytes([0, 1, 2])), 2) is None
+
+
+def test_a_cell_may_see_all_of_a_large_scene(tmp_path: Path) -> None:
+    count = 5_000_000  # 75 MB, of which zstd makes a few kB
+    ids = np.arange(count, dtype=np.int32)
+    view = CellView(ids, np.zeros(count, np.uint8), np.full((count, 10), 255, np.uint8), 9, 0.5)
+    journal = Journal(tmp_path / "j", {}, count)
+    journal.folder.mkdir()
+    journal.keep(0, pack_view(view))
+    found = journal.view(0)
+    assert found is not None
+    assert np.array_equal(found.ids, ids)
+    assert found.directions[-1].tolist() == [255] * 10
+
+
+def test_what_a_file_promises_takes_no_more_memory_than_the_scene(tmp_path: Path) -> None:
+    bomb = zstandard.ZstdCompressor().compress(bytes(15 << 24))
+    journal = Journal(tmp_path, {}, 1000)
+    (tmp_path / "cell-000000.bin").write_bytes(forged(1 << 24, bomb))
+    (tmp_path / "cell-000001.bin").write_bytes(pack_view(some_view(1)) + bytes(1 << 24))
+    tracemalloc.start()
+    assert journal.view(0) is None
+    assert journal.view(1) is None
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1 << 20
