@@ -17,7 +17,8 @@ Settings of the scheduler were chosen on the walks of other people (TUNING), nev
 Given: packages of showroom and nika, recorded links and one of 10 Mbit/s, eight walks brought into the scenes by a
     similarity.
 Measured: PSNR, latency and QoE of a viewer for each way to deliver; by class of link, since most recorded links are too
-    slow for a whole file.
+    slow for a whole file. A view in which the full scene shows nothing is left out of all of them, of the mean curves
+    too: each step is the mean over the walks that see something then.
 Defaults chosen on: four other walks, on the same scenes and with one of the links.
 """
 
@@ -72,6 +73,8 @@ STEADY = 10.0  # Mbit/s
 ROUND_TRIP = 0.04
 OURS, WHOLE, MORTON = "gsvis", "whole file", "Morton order"
 SEED = 7
+SEEN = ("psnr", "latency", "qoe")
+"""Curves that judge an image, so that they mean something only where the full scene shows something."""
 
 
 def main() -> None:
@@ -335,14 +338,26 @@ def compared(name: str, rows: list[dict[str, Any]], details: dict[str, Any]) -> 
 
 
 def mean_curves(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Curves at 10 Mbit/s, means over the walks."""
+    """Curves at 10 Mbit/s, means over the walks at each step.
+
+    What is judged by an image (SEEN) is the mean over the walks whose view has content at that step, and None where
+    no view has: a black view of nothing says nothing of a system. What has arrived is the mean over all walks.
+    `content` becomes the number of walks whose view has content.
+    """
     out = {}
     for system in (OURS, WHOLE, MORTON):
-        some = chosen([row for row in rows if row["scene"] == name], system, True)
-        out[system] = {
-            key: np.round(np.mean([row["curves"][key] for row in some], axis=0), 5).tolist()
-            for key in some[0]["curves"]
-        }
+        some = [row["curves"] for row in chosen([row for row in rows if row["scene"] == name], system, True)]
+        content = np.array([curves["content"] for curves in some], bool)
+        counts = content.sum(axis=0)
+        out[system] = {"content": counts.tolist()}
+        for key in some[0].keys() - {"content"}:
+            curves = np.array([row[key] for row in some], np.float64)
+            if key in SEEN:
+                sums = np.where(content, curves, 0.0).sum(axis=0)
+                means = [s / n if n else None for s, n in zip(sums.tolist(), counts.tolist(), strict=True)]
+            else:
+                means = curves.mean(axis=0).tolist()
+            out[system][key] = [None if mean is None else round(mean, 5) for mean in means]
     return out
 
 
