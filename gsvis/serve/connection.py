@@ -166,8 +166,7 @@ class Connection:
             await self._greet()
             loops = [asyncio.create_task(loop) for loop in (self._listen(), self._talk(), self._leave_seat())]
             done, _ = await asyncio.wait(loops, return_when=asyncio.FIRST_COMPLETED)
-            for task in sorted(done, key=loops.index):
-                task.result()
+            min(done, key=loops.index).result()  # raises: none of them ends otherwise
         except GoneError as gone:
             self.reason = str(gone) or "lost"
         except Exception as error:

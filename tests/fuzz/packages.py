@@ -10,8 +10,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pytest
 
-from gsvis.errors import FormatError
+from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.unpack import unpack_levels
@@ -50,6 +51,11 @@ def in_manifest(folder: Path, case: Case) -> None:
 def in_package(folder: Path, case: Case) -> None:
     with Package.open(folder) as package:
         package.verify()
+        some = np.arange(0, len(package), 7)
+        assert len(package.contents.gaussians(some)) == len(some)
+        if package.manifest.visibility is None:
+            with pytest.raises(SceneError, match="prepare it with visibility"):
+                _ = package.visibility
         levels = unpack_levels(package, sh_degree=0)
         assert np.isfinite(levels.union.means).all()
         scene = StreamedScene.open(package)

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
@@ -32,6 +33,8 @@ from tests.train.photo_files import cameras, cloud, pictures
 __all__ = ["TARGETS"]
 
 N, CELLS = 70, 6
+SEEN = 40
+"""Gaussians of the scene of a journal."""
 
 
 def level_folders() -> list[Case]:
@@ -95,7 +98,13 @@ def in_visibility(folder: Path, case: Case) -> None:
         assert store.direction_sets.shape == (store.gaussians, 10)
         store.ever_visible()
         store.sizes()
-        store.distance_to_visibility(0)
+        near = store.distance_to_visibility(0, within=0.0)
+        assert (store.distance_to_visibility(0) <= near).all()
+        assert np.isin(near, (0.0, np.inf)).all()
+        with pytest.raises(ValueError, match="within"):
+            store.distance_to_visibility(0, within=-1.0)
+    with pytest.raises(ValueError, match="closed"):
+        store.verify()
 
 
 def in_terms(folder: Path, case: Case) -> None:
@@ -105,6 +114,10 @@ def in_terms(folder: Path, case: Case) -> None:
         ids = store.active_ids(0)
         assert not len(ids) or ids[-1] < store.info.terms
         store.share(0)
+        with pytest.raises(ValueError, match="cell"):
+            store.share(len(store))
+    with pytest.raises(ValueError, match="closed"):
+        store.active_ids(1)
 
 
 def kept_files() -> list[Case]:
@@ -120,6 +133,7 @@ LIKE = {"sets": ((12, 10), np.uint8), "weights": ((5,), np.float64), "done": (()
 
 
 def in_kept(folder: Path, case: Case) -> None:
+    assert Kept(None, {}).load(LIKE) == {}
     kept = Kept(folder / "out", {"a": 1})
     assert kept.path is not None
     if "kept.npz" in case:
@@ -132,14 +146,14 @@ def in_kept(folder: Path, case: Case) -> None:
 def journals() -> list[Case]:
     rng, found = np.random.default_rng(0), {}
     for k in range(3):
-        ids = np.flatnonzero(rng.random(40) < 0.5).astype(np.int32)
+        ids = np.flatnonzero(rng.random(SEEN) < 0.5).astype(np.int32)
         view = CellView(ids, (ids % 3).astype(np.uint8), rng.integers(0, 256, (len(ids), 10)).astype(np.uint8), 4, 0.5)
         found[f"cell-{k:06d}.bin"] = pack_view(view)
     return [{**found, "plan.json": b"{}\n"}]
 
 
 def in_journal(folder: Path, case: Case) -> None:
-    journal = Journal(folder, {})
+    journal = Journal(folder, {}, SEEN)
     with journal.opened():
         for cell in journal.finished(3):
             view = journal.view(cell)
