@@ -128,6 +128,8 @@ class PartFolder:
                 digest = digest_of(path)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise FormatError(path, "", "a part of the package", "no such file", "prepare the package again") from error
+        except IsADirectoryError as error:
+            raise FormatError(path, "", "a part of the package", "a folder", "prepare the package again") from error
         if size != part.nbytes:
             raise FormatError(path, "", f"{part.nbytes:,} bytes", f"{size:,}", _AGAIN)
         if digest != part.digest:

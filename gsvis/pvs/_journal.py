@@ -120,7 +120,7 @@ class Journal:
         try:
             data = read_whole(self._path(cell), _HEAD.size + _MOST_PACKED * self._gaussians + _FREE)
             return unpack_view(data, self._gaussians)
-        except (FileNotFoundError, FormatError):
+        except (FileNotFoundError, IsADirectoryError, FormatError):
             return None
 
     def finished(self, count: int) -> list[int]:

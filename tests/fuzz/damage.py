@@ -11,6 +11,7 @@ import io
 import json
 import os
 import pickle
+import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -44,7 +45,9 @@ def plys() -> Damaged:
 def packed_plys() -> Damaged:
     data = compressed_ply_bytes(scenes.random_scene(300, 0, 4))
     assert b"element chunk 2\n" in data
+    head = re.sub(rb"element (\w+) \d+", rb"element \1 0", data.partition(b"end_header")[0])
     return {
+        "no Gaussian": {"a.ply": head + b"end_header\n"},
         "ascii": {"a.ply": data.replace(b"binary_little_endian", b"ascii")},
         "chunks of others": {"a.ply": data.replace(b"element chunk 2\n", b"element chunk 1\n")},
     }

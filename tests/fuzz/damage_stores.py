@@ -7,6 +7,7 @@ import io
 import json
 import os
 import struct
+import zlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -29,12 +30,13 @@ from tests.fuzz.containers import (
     _opened,
     _sections,
     _with_checksum,
+    _with_header,
     _written,
     reheaded,
     sealed_journal,
     sealed_manifest,
 )
-from tests.fuzz.damage import LINK, Damaged
+from tests.fuzz.damage import LINK, PIPE, Damaged
 from tests.fuzz.targets import Case
 from tests.package.worlds import colors_of, levels_of, stores_of
 
@@ -128,7 +130,21 @@ def set_stores() -> Damaged:
     def labels(_: Any, sections: dict[str, bytes]) -> None:
         sections["labels"] = b"\7" + sections["labels"][1:]
 
+    def lost(_: Any, sections: dict[str, bytes]) -> None:
+        sections["celis"] = sections.pop("cells")
+
+    def headed(change: Callable[[Any], object]) -> Case:
+        header, _ = _sections(data)
+        change(header)
+        return {"a.pvs": _with_header(data, header)}
+
+    place, length, crc = struct.unpack_from("<QII", data, 24)
+    fields = struct.pack("<QQII", len(data), place - 1, length, crc)
     return {
+        "a newer version": {"a.pvs": data[:8] + struct.pack("<I", 2) + data[12:]},
+        "a header elsewhere": {"a.pvs": data[:12] + struct.pack("<I", zlib.crc32(fields)) + fields + data[40:]},
+        "sections that end early": headed(lambda header: header["sections"].pop()),
+        "no rows of cells": changed(lost),
         "another format": told(format="gsvis-else"),
         "a scene that is none": told(scene=7),
         "another union": changed(other_union),
@@ -172,6 +188,7 @@ def journals() -> Damaged:
         "a file of megabytes": {**case, name: case[name] + bytes(1 << 20)},
         "no plan": {key: data for key, data in case.items() if key != "plan.json"},
         "nothing kept": {"plan.json": case["plan.json"]},
+        "a folder in place of a cell": {f"{name}/x" if key == name else key: data for key, data in case.items()},
     }
 
 
@@ -219,6 +236,24 @@ def blobs(seed: int, cells: int) -> tuple[bytes, bytes]:
         return made["visibility"].read_bytes(), made["active_terms"].read_bytes()
 
 
+def manifests() -> Damaged:
+    manifest = json.loads(packages.packages()[0][MANIFEST])
+
+    def told(change: Callable[[Any], object]) -> Case:
+        value = json.loads(json.dumps(manifest))
+        change(value)
+        return {MANIFEST: sealed_manifest(value)}
+
+    return {
+        "a newer version": told(lambda m: m.update(version=9)),
+        "meters below 0": told(lambda m: m.update(metres_per_unit=-1.0)),
+        "levels of one name": told(lambda m: m["levels"][0].update(name=m["levels"][1]["name"])),
+        "a store of another size": told(lambda m: m["visibility"].update(bytes=m["visibility"]["bytes"] + 1)),
+        "bits of another layout": told(lambda m: m["quantisation"].update(record={})),
+        "one Gaussian more": told(lambda m: m.update(gaussians=m["gaussians"] + 1)),
+    }
+
+
 def whole_packages() -> Damaged:
     case = packages.packages()[0]
     manifest = json.loads(case[MANIFEST])
@@ -245,7 +280,9 @@ def whole_packages() -> Damaged:
         found["first_level"], found["last_level"] = found["last_level"], found["first_level"]
 
     table, block = part_of(manifest["chunks"][0]), part_of(manifest["blocks"][0])
+    rest = {name: data for name, data in case.items() if name != block}
     found = {
+        "a part that is a folder": {**rest, f"{block}/x": b""},
         "a chunk of one more": columns(table, more("count")),
         "levels out of order": columns(table, crossed),
         "one more term": columns(block, more("terms")),
@@ -256,7 +293,7 @@ def whole_packages() -> Damaged:
         "a longer part": {**case, block: case[block] + b"\0"},
     }
     if os.name == "posix":
-        rest = {name: data for name, data in case.items() if name != block}
+        found["a part that is a pipe"] = {**rest, block + PIPE: b""}
         found["a part that is a link"] = {**rest, "beside.arrow": case[block], block + LINK: b"../beside.arrow"}
     return found
 
@@ -283,6 +320,7 @@ DAMAGE = {
     "journal": journals,
     "kept": kept,
     "checkpoint": checkpoints,
+    "manifest": manifests,
     "package": whole_packages,
     "requests": requests,
 }

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError, SceneError
-from gsvis.package import Package
+from gsvis.package import Package, decode_records
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.unpack import unpack_levels
 from gsvis.stream import StreamedScene
@@ -51,8 +51,11 @@ def in_manifest(folder: Path, case: Case) -> None:
 def in_package(folder: Path, case: Case) -> None:
     with Package.open(folder) as package:
         package.verify()
+        contents = package.contents
+        with pytest.raises(ValueError, match="table"):
+            decode_records(contents.records[:-1], contents.table, contents.layout)
         some = np.arange(0, len(package), 7)
-        assert len(package.contents.gaussians(some)) == len(some)
+        assert len(contents.gaussians(some)) == len(some)
         if package.manifest.visibility is None:
             with pytest.raises(SceneError, match="prepare it with visibility"):
                 _ = package.visibility
