@@ -93,6 +93,7 @@ lowest: .venv/.gsvis-dev
 fuzz: .venv/.gsvis-dev
 	@mkdir -p docs/results
 	@$(BIN)/python tools/fuzz.py --inputs $(INPUTS) --seed $(SEED) --out docs/results/fuzz.json
+	@$(BIN)/python tools/fuzz.py --inputs 0 --measured 150 --seed $(SEED) --out docs/results/fuzz_coverage.json
 
 kill: .venv/.gsvis-dev
 	@$(BIN)/python tools/kill.py --out docs/results/kill.json

@@ -13,6 +13,7 @@ import pyarrow as pa
 from gsvis.stream import Ack, PoseAt
 from gsvis.stream.batch import _IDS, Sections
 from gsvis.stream.header import HEAD, SCHEMA
+from gsvis.stream.wire import ServerFault
 from tests.fuzz import wire
 from tests.fuzz.damage import Damaged
 from tests.fuzz.targets import Case
@@ -89,8 +90,14 @@ def batches() -> Damaged:
     return found
 
 
+def faults() -> Damaged:
+    """What a server says last, cut short or longer than it says."""
+    first, fault = wire.batches("rgb")[0], ServerFault(3, "too large").to_bytes()
+    return {"a fault cut short": told(first, fault[:1]), "a longer fault": told(first, fault + b"x")}
+
+
 def downstream() -> Damaged:
-    return welcomes() | batches()
+    return welcomes() | batches() | faults()
 
 
 def clients() -> Damaged:
@@ -101,6 +108,7 @@ def clients() -> Damaged:
         "no acknowledgement": [hello, pose, *([pose] * 30)],
         "silence": [hello, pose, ack, wire.SILENCE, pose],
         "no seat": [hello],
+        "a flood": [hello, *([ack] * 60)],
         "poses that pile up": [hello, *([pose] * 600), b"\x63"],
         "acknowledgements that pile up": [hello, pose, *([ack] * 600)],
     }
