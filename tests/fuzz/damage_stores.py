@@ -19,11 +19,11 @@ import numpy as np
 import pyarrow as pa
 import zstandard
 
-from gsvis.io.archive import load_arrays, save_arrays
+from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.io.levels import MAP
 from gsvis.package.manifest import MANIFEST
-from gsvis.visibility._container import ContainerWriter
-from gsvis.visibility._writer import CELL_ROW
+from gsvis.pvs._container import ContainerWriter
+from gsvis.pvs._writer import CELL_ROW
 from tests.fuzz import packages, stores
 from tests.fuzz.cameras import files_in
 from tests.fuzz.containers import (

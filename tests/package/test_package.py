@@ -65,7 +65,7 @@ def test_the_folder_of_parts_is_listed_once_while_parts_are_written(
         listed.append(os.fspath(folder))
         return listdir(folder)
 
-    monkeypatch.setattr("gsvis.io.atomic.os.listdir", counted)
+    monkeypatch.setattr("gsvis.files.atomic.os.listdir", counted)
     parts = folders.PartFolder(tmp_path)
     for k in range(20):
         parts.write_columns("a test", {"a": np.arange(k + 1)})

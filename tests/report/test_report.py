@@ -107,7 +107,7 @@ def test_a_kill_while_files_move_leaves_no_report_and_the_next_run_cleans_up(
         moved.append(Path(destination).name)
 
     folder = tmp_path / "report"
-    monkeypatch.setattr("gsvis.io.atomic.os.replace", killed)
+    monkeypatch.setattr("gsvis.files.atomic.os.replace", killed)
     for limit in (1, 4, 10, 11):  # of 12 files
         moved.clear()
         with pytest.raises(KeyboardInterrupt):
