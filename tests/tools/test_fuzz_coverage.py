@@ -46,7 +46,7 @@ def test_what_is_set_apart_is_named_in_full_and_is_there(tool: ModuleType) -> No
         ("gsvis.io.checkpoint", "_Ignored.append", False),
         ("gsvis.package.contents", "Contents.of", True),
         ("gsvis.package.manifest", "Manifest._of", False),
-        ("gsvis.prepare.active_terms", "ActiveTerms.check", True),
+        ("gsvis.package.active_terms", "ActiveTerms.check", True),
         ("gsvis.io.levels", "check", False),
         ("gsvis.pvs.store", "VisibilityStore.union", True),
         ("gsvis.pvs.levels", "union", False),
