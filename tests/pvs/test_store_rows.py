@@ -12,6 +12,10 @@ import pytest
 from pyroaring import BitMap
 
 from gsvis.errors import FormatError
+from gsvis.scene.content import scene_hash
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import random_scene
+from gsvis.visibility._levels import levels_record
 from gsvis.visibility._order import MAX_DEPTH
 from gsvis.visibility._writer import CELL_ROW
 from gsvis.visibility.cells import CellGrid
@@ -133,6 +137,20 @@ def test_a_gaussian_that_no_cell_sees_has_no_seer(path: Path) -> None:
         assert store.nearest_seer(0, 2) == (5, pytest.approx(np.sqrt(3.0)))
         assert [store.class_of(i, 5) for i in (0, 49, 7)] == [0, 1, -1]
         assert not store.direction_sets.flags.writeable
+
+
+def test_a_store_of_levels_is_of_these_levels(tmp_path: Path) -> None:
+    union = random_scene(np.random.default_rng(0), N)
+    grid = CellGrid(np.zeros(3), 1.0, (1, 1, 1), np.zeros((1, 3), np.int32), np.array([0.0, 0.0, 1.0]))
+    levels = Levels(union, np.arange(N, dtype=np.uint8) % 2, np.ones(N, np.uint8), ("low", "high"))
+    other = Levels(union, np.arange(N, dtype=np.uint8) % 3 // 2, np.ones(N, np.uint8), ("low", "high"))
+    info = StoreInfo(N, scene_hash(union), 1 / 255, EDGES, {"levels": levels_record(levels)})
+    path = write_store(tmp_path / "x.pvs", grid, info, [CellSet([1], [0])], np.zeros((N, 10), "u1"))
+    for right in (levels, union, Levels(union, levels.first, levels.last, levels.names)):
+        VisibilityStore.open(path, scene=right).close()
+    for wrong in (other, Levels.single(union)):
+        with pytest.raises(FormatError, match="other levels"):
+            VisibilityStore.open(path, scene=wrong)
 
 
 def test_verify_reports_each_cell(path: Path) -> None:
