@@ -30,6 +30,9 @@ def test_a_set_comes_back_from_words_bytes_and_bitmap(n: int, share: float, seed
     bitmap = _codec.bitmap_of(words)
     assert bitmap == BitMap(ids.tolist())
     assert bitmap.serialize() == BitMap.deserialize(bitmap.serialize()).serialize()
+    assert (
+        _codec.portable(words) == BitMap(ids.tolist(), optimize=False).serialize()
+    )  # offsets too, which reading does not need
     data = _codec.encode_set(words)
     assert np.array_equal(_codec.decode_set(data, n, len(ids)), words)
     assert data == _codec.encode_set(words)
