@@ -96,7 +96,8 @@ def portable(words: Words) -> bytes:
     offsets = 8 + 8 * found + np.cumsum(sizes) - sizes
     head = np.array([_COOKIE, found], "<u4").tobytes()
     described = np.stack([keys, cards - 1], axis=1).astype("<u2").tobytes()
-    return head + described + offsets.astype("<u4").tobytes() + content[:end].astype("<u2", copy=False).tobytes()
+    body: bytes = offsets.astype("<u4").tobytes() + content[:end].astype("<u2", copy=False).tobytes()
+    return head + described + body
 
 
 def compress(data: bytes, level: int = LEVEL) -> bytes:
