@@ -12,14 +12,13 @@ import pytest
 from pyroaring import BitMap
 
 from gsvis.errors import FormatError
+from gsvis.pvs._order import MAX_DEPTH
+from gsvis.pvs._writer import CELL_ROW
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
 from gsvis.scene.content import scene_hash
-from gsvis.scene.levels import Levels
+from gsvis.scene.levels import Levels, levels_record
 from gsvis.scene.procedural import random_scene
-from gsvis.visibility._levels import levels_record
-from gsvis.visibility._order import MAX_DEPTH
-from gsvis.visibility._writer import CELL_ROW
-from gsvis.visibility.cells import CellGrid
-from gsvis.visibility.store import CellSet, StoreInfo, VisibilityStore, write_store
 
 CELLS, N = 8, 50
 EDGES = np.array([1 / 255, 1 / 16])
