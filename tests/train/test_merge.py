@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train.merge import _cells_for, merged, merged_by_cell, occupied_voxels
+from gsvis.train.merge import _cells_for, merge_by_cell, merged, occupied_voxels
 
 
 def cloud(n: int = 600, seed: int = 3, degree: int = 1) -> Gaussians:
@@ -41,7 +41,7 @@ def test_moments_of_a_cell_are_those_of_its_mixture() -> None:
     one = Gaussians(
         [[5.0, 0, 0], [7.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[0.5] * 3] * 2, [0.4, 0.4], [[[0.0] * 3], [[1.0] * 3]]
     )
-    level = merged_by_cell(one, np.zeros(2, np.int64))
+    level = merge_by_cell(one, np.zeros(2, np.int64))
     np.testing.assert_allclose(level.means, [[6, 0, 0]], atol=1e-6)
     np.testing.assert_allclose(level.covars()[0], np.diag([1.25, 0.25, 0.25]), atol=1e-6)
     np.testing.assert_allclose(level.sh0, [[[0.5] * 3]], atol=1e-6)
@@ -51,7 +51,7 @@ def test_moments_of_a_cell_are_those_of_its_mixture() -> None:
 
 def test_moments_of_any_cells_are_those_of_their_mixtures() -> None:
     g, cells = cloud(60), np.random.default_rng(1).permutation(np.arange(60) % 7)
-    level = merged_by_cell(g, cells)
+    level = merge_by_cell(g, cells)
     shadows = (
         np.pi * np.mean([(g.scales[:, i] * g.scales[:, j]) ** 1.6 for i, j in ((0, 1), (1, 2), (2, 0))], 0) ** 0.625
     )
@@ -74,21 +74,21 @@ def test_the_thinnest_axis_is_a_millionth_of_the_longest_at_least() -> None:
     flat = Gaussians(
         [[-9.0, 0, 0], [9.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[5.0, 5.0, 1e-8]] * 2, [0.5] * 2, np.zeros((2, 1, 3))
     )
-    scales = merged_by_cell(flat, np.zeros(2, np.int64)).scales[0]
+    scales = merge_by_cell(flat, np.zeros(2, np.int64)).scales[0]
     np.testing.assert_allclose(np.sort(scales), [1e-6 * np.sqrt(106.0), 5.0, np.sqrt(106.0)], rtol=1e-5)
 
 
 def test_what_covers_little_counts_little_and_opacity_has_a_top() -> None:
     pair = Gaussians([[0.0, 0, 0], [1.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[0.3] * 3] * 2, [0.0, 1.0], np.zeros((2, 1, 3)))
-    level = merged_by_cell(pair, np.zeros(2, np.int64))
+    level = merge_by_cell(pair, np.zeros(2, np.int64))
     np.testing.assert_allclose(level.means, [[1, 0, 0]], atol=1e-6)
     same = Gaussians([[0.0, 0, 0]] * 3, [[1, 0, 0, 0]] * 3, [[0.3] * 3] * 3, [0.9] * 3, np.zeros((3, 1, 3)))
-    assert merged_by_cell(same, np.zeros(3, np.int64)).opacities[0] == pytest.approx(0.996)
+    assert merge_by_cell(same, np.zeros(3, np.int64)).opacities[0] == pytest.approx(0.996)
 
 
 def test_a_merged_scene_follows_a_scale_of_the_scene_and_a_shuffle() -> None:
     g = cloud()
-    level, larger = merged(g, 200), merged(g.transformed(np.eye(3), scale=4.0), 200)
+    level, larger = merged(g, 200), merged(g.transform(np.eye(3), scale=4.0), 200)
     np.testing.assert_allclose(larger.means, 4.0 * level.means, rtol=1e-4, atol=1e-5)
     shuffled = merged(g[np.random.default_rng(0).permutation(len(g))], 200)
     np.testing.assert_allclose(shuffled.means, level.means, atol=1e-5)
@@ -97,7 +97,7 @@ def test_a_merged_scene_follows_a_scale_of_the_scene_and_a_shuffle() -> None:
 def test_a_merged_scene_follows_a_shift_of_the_scene() -> None:
     g = cloud()
     exact = Gaussians(np.round(64.0 * g.means) / 64.0, g.quats, g.scales, g.opacities, g.sh0, g.shN)
-    level, moved = merged(exact, 200), merged(exact.transformed(np.eye(3), [40.0, -8.0, 24.0]), 200)
+    level, moved = merged(exact, 200), merged(exact.transform(np.eye(3), [40.0, -8.0, 24.0]), 200)
     np.testing.assert_allclose(moved.means - [40.0, -8.0, 24.0], level.means, atol=1e-5)
 
 
