@@ -16,7 +16,7 @@ from gsvis.errors import ProtocolError
 
 __all__ = ["FAULTS", "MOST_HELLO", "PROTOCOL", "Ack", "Bye", "Hello", "PoseAt", "ServerFault", "parse_client"]
 
-PROTOCOL = 1
+PROTOCOL = 2
 """Version of the messages."""
 
 MOST_HELLO = 16 << 20

@@ -310,7 +310,7 @@ def mean_psnr(gaussians: Gaussians | GaussianTensors, views: PosedImages, backen
 
 def hash_of(seed: int, step: int) -> int:
     """A seed for torch from the run's own and a step."""
-    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
+    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0]) >> 1
 
 
 def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:

@@ -87,7 +87,7 @@ def test_bytes_of_any_kind_are_read_or_refused(data: bytes) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.tuples(NUMBER, NUMBER, NUMBER), NUMBER)
 def test_poses_are_read_as_they_were_written(time: int, position, turn: float) -> None:
-    pose = PoseAt(time, position, (0.5, 0.0, -0.25, turn / 16))
+    pose = PoseAt(time, position, (0.5, 0.0, -0.25, float(np.float32(turn / 16))))  # a float32, also next to 0
     assert parse_client(pose.to_bytes()) == pose
     assert len(pose.to_bytes()) == 36
 
