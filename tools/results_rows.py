@@ -1,7 +1,8 @@
 """The rows of docs/results.md: one question each, and which figure of which benchmark answers it.
 
 To change a row, edit it here and run `python tools/results.py`. Figures, targets and verdicts come from the JSON in
-docs/results. `ours`, `target` and `verdict` are by hand only where no JSON has them or where the JSON alone would flatter.
+docs/results. `ours`, `target` and `verdict` are by hand only where no JSON has them or where the JSON alone would
+flatter.
 """
 
 from __future__ import annotations
