@@ -1,13 +1,14 @@
 # make demo    set up, then analyze a built-in scene (or SCENE=path) into demo-out/
 # make test    set up, then run all tests
-# make check   what CI runs: format, lint, types, doctests, examples, tests
+# make check   what CI runs: format, lint, types, doctests, examples, docs, tests
+# make docs    build the documentation site in site/, links checked
 # make stress  run the rooms with processes and sockets five times beside two busy loops a core; docs/results/stress.json
 # make repeat  run `make check` ten times beside a busy loop a core; docs/results/check_repeated.json
 # make bench   run the benchmarks and write docs/results/<question>.json
 # make lowest  run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
 # make fuzz    100,000 damaged inputs to every reader and the wire (INPUTS=, SEED=)
 # make kill    kill commands at 100 random moments, resume them, compare what they end with
-# make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
+# make pins    rewrite constraints.txt and requirements.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
 SCENE ?= builtin:two_rooms
@@ -18,7 +19,7 @@ BIN := .venv/bin
 export PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench lowest pins clean fuzz kill stress repeat
+.PHONY: help demo test check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -31,6 +32,10 @@ SETUP := pyproject.toml constraints.txt tools/setup.sh
 
 .venv/.gsvis-dev: $(SETUP)
 	@bash tools/setup.sh dev
+	@touch .venv/.gsvis $@
+
+.venv/.gsvis-docs: $(SETUP)
+	@bash tools/setup.sh docs
 	@touch .venv/.gsvis $@
 
 demo: .venv/.gsvis
@@ -59,8 +64,12 @@ examples: .venv/.gsvis-dev
 	@for example in examples/[0-9]*.py; do \
 	    [ -e "$$example" ] || continue; echo "$$example"; $(BIN)/python -W error "$$example" > /dev/null || exit 1; done
 
+# Strict: a warning, such as a link that leads nowhere, is an error.
+docs: .venv/.gsvis-docs
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 # The tests come last: their closing line is the verdict.
-check: lint types doctests examples test
+check: lint types doctests examples docs test
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \
@@ -100,7 +109,8 @@ kill: .venv/.gsvis-dev
 
 pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py
+	@$(BIN)/python tools/pin.py --hashes
 
 clean:
-	rm -rf .venv .venv-lowest demo-out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-lowest demo-out build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find gsvis tests benchmarks examples tools -name __pycache__ -type d -prune -exec rm -rf {} +
