@@ -96,7 +96,7 @@ def ssim(image: Any, target: Any, data_range: float = 1.0, *, padding: str = "va
     c1, c2 = (0.01 * white) ** 2, (0.03 * white) ** 2
     count, height, width, _ = a.shape
     x, y = (v.permute(0, 3, 1, 2).reshape(3 * count, height, width) for v in (a, b))
-    means = _blurred(torch.cat([x, y, x * x, y * y, x * y]), _WINDOW // 2 if padding == "same" else 0)
+    means = _blur(torch.cat([x, y, x * x, y * y, x * y]), _WINDOW // 2 if padding == "same" else 0)
     mx, my, mxx, myy, mxy = means.chunk(5)
     luminance = (2.0 * mx * my + c1) / (mx * mx + my * my + c1)
     structure = (2.0 * (mxy - mx * my) + c2) / ((mxx - mx * mx) + (myy - my * my) + c2)
@@ -222,7 +222,7 @@ def _white(data_range: float) -> float:
     return float(data_range)
 
 
-def _blurred(planes: Tensor, margin: int) -> Tensor:
+def _blur(planes: Tensor, margin: int) -> Tensor:
     """(B, H, W) with `margin` zeros around, under the Gaussian window; only whole windows."""
     offsets = torch.arange(_WINDOW, dtype=torch.float64) - _WINDOW // 2
     window = torch.exp(-0.5 * (offsets / _SIGMA) ** 2)

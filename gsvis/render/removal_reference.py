@@ -41,19 +41,19 @@ def removal_reference(
         projection = project_reference(tensors, cameras.viewmats[c], cameras.Ks[c], *size)
         order = _front_to_back(tensors, projection)
         alphas = _alphas(projection, order, _pixel_centers(*size, projection.means2d))
-        full = _composited(alphas, projection.colors[order], behind)
+        full = _composite(alphas, projection.colors[order], behind)
         residual = torch.zeros_like(full) if residuals is None else torch.tensor(residuals[c].reshape(-1, 3))
         for k in alphas.any(dim=0).nonzero()[:, 0].tolist():
             without = alphas.clone()
             without[:, k] = 0.0
-            change = _composited(without, projection.colors[order], behind) - full
+            change = _composite(without, projection.colors[order], behind) - full
             by_error = (change + residual).square() - residual.square()
             sums[:, order[k]] += torch.stack([v.sum() for v in (change.abs(), change.square(), by_error)]) / 3.0
     absolute, squared, error_change = sums.numpy()
     return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.width * cameras.height)
 
 
-def _composited(alphas: torch.Tensor, colors: torch.Tensor, background: torch.Tensor) -> torch.Tensor:
+def _composite(alphas: torch.Tensor, colors: torch.Tensor, background: torch.Tensor) -> torch.Tensor:
     """(P, 3) of (P, M) alphas, front to back."""
     after = torch.cumprod(1.0 - alphas, dim=1)
     before = torch.cat([after.new_ones(len(after), 1), after], dim=1)
