@@ -2,13 +2,18 @@
 
 A server process pinned to one core; viewers who keep what they receive; after a sixth of the time all kinds of
 `_hostile.py` at once, in processes on the other cores. What a visit has brought is compared with the package, byte for
-byte: records, terms, axes, rows of chunks as they came, and what the viewer then draws.
+byte: records, terms, axes, rows of chunks as they came, and what the viewer then draws. What is expected comes from the
+manifest, as JSON, and from the parts, through the reader of packages that the server uses, too; messages are taken
+apart by the code of our client. Neither is what encodes messages. WELCOME is compared with the rules of
+docs/streaming.md, but for its identity, which only has to be the same in all visits.
 
 Given: 30 viewers behind links of 2 Mbit/s, each walking and beginning anew when the server has nothing more for it; the
-    numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack.
+    numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack. The
+    checks share the cores of the attackers; where 60 visits wait for them, no other visit begins.
 Measured: bytes that differ; visits that the server cut; the delay from the acknowledgement that makes room for a batch
     until it is there, with and without attackers in one run, which is what counts on a machine that is busy with other
-    things; memory and descriptors of the server each second; its exit code when it is told to end under attack.
+    things; memory and descriptors of the server each second; its exit code when it is told to end under attack. PSS
+    counts pages that several processes share in part: it rises when another process ends, without a byte more.
 Defaults chosen on: builtin:two_rooms, for viewers and rate, so that one core is not full without attackers.
 """
 
@@ -19,6 +24,7 @@ import asyncio
 import json
 import multiprocessing
 import os
+import resource
 import shutil
 import ssl
 import subprocess
@@ -26,7 +32,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -34,13 +40,14 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from _harness import add_arguments, write_result
-from _honest import Link, Viewer, Visit, begin_checks, check
+from _honest import Checks, Link, Viewer, begin_checks
 from _hostile import CROWD, Target, attack, unverified
 
 from gsvis.package import Package
 
 HEALTH_S = 10.0  # in which /healthz has to answer
 SETTLE_S = 300.0  # memory and descriptors have to be flat from then on
+BACKLOG = 2  # visits of each viewer that may wait to be checked
 QUICK = (
     "--steps", "10", "--views", "6", "--size", "96x72", "--cells", "24", "--max-viewpoints", "2", "--face-size", "96",
     "--max-terms", "4",
@@ -132,31 +139,26 @@ async def soak(
         probe: Of the server.
         hostile: Starts the attackers.
     """
-    checks: list[Future[dict[str, int]]] = []
-    totals: Counter[str] = Counter()
-
-    def deliver(visit: Visit) -> None:
-        checks.append(pool.submit(check, visit))
-        while checks and checks[0].done():
-            totals.update(checks.pop(0).result())
-
+    checks = Checks(pool, BACKLOG * count)
     begin = time.monotonic()
     quiet, assault, end = (begin + float(t) for t in np.cumsum(times))
-    viewers = [Viewer(link, k, deliver) for k in range(count)]
+    viewers = [Viewer(link, k, checks) for k in range(count)]
     running = [asyncio.create_task(viewer.run(end)) for viewer in viewers]
     probing = asyncio.create_task(probe.run())
     await asyncio.sleep(assault - time.monotonic())
     await asyncio.to_thread(hostile)
     await asyncio.gather(*running)
     probing.cancel()
-    for entry in checks:
-        totals.update(await asyncio.wrap_future(entry))
+    await checks.finish()
 
     def between(of: str, low: float, high: float) -> list[float]:
         return [seconds for viewer in viewers for t, seconds in getattr(viewer, of) if low <= t < high]
 
     return {
-        "checked": dict(totals),
+        "checked": dict(checks.found),
+        "most_visits_waiting_for_checks": checks.longest,
+        "waited_for_checks_s": checks.waited_s,
+        "memory_of_viewers_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "marks": (quiet, assault, end),
         "delays": {"quiet": between("delays", quiet, assault), "attack": between("delays", assault, end)},
         "openings": {"quiet": between("openings", quiet, assault), "attack": between("openings", assault, end)},
@@ -219,7 +221,7 @@ def measured(
                 attackers[-1].start()
 
         probe = Probe(server.pid, url, log, tls)
-        with ProcessPoolExecutor(1, spawn, begin_checks, (package, rest)) as pool:
+        with ProcessPoolExecutor(args.checkers, spawn, begin_checks, (package, rest)) as pool:
             times = args.warm, seconds / 6, seconds * 5 / 6
             link = Link(url, stops, up, args.mbit, tls, args.one_address)
             found = asyncio.run(soak(link, args.viewers, times, pool, probe, hostile))
@@ -301,6 +303,7 @@ def main() -> None:
     parser.add_argument("--mbit", type=float, default=2.0, help="rate of the link of each, Mbit/s")
     parser.add_argument("--one-address", action="store_true", help="all viewers come from one address, as behind a NAT")
     parser.add_argument("--attackers", type=int, default=2, help="processes")
+    parser.add_argument("--checkers", type=int, default=2, help="processes that compare what viewers hold")
     parser.add_argument("--only", nargs="+", help="kinds of attackers, such as flood; otherwise all")
     parser.add_argument("--tls", action="store_true", help="serve with TLS; needs openssl for a certificate")
     parser.add_argument("--core", type=int, default=0, help="of the server")
