@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -63,8 +64,9 @@ class LeakError(Exception):
     """The server gave away what it must not."""
 
 
+@cache
 def unverified() -> ssl.SSLContext:
-    """Return a context that takes any certificate: this is loopback."""
+    """Return a context that takes any certificate: this is loopback. One for all: it has a megabyte of authorities."""
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     return context
