@@ -6,6 +6,7 @@ All on loopback, from addresses of their own, bounded in number and in time, on 
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import socket
 import ssl
@@ -367,6 +368,7 @@ def attack(target: Target, names: Sequence[str], seconds: float, cores: Sequence
     """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)
+    logging.getLogger("asyncio").setLevel(logging.ERROR)  # it warns of each connection that the server has cut
     counts: Counter[str] = Counter()
 
     async def run() -> None:

@@ -56,8 +56,8 @@ class Socket(WebSocketsSansIOProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
         self.conn.parser.close()  # a generator that refers to its parser, with all that it has read
-        for error in (self.conn.parser_exc, self.conn.handshake_exc):
-            if error is not None:
+        for name in ("parser_exc", "handshake_exc"):  # the latter in newer versions only
+            if (error := getattr(self.conn, name, None)) is not None:
                 error.__traceback__ = None  # its frames do so, too
 
     def _refuse_handshake(self) -> None:
