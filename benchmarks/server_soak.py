@@ -9,11 +9,14 @@ docs/streaming.md, but for its identity, which only has to be the same in all vi
 
 Given: 30 viewers behind links of 2 Mbit/s, each walking and beginning anew when the server has nothing more for it; the
     numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack. The
-    checks share the cores of the attackers; where 60 visits wait for them, no other visit begins.
+    checks have what time the others leave on all cores but the server's; where 60 visits wait for them, no other visit
+    begins.
 Measured: bytes that differ; visits that the server cut; the delay from the acknowledgement that makes room for a batch
     until it is there, with and without attackers in one run, which is what counts on a machine that is busy with other
     things; memory and descriptors of the server each second; its exit code when it is told to end under attack. PSS
-    counts pages that several processes share in part: it rises when another process ends, without a byte more.
+    counts pages that several processes share in part: it rises when another process ends, without a byte more; USS is
+    what the server has alone. Memory: the largest of the last fifth of the samples less that of the first. Descriptors:
+    medians of these, since as many attackers come and go in a second as the limits let in.
 Defaults chosen on: builtin:two_rooms, for viewers and rate, so that one core is not full without attackers.
 """
 
@@ -32,9 +35,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from statistics import median
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -100,6 +105,7 @@ class Probe:
             "t": time.monotonic(),
             "rss_mb": int(rollup["Rss"].split()[0]) / 1024,
             "pss_mb": int(rollup["Pss"].split()[0]) / 1024,
+            "uss_mb": sum(int(rollup[name].split()[0]) for name in ("Private_Clean", "Private_Dirty")) / 1024,
             "descriptors": len(os.listdir(self._proc / "fd")),
             "cpu_s": (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK"),
             "log_mb": self._log.stat().st_size / 1e6,
@@ -174,11 +180,13 @@ def summary(values: list[float]) -> dict[str, float]:
     return {f"p{q:g}_ms": float(1e3 * np.percentile(found, q)) for q in (50, 95, 99, 99.9)} | {"count": len(values)}
 
 
-def growth(samples: list[dict[str, float]], key: str, after: float) -> float:
-    """Return by how much the largest of the last fifth of the samples exceeds that of the first, after a time."""
+def growth(
+    samples: list[dict[str, float]], key: str, after: float, of: Callable[[list[float]], float] = max
+) -> float:  # fmt: skip
+    """Return by how much the last fifth of the samples exceeds the first, after a time; the largest of each."""
     values = [sample[key] for sample in samples if sample["t"] >= after]
     fifth = max(len(values) // 5, 1)
-    return max(values[-fifth:]) - max(values[:fifth]) if values else float("nan")
+    return of(values[-fifth:]) - of(values[:fifth]) if values else float("nan")
 
 
 def measured(
@@ -221,7 +229,7 @@ def measured(
                 attackers[-1].start()
 
         probe = Probe(server.pid, url, log, tls)
-        with ProcessPoolExecutor(args.checkers, spawn, begin_checks, (package, rest)) as pool:
+        with ProcessPoolExecutor(args.checkers, spawn, begin_checks, (package, others)) as pool:
             times = args.warm, seconds / 6, seconds * 5 / 6
             link = Link(url, stops, up, args.mbit, tls, args.one_address)
             found = asyncio.run(soak(link, args.viewers, times, pool, probe, hostile))
@@ -266,7 +274,15 @@ def report(
         ("the same over that without attack", delays["attack"]["p99_ms"] / delays["quiet"]["p99_ms"], 2.0, "", "lower"),
         ("health asked in vain", sum(seconds is None for seconds in answers), 0, "times", "lower"),
         ("growth of memory (PSS) after settling", growth(attack_samples, "pss_mb", settled), 16, "MB", "lower"),
-        ("growth of descriptors after settling", growth(attack_samples, "descriptors", settled), 16, "", "lower"),
+        ("growth of private memory (USS) after settling", growth(attack_samples, "uss_mb", settled), 16, "MB", "lower"),
+        ("largest memory (RSS)", max(sample["rss_mb"] for sample in probe.samples), None, "MB", "lower"),
+        (
+            "growth of descriptors after settling, medians",
+            growth(attack_samples, "descriptors", settled, median),
+            16,
+            "",
+            "lower",
+        ),
         ("log", log_rate, 1.0, "MB a minute", "lower"),
         ("files outside of the package that were given away", leaks, 0, "files", "lower"),
         ("exit code of SIGTERM under attack", code, 0, "", "lower"),
@@ -276,7 +292,8 @@ def report(
         "tls": args.tls, "one_address": args.one_address,
         "delays": delays, "openings": openings, "server_cpu_share": cpu,
         "health_answered_ms": summary([seconds for seconds in answers if seconds is not None]),
-        "settled_after_s": settled - assault, **found, "attackers": counts,
+        "settled_after_s": settled - assault,
+        "growth_of_most_descriptors": growth(attack_samples, "descriptors", settled), **found, "attackers": counts,
         "crowd": {kind.__name__: count for kind, (count, _) in CROWD.items()},
         "samples": [
             {key: round(value - (quiet if key == "t" else 0.0), 2) for key, value in sample.items()}
