@@ -348,8 +348,8 @@ class Checker:
 
 def _welcome_of(manifest: dict[str, Any]) -> dict[str, Any]:
     """What WELCOME has to say of a package, but for its identity."""
-    quantisation = manifest["quantisation"]
-    colors, term = quantisation["colors"], quantisation["term"]
+    quantization = manifest["quantization"]
+    colors, term = quantization["colors"], quantization["term"]
     bits = sum(term[name] for name in ("function", "theta", "phi", "decay")) + term["intensities"] * term["intensity"]
     return {
         "protocol": 1, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
