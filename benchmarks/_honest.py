@@ -355,7 +355,7 @@ def _welcome_of(manifest: dict[str, Any]) -> dict[str, Any]:
         "protocol": 1, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
         "chunks": sum(part["count"] for part in manifest["chunks"]), "levels": manifest["levels"], "record_bytes": 16,
         "term_bits": bits, "axis_bytes": 2 * _AXES.get(colors["variant"], 0), "colors": colors,
-        "up": manifest["up"], "metres_per_unit": manifest["metres_per_unit"],
+        "up": manifest["up"], "meters_per_unit": manifest["meters_per_unit"],
     }  # fmt: skip
 
 
