@@ -168,7 +168,7 @@ async def soak(
         "marks": (quiet, assault, end),
         "delays": {"quiet": between("delays", quiet, assault), "attack": between("delays", assault, end)},
         "openings": {"quiet": between("openings", quiet, assault), "attack": between("openings", assault, end)},
-        "cut": [why for viewer in viewers for t, why in viewer.cut if t >= quiet],
+        "cut": dict(Counter(why for viewer in viewers for t, why in viewer.cut if t >= quiet)),
         "visits": sum(viewer.visits for viewer in viewers),
         "mbytes": sum(viewer.nbytes for viewer in viewers) / 1e6,
     }
@@ -268,7 +268,7 @@ def report(
     figures = [
         ("wrong bytes of what honest viewers hold", checked.get("wrong", 0), 0, "bytes", "lower"),
         ("messages that honest viewers had to refuse", checked.get("refused", 0), 0, "visits", "lower"),
-        ("honest visits that the server cut or turned away", len(found["cut"]), 0, "visits", "lower"),
+        ("honest visits that the server cut or turned away", sum(found["cut"].values()), 0, "visits", "lower"),
         ("bytes compared", checked.get("bytes", 0) / 1e6, None, "MB", "higher"),
         ("batch delay, 99th percentile, under attack", delays["attack"]["p99_ms"], None, "ms", "lower"),
         ("the same over that without attack", delays["attack"]["p99_ms"] / delays["quiet"]["p99_ms"], 2.0, "", "lower"),
