@@ -166,9 +166,9 @@ class Connection:
             await self._greet()
             loops = [asyncio.create_task(loop) for loop in (self._listen(), self._talk(), self._leave_seat())]
             done, _ = await asyncio.wait(loops, return_when=asyncio.FIRST_COMPLETED)
-            min(done, key=loops.index).result()  # raises: none of them ends otherwise
-        except GoneError as gone:
-            self.reason = str(gone) or "lost"
+            # Not raised again: the error would refer to this frame, and so to the task that holds the error.
+            ended = next(task.exception() for task in loops if task in done)
+            fault = self._judge(ended) if isinstance(ended, Exception) else None
         except Exception as error:
             fault = self._judge(error)
         finally:
@@ -177,6 +177,7 @@ class Connection:
             if self._alarm is not None:
                 self._alarm.cancel()
             await asyncio.gather(*loops, return_exceptions=True)
+            self._seat = None  # it refers to this object
             self._account(began)
         if self.reason not in ("left", "lost", "ending"):
             await self._farewell(fault)
@@ -339,8 +340,11 @@ class Connection:
         assert self.sender is not None
         return self.sender
 
-    def _judge(self, error: Exception) -> ServerFault:
-        """What to tell the client and the log of an error."""
+    def _judge(self, error: Exception) -> ServerFault | None:
+        """Return what to tell the client of an error, and log it; None if the client has gone."""
+        if isinstance(error, GoneError):
+            self.reason = str(error) or "lost"
+            return None
         fault = ServerFault.of(error)
         if isinstance(error, ProtocolError):
             self.reason = next((name for name, code in FAULTS.items() if code == error.code), "malformed")
