@@ -33,7 +33,7 @@ from gsvis.stream.wire import ERROR, ServerFault
 
 __all__ = ["Checker", "Link", "Viewer", "Visit", "begin_checks", "check"]
 
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 DRY_S = 0.08  # nothing has come for so long though all is acknowledged: ask whether the server is awake
 VISIT_S = 20.0  # longest visit
 
@@ -211,7 +211,7 @@ class Checker:
 
     def __init__(self, package: Path) -> None:
         with Package.open(package) as opened:
-            self._header = SceneHeader.of(opened.manifest).to_message()
+            self._header = SceneHeader.from_manifest(opened.manifest).to_message()
             self._contents = c = opened.contents
             self._gaussians, colors = c.gaussians(), c.colors().dequantize()
             rgb = base_rgb(c.records, c.grids)

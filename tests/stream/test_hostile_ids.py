@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsvis.abr.candidates import CandidateStore
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.index import CellMembers, SceneIndex
+from gsvis.abr.index import SceneIndex
 from gsvis.errors import ProtocolError
-from gsvis.pvs.codec import pack, word_count
+from gsvis.pvs.codec import pack
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter
-from gsvis.stream import Receiver, Sender, StreamedScene
+from gsvis.stream import Receiver, Session, StreamedScene
 from gsvis.stream.batch import Sections
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import Hello, parse_client
 from tests.abr.abr_scenes import ArrayCells, random_index
 from tests.stream.worlds import package_of
 
-VIEW = FieldOfView.of_degrees(90, 70)
+VIEW = FieldOfView.from_degrees(90, 70)
 BEYOND = [[100], [0, 1 << 40], [-1], [-(1 << 62)], [(1 << 63) - 1]]
 
 
@@ -40,8 +40,6 @@ def test_sets_refuse_ids_beyond_the_range(ids: list[int]) -> None:
     given, none = np.array(ids), np.zeros(0, np.int64)
     with pytest.raises(ValueError, match="ids: expected"):
         pack(given, 100)
-    with pytest.raises(ValueError, match="ids: expected"):
-        CellMembers.of(given, 100)
     for place in range(3):
         with pytest.raises(ValueError, match="expected values in"):
             Holdings(100, 100).add(*(given if k == place else none for k in range(3)))
@@ -94,49 +92,50 @@ def test_a_hello_with_a_bitmap_that_lies_is_refused(scene: StreamedScene, bitmap
     said = parse_client(hello.to_bytes())
     assert isinstance(said, Hello)
     if bitmap == "beyond" and place == 1 and scene.about.terms > 100:
-        Sender.greeted(scene, said)  # there are so many terms
+        Session.from_hello(scene, said)  # there are so many terms
         return
     with pytest.raises(ValueError, match="data: expected"):
-        Sender.greeted(scene, said)
+        Session.from_hello(scene, said)
 
 
-def with_cells(index: SceneIndex, change: Callable[[CellMembers], CellMembers], terms: Any = None) -> SceneIndex:
-    """An index whose cells give other members or terms than they should."""
-    members = [change(index.cells.members(k)) for k in range(len(index.grid))]
-    found = [index.cells.terms(k) if terms is None else np.array(terms) for k in range(len(index.grid))]
-    return index.with_cells(ArrayCells(members, found))
+def members_of(index: SceneIndex) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [index.sets.classes(cell) for cell in range(len(index.grid))]
 
 
 def test_cells_with_gaussians_or_terms_that_the_scene_lacks_are_refused() -> None:
     index = random_index(1, 300)
-    high = np.zeros(word_count(300), np.uint64)
-    high[300 // 64] = np.uint64(1) << np.uint64(63)
-    changes: dict[str, Callable[[CellMembers], CellMembers]] = {
-        "words": lambda m: replace(m, words=np.concatenate([m.words, m.words])),
-        "words: shorter": lambda m: replace(m, words=m.words[:1]),
-        "words: beyond": lambda m: CellMembers(m.words | high, np.append(m.classes, np.uint8(0))),
-        "classes": lambda m: replace(m, classes=m.classes[:-1]),
-        "classes: too high": lambda m: replace(m, classes=np.full_like(m.classes, 200)),
+    changes: dict[str, Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
+        "ids: twice": lambda ids, classes: (np.append(ids, ids), np.append(classes, classes)),
+        "ids: falling": lambda ids, classes: (ids[::-1], classes),
+        "ids: beyond": lambda ids, classes: (np.append(ids, 300), np.append(classes, np.uint8(0))),
+        "ids: far beyond": lambda ids, classes: (np.append(ids, 1 << 40), np.append(classes, np.uint8(0))),
+        "ids: negative": lambda ids, classes: (np.append(-1, ids), np.append(np.uint8(0), classes)),
+        "classes": lambda ids, classes: (ids, classes[:-1]),
+        "classes: too high": lambda ids, classes: (ids, np.full_like(classes, 200)),
     }
     for name, change in changes.items():
+        cells = ArrayCells(300, [change(*members) for members in members_of(index)], [])
         with pytest.raises(ValueError, match=f"{name.partition(':')[0]}: expected"):
-            CandidateStore(with_cells(index, change)).of(0)
+            CandidateIndex(replace(index, sets=cells, active=None)).in_cell(0)
     for terms in ([index.num_terms], [0, 1 << 40], [-1]):
+        cells = ArrayCells(300, [], [np.array(terms)])
         with pytest.raises(ValueError, match="terms: expected values in"):
-            CandidateStore(with_cells(index, lambda m: m, terms)).of(0)
+            CandidateIndex(replace(index, active=cells)).in_cell(0)
 
 
-def test_neighbors_with_gaussians_that_the_scene_lacks_are_refused() -> None:
+@pytest.mark.parametrize("damage", ["longer", "shorter", "beyond"])
+def test_neighbors_with_gaussians_that_the_scene_lacks_are_refused(damage: str) -> None:
     index = random_index(1, 300)
 
-    class Longer(ArrayCells):
-        def words(self, cell: int) -> np.ndarray:
-            return np.concatenate([super().words(cell)] * 2)
+    class Wrong(ArrayCells):
+        def visible_words(self, cell: int) -> np.ndarray:
+            words = super().visible_words(cell)
+            words[300 // 64] |= np.uint64(damage == "beyond") << np.uint64(63)
+            return {"longer": np.append(words, words), "shorter": words[:1], "beyond": words}[damage]
 
-    members = [index.cells.members(k) for k in range(len(index.grid))]
-    cells = Longer(members, [index.cells.terms(k) for k in range(len(index.grid))])
+    cells = Wrong(300, members_of(index), [])
     with pytest.raises(ValueError, match="words: expected a set of 300"):
-        CandidateStore(index.with_cells(cells)).of(0)
+        CandidateIndex(replace(index, sets=cells, active=None)).in_cell(0)
 
 
 NONE = np.zeros(0, np.int64)
