@@ -140,8 +140,8 @@ class CandidateIndex:
         """
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
-        seen, classes = self._members(cell)
-        parts = [self._split(seen, classes, index.class_weights)]
+        seen = self._words(cell).copy()
+        parts = [self._split(seen, index.sets.classes(cell)[1], index.class_weights)]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
         for ring in range(1, RINGS):
@@ -179,14 +179,6 @@ class CandidateIndex:
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
         parts = (local.slots, slots), (local.units, units), (local.entries, 4 * units), (local.keys, keys)
         return plan.Work(*(array[:size] for arrays, size in parts for array in arrays))
-
-    def _members(self, cell: int) -> tuple[Words, NDArray[np.uint8]]:
-        """Return what a cell sees as a packed set, and the class of each member."""
-        ids, classes = self.index.sets.classes(cell)
-        n = len(self.index)
-        if len(ids) and (ids[0] < 0 or ids[-1] >= n or np.any(np.diff(ids) <= 0)):
-            raise ValueError(f"ids: expected rising ids in [0, {n}), got others; sort them with np.unique")
-        return pack(ids, n), classes
 
     def _words(self, cell: int) -> Words:
         """Return what a cell sees as a packed set, and keep it: cells share their neighbors."""

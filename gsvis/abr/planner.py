@@ -23,6 +23,7 @@ from gsvis.abr.predict import Pose, PosePredictor, predictor
 
 __all__ = ["Batch", "Planner"]
 
+F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 _REACH = 0.4  # seconds of data that are ranked at a time: most views last no longer
@@ -152,12 +153,7 @@ class Planner:
             planes: (F, 5, 4) frusta; what is in one of them is in view.
             regime: One of `REGIMES`.
         """
-        config, levels = self.config, self.candidates.index.num_levels
-        checked = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
-        self._table, self._keys = table(config.policy, regime, levels, config.utility)
-        self._enter(cell)
-        self._view = kernels.View(*checked, self.candidates.bodies)
-        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+        self._aim(cell, _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4)), regime)
 
     def take(self, budget: float) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
@@ -202,11 +198,20 @@ class Planner:
             if cell == self.cell and regime == self.regime and near:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
-        planes = np.stack([self.view.planes(pose.position, pose.quat) for pose in poses])
+        planes = np.empty((len(poses), 5, 4), np.float32)
+        for k, pose in enumerate(poses):
+            planes[k] = self.view.planes(pose.position, pose.quat)
         self.reach = _REACH * rate
-        self.aim(self.cell, now.position, planes, self.regime)
+        self._aim(self.cell, _check.floats("position", now.position, (3,)), planes, self.regime)
         self._planned = self.cell, now, then, self.regime
         self.plans += 1
+
+    def _aim(self, cell: int, eye: F32, planes: F32, regime: str) -> None:
+        config = self.config
+        self._table, self._keys = table(config.policy, regime, self.candidates.index.num_levels, config.utility)
+        self._enter(cell)
+        self._view = kernels.View(eye, planes, self.candidates.bodies)
+        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
     def _is_near(self, a: Pose, b: Pose) -> bool:
         still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size

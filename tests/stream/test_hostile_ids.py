@@ -26,6 +26,7 @@ from tests.abr.abr_scenes import ArrayCells, random_index
 from tests.stream.worlds import package_of
 
 VIEW = FieldOfView.from_degrees(90, 70)
+Change = Callable[[np.ndarray], np.ndarray]
 BEYOND = [[100], [0, 1 << 40], [-1], [-(1 << 62)], [(1 << 63) - 1]]
 
 
@@ -98,44 +99,50 @@ def test_a_hello_with_a_bitmap_that_lies_is_refused(scene: StreamedScene, bitmap
         Session.from_hello(scene, said)
 
 
-def members_of(index: SceneIndex) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [index.sets.classes(cell) for cell in range(len(index.grid))]
+class Changed(ArrayCells):
+    """Cells that give other words or classes than they should."""
+
+    def __init__(self, index: SceneIndex, cells: list[int], words: Change | None = None, classes: Change | None = None):
+        members = [index.sets.classes(cell) for cell in range(len(index.grid))]
+        terms = [index.active.active_ids(cell) for cell in range(len(index.grid))]
+        super().__init__(len(index), members, terms)
+        self._cells, self._change_words, self._change_classes = cells, words, classes
+
+    def visible_words(self, cell: int) -> np.ndarray:
+        words = super().visible_words(cell)
+        return self._change_words(words) if self._change_words and cell in self._cells else words
+
+    def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
+        ids, classes = super().classes(cell)
+        return ids, self._change_classes(classes) if self._change_classes and cell in self._cells else classes
 
 
-def test_cells_with_gaussians_or_terms_that_the_scene_lacks_are_refused() -> None:
+HIGH = np.uint64(1) << np.uint64(63)
+WORDS: dict[str, Change] = {
+    "longer": lambda words: np.concatenate([words, words]),
+    "shorter": lambda words: words[:1],
+    "beyond": lambda words: np.where(np.arange(len(words)) == 300 // 64, words | HIGH, words),
+}
+
+
+@pytest.mark.parametrize("change", WORDS)
+@pytest.mark.parametrize("neighbor", [False, True])
+def test_cells_with_gaussians_that_the_scene_lacks_are_refused(change: str, neighbor: bool) -> None:
     index = random_index(1, 300)
-    changes: dict[str, Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
-        "ids: twice": lambda ids, classes: (np.append(ids, ids), np.append(classes, classes)),
-        "ids: falling": lambda ids, classes: (ids[::-1], classes),
-        "ids: beyond": lambda ids, classes: (np.append(ids, 300), np.append(classes, np.uint8(0))),
-        "ids: far beyond": lambda ids, classes: (np.append(ids, 1 << 40), np.append(classes, np.uint8(0))),
-        "ids: negative": lambda ids, classes: (np.append(-1, ids), np.append(np.uint8(0), classes)),
-        "classes": lambda ids, classes: (ids, classes[:-1]),
-        "classes: too high": lambda ids, classes: (ids, np.full_like(classes, 200)),
-    }
-    for name, change in changes.items():
-        cells = ArrayCells(300, [change(*members) for members in members_of(index)], [])
-        with pytest.raises(ValueError, match=f"{name.partition(':')[0]}: expected"):
-            CandidateIndex(replace(index, sets=cells, active=None)).in_cell(0)
+    cells = index.grid.neighbors(0).tolist() if neighbor else [0]
+    with pytest.raises(ValueError, match="words: expected a set of 300"):
+        CandidateIndex(replace(index, sets=Changed(index, cells, words=WORDS[change]))).in_cell(0)
+
+
+def test_cells_with_classes_or_terms_that_the_scene_lacks_are_refused() -> None:
+    index = random_index(1, 300)
+    for change in (lambda classes: classes[:-1], lambda classes: np.full_like(classes, 200)):
+        with pytest.raises(ValueError, match="classes: expected"):
+            CandidateIndex(replace(index, sets=Changed(index, [0], classes=change))).in_cell(0)
     for terms in ([index.num_terms], [0, 1 << 40], [-1]):
         cells = ArrayCells(300, [], [np.array(terms)])
         with pytest.raises(ValueError, match="terms: expected values in"):
             CandidateIndex(replace(index, active=cells)).in_cell(0)
-
-
-@pytest.mark.parametrize("damage", ["longer", "shorter", "beyond"])
-def test_neighbors_with_gaussians_that_the_scene_lacks_are_refused(damage: str) -> None:
-    index = random_index(1, 300)
-
-    class Wrong(ArrayCells):
-        def visible_words(self, cell: int) -> np.ndarray:
-            words = super().visible_words(cell)
-            words[300 // 64] |= np.uint64(damage == "beyond") << np.uint64(63)
-            return {"longer": np.append(words, words), "shorter": words[:1], "beyond": words}[damage]
-
-    cells = Wrong(300, members_of(index), [])
-    with pytest.raises(ValueError, match="words: expected a set of 300"):
-        CandidateIndex(replace(index, sets=cells, active=None)).in_cell(0)
 
 
 NONE = np.zeros(0, np.int64)
