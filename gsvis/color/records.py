@@ -278,7 +278,7 @@ def quantize(
 
     Examples:
         >>> packed = quantize(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
-        >>> packed.nbytes, packed.dequantized().base.round(3).tolist()
+        >>> packed.nbytes, packed.dequantize().base.round(3).tolist()
         (4, [[0.0, 0.5, 1.0]])
     """
     own = Grids.of(colors, precision)

@@ -100,7 +100,7 @@ def prepare_colors(
         navigable: Where eyes may be; None only for a scene of SH degree 0.
         config: How; None means `ColorConfig()`.
         sets: (N, 10) uint8 direction sets that are known, such as `VisibilityStore.direction_sets`; None traces them.
-        keep: The file that will be made of this. What was found is kept beside it until `kept_beside` is removed, so
+        keep: The file that will be made of this. What was found is kept beside it until `find_kept` is removed, so
             that a run which is killed and started again traces nothing twice. None keeps nothing.
         progress: Called with stages "directions", "importance", "price" and "fit".
 

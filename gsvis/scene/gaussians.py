@@ -48,7 +48,7 @@ class Gaussians:
         >>> ball = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 2]], [0.5], [[[0, 0, 0]]])
         >>> ball
         Gaussians(1 of SH degree 0)
-        >>> ball.transformed(np.eye(3), translation=(1, 0, 0), scale=2.0).covars()[0].diagonal()
+        >>> ball.transform(np.eye(3), translation=(1, 0, 0), scale=2.0).covars()[0].diagonal()
         array([ 4.,  4., 16.])
     """
 

@@ -109,7 +109,7 @@ def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _errors_of_one(g, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
-    """Gaussian g of `shown_errors`."""
+    """Gaussian g of `measure_shown_errors`."""
     most = v.shape[2]
     width = directions.shape[1]
     seen, target, heavy = (
