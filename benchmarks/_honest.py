@@ -37,7 +37,7 @@ from gsvis.stream.wire import ERROR, ServerFault
 
 __all__ = ["Checker", "Checks", "Link", "Viewer", "Visit", "begin_checks", "check"]
 
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 DRY_S = 0.08  # nothing has come for so long though all is acknowledged: ask whether the server is awake
 VISIT_S = 20.0  # longest visit
 _AXES = {"axis": 1, "axes": 2, "axes-split": 2}  # color axes of a Gaussian, where it has some

@@ -28,7 +28,7 @@ from gsvis.stream.header import SceneHeader
 
 __all__ = ["CROWD", "Target", "attack", "unverified"]
 
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 HOLD_S = 90.0  # a connection that the server does not end is given up after so long
 HEALTH = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 OUTSIDE = (

@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, need, realdata, write_result
 
-from gsvis.abr import BandwidthTrace, SchedulerConfig, UtilityConfig, load_trace, paired_difference
+from gsvis.abr import AbrConfig, BandwidthTrace, UtilityConfig, load_trace, paired_difference
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path
 from gsvis.package import Package
@@ -53,8 +53,8 @@ from gsvis.simulate import (
     Adaptive,
     Link,
     MortonProgressive,
-    SessionConfig,
     Stage,
+    ViewingConfig,
     WholeFile,
     morton_order,
     play,
@@ -86,8 +86,8 @@ def main() -> None:
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
     parser.add_argument("--every", type=float, default=0.5, help="seconds between images after the first 3 s")
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--policy", default=SchedulerConfig.policy)
-    parser.add_argument("--estimator", default=SchedulerConfig.estimator)
+    parser.add_argument("--policy", default=AbrConfig.policy)
+    parser.add_argument("--estimator", default=AbrConfig.estimator)
     parser.add_argument("--peripheral", type=float, default=UtilityConfig.peripheral, help="factor of `utility`")
     parser.add_argument("--adjacent", type=float, default=UtilityConfig.adjacent, help="factor of `utility`")
     parser.add_argument("--beyond", type=float, default=UtilityConfig.beyond, help="factor of `utility`")
@@ -95,9 +95,9 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="folder where finished walks are kept: a killed run goes on")
     options = parser.parse_args()
     need(options.packages, "what `gsvis prepare` made, as NAME=PACKAGE")
-    config = SessionConfig(seconds=options.seconds, every=options.every)
+    config = ViewingConfig(seconds=options.seconds, every=options.every)
     utility = UtilityConfig(peripheral=options.peripheral, adjacent=options.adjacent, beyond=options.beyond)
-    scheduling = SchedulerConfig(policy=options.policy, estimator=options.estimator, utility=utility)
+    scheduling = AbrConfig(policy=options.policy, estimator=options.estimator, utility=utility)
     named = [word.partition("=")[::2] for word in options.packages]
     links = recorded_links(options.links)
     begun = time.perf_counter()
@@ -183,8 +183,8 @@ def walked(
     walk: int,
     visit: int,
     count: int,
-    config: SessionConfig,
-    scheduling: SchedulerConfig,
+    config: ViewingConfig,
+    scheduling: AbrConfig,
     cache: Path | None,
 ) -> list[dict[str, Any]]:
     """One walk through one scene, over all links, by all systems."""

@@ -25,7 +25,7 @@ def run_serve(command: Serve) -> None:
         OSError: If the address is taken.
         ValueError: If an argument is wrong.
     """
-    from gsvis.abr.scheduler import SchedulerConfig
+    from gsvis.abr.config import AbrConfig
     from gsvis.serve import Address, AppConfig, JsonLines, Limits, Server, TextLines, open_scenes
 
     _log_to_stderr(JsonLines() if command.log_format == "json" else TextLines(), debug=command.debug)
@@ -35,9 +35,7 @@ def run_serve(command: Serve) -> None:
         keep_alive_s=command.keep_alive, per_address=command.per_address,
     )  # fmt: skip
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
-    config = AppConfig(
-        token, command.origins, limits, SchedulerConfig(policy=command.policy), command.hosts, command.proxies
-    )
+    config = AppConfig(token, command.origins, limits, AbrConfig(policy=command.policy), command.hosts, command.proxies)
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:

@@ -29,7 +29,7 @@ from gsvis.report.session_plots import (
 from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
-from gsvis.simulate.session import Session
+from gsvis.simulate.viewing import Viewing
 
 __all__ = ["Simulation", "Visit", "session_document", "write_session_report"]
 
@@ -50,7 +50,7 @@ class Visit:
     """
 
     title: str
-    sessions: tuple[Session, ...]
+    sessions: tuple[Viewing, ...]
     compared_with: str
     path: dict[str, Any] = field(default_factory=dict)
     scene: dict[str, Any] = field(default_factory=dict)

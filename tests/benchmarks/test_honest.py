@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks._honest import Checker, Checks, Visit
 from gsvis.abr.classes import FieldOfView
-from gsvis.stream import Receiver, Sender, StreamedScene
+from gsvis.stream import Receiver, Session, StreamedScene
 from gsvis.stream.batch import Sections
 from tests.stream.worlds import package_of
 
@@ -28,13 +28,13 @@ def visited(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def visit_of(scene: StreamedScene) -> Visit:
     """What a viewer who walks receives."""
-    sender, visit = Sender(scene, FieldOfView.of_degrees(80, 60, margin=8)), Visit(scene.header)
+    session, visit = Session(scene, FieldOfView.from_degrees(80, 60, margin=8)), Visit(scene.header)
     for k in range(40):
-        sender.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
-        message = sender.next_message(k / 10, 3000.0)
+        session.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
+        message = session.next_message(k / 10, 3000.0)
         if message is not None:
             visit.batches.append(message.data)
-            sender.on_ack(k / 10 + 0.05, len(visit.batches))
+            session.on_ack(k / 10 + 0.05, len(visit.batches))
     return visit
 
 

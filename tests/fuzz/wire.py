@@ -21,8 +21,8 @@ import pyarrow as pa
 from pyroaring import BitMap
 
 from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve import Limits, Metrics
 from gsvis.serve._log import EventLog
@@ -30,7 +30,7 @@ from gsvis.serve.clock import ManualClock
 from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Sender, StreamedScene, parse_client
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
 from gsvis.stream.batch import _ARROW, _BODY_AT, _DATA_AT, _ENDS, _IDS, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.wire import ServerFault
@@ -41,7 +41,7 @@ from tests.stream.worlds import package_of
 __all__ = ["TARGETS"]
 
 N = 300
-VIEW = FieldOfView.of_degrees(90.0, 70.0, margin=8.0)
+VIEW = FieldOfView.from_degrees(90.0, 70.0, margin=8.0)
 
 
 @cache
@@ -60,9 +60,9 @@ def scenes() -> dict[str, StreamedScene]:
 def held() -> bytes:
     """Holdings of a client of the first scene that has received some batches."""
     scene = scenes()["rgb"]
-    sender = Sender.greeted(scene, Hello(VIEW))
-    talk(sender, Receiver(sender.welcome(0.0).data), 1)
-    return sender.holdings.to_bytes()
+    session = Session.from_hello(scene, Hello(VIEW))
+    talk(session, Receiver(session.welcome(0.0).data), 1)
+    return session.holdings.to_bytes()
 
 
 def eyes() -> list[tuple[float, float, float]]:
@@ -70,16 +70,16 @@ def eyes() -> list[tuple[float, float, float]]:
     return [(float(x), float(y), float(z)) for x, y, z in scenes()["rgb"].index.grid.centers[:6]]
 
 
-def talk(sender: Sender, receiver: Receiver, batches: int) -> list[bytes]:
-    """The batches that a sender has for a viewer that walks."""
+def talk(session: Session, receiver: Receiver, batches: int) -> list[bytes]:
+    """The batches that a session has for a viewer that walks."""
     found, places = [], eyes()
     for k in range(4 * batches):
-        sender.on_pose(0.1 * k, places[k % len(places)], (1.0, 0.1 * k, 0.0, 0.0))
-        message = sender.next_message(0.1 * k + 0.02, 1500.0)
+        session.on_pose(0.1 * k, places[k % len(places)], (1.0, 0.1 * k, 0.0, 0.0))
+        message = session.next_message(0.1 * k + 0.02, 1500.0)
         if message is not None and len(found) < batches:
             receiver.receive(message.data)
             found.append(message.data)
-            sender.on_ack(0.1 * k + 0.05, message.sequence)
+            session.on_ack(0.1 * k + 0.05, message.sequence)
     return found
 
 
@@ -99,7 +99,7 @@ def in_parser(folder: Path, case: Case) -> None:
     assert type(found)(**{f.name: getattr(found, f.name) for f in fields(found)}).to_bytes() is not None
     if isinstance(found, Hello):
         try:
-            Sender.greeted(scenes()["rgb"], found)
+            Session.from_hello(scenes()["rgb"], found)
         except ValueError as error:
             raise ProtocolError(str(error)) from error
 
@@ -250,7 +250,7 @@ def in_connection(folder: Path, case: Case) -> None:
     clock = ManualClock()
     log, served = Heard(), ServedScene("rgb", folder, scenes()["rgb"])
     peer = Script([case[name] for name in sorted(case)], clock)
-    setting = Setting(WIDE if peer.slow else LIMITS, Metrics(), log, SchedulerConfig(), clock)
+    setting = Setting(WIDE if peer.slow else LIMITS, Metrics(), log, AbrConfig(), clock)
     full = "all are taken" if len(case) == 1 else ""  # who says one thing alone finds no seat
 
     async def run() -> str:
@@ -268,9 +268,9 @@ def in_connection(folder: Path, case: Case) -> None:
 
 @cache
 def batches(variant: str) -> list[bytes]:
-    sender = Sender.greeted(scenes()[variant], Hello(VIEW))
-    welcome = sender.welcome(0.0).data
-    return [welcome, *talk(sender, Receiver(welcome), 4)]
+    session = Session.from_hello(scenes()[variant], Hello(VIEW))
+    welcome = session.welcome(0.0).data
+    return [welcome, *talk(session, Receiver(welcome), 4)]
 
 
 def downstream() -> list[Case]:
@@ -462,7 +462,7 @@ TARGETS = [
         in_connection,
         (ProtocolError,),
         change=change_order,
-        modules=("gsvis.serve.connection", S + "sender", S + "meter"),
+        modules=("gsvis.serve.connection", S + "session", S + "meter"),
     ),
     Target(
         "client-session",

@@ -90,13 +90,13 @@ def test_what_no_client_takes_is_not_offered(tmp_path: Path, monkeypatch: pytest
     with package_of(tmp_path / "s.gsvis", 60, stores=False) as package:
         monkeypatch.setattr(headers, "MOST", 59)
         with pytest.raises(SceneError, match="at most 59 Gaussians"):
-            SceneHeader.of(package.manifest)
+            SceneHeader.from_manifest(package.manifest)
 
 
 def test_the_identity_is_of_all_that_ids_and_records_mean(tmp_path: Path) -> None:
     def about(name: str, variant: str = "axis", seed: int = 0) -> SceneHeader:
         with package_of(tmp_path / name / "s.gsvis", 60, variant, seed, stores=False) as package:
-            return SceneHeader.of(package.manifest)
+            return SceneHeader.from_manifest(package.manifest)
 
     one = about("one")
     assert one == about("again")
@@ -104,7 +104,7 @@ def test_the_identity_is_of_all_that_ids_and_records_mean(tmp_path: Path) -> Non
     with Package.open(tmp_path / "one" / "s.gsvis") as package:
         manifest = package.manifest
         renamed = dataclasses.replace(manifest, names=(*manifest.names[:-1], "another"))
-        assert SceneHeader.of(renamed).identity != one.identity
+        assert SceneHeader.from_manifest(renamed).identity != one.identity
         for block in range(len(manifest.blocks)):
             less = (*manifest.blocks[:block], *manifest.blocks[block + 1 :])
-            assert SceneHeader.of(dataclasses.replace(manifest, blocks=less)).identity != one.identity
+            assert SceneHeader.from_manifest(dataclasses.replace(manifest, blocks=less)).identity != one.identity
