@@ -18,7 +18,6 @@ import sys
 
 import numba
 import numpy as np
-import torch
 from _harness import add_arguments, measure, realdata, write_result
 
 from gsvis.io import load_scene
@@ -34,22 +33,20 @@ def cameras(width: int, height: int) -> Cameras:
     return Cameras.look_at(EYES, TARGETS, width=width, height=height, fov=70)
 
 
-def draw(tensors: GaussianTensors, views: Cameras) -> None:
-    with torch.no_grad():
-        for c in range(len(views)):
-            rasterize(tensors, views[c])
+def draw(g: Gaussians, views: Cameras) -> None:
+    for c in range(len(views)):
+        rasterize(g, views[c])
 
 
 def peak_over_scene() -> float:
     """Rise of the peak resident size while four frames are drawn, over the bytes of the scene."""
     small = Gaussians([[0, 0, 2.0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.5], np.zeros((1, 1, 3)))
-    draw(GaussianTensors.from_gaussians(small), cameras(64, 48))  # compiled code and libraries are not the frame's
+    draw(small, cameras(64, 48))  # compiled code and libraries are not the frame's
     g = load_scene(realdata() / "scenes/showroom/lod-meta.json", lod=2)
-    tensors = GaussianTensors.from_gaussians(g)
     before = _resident()
     with open("/proc/self/clear_refs", "w", encoding="ascii") as clear:
         clear.write("5")  # forget the peak so far: loading had its own
-    draw(tensors, cameras(1920, 1080))
+    draw(g, cameras(1920, 1080))
     rise = _peak() - before
     return rise / g.nbytes
 
