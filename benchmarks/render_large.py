@@ -21,7 +21,7 @@ import numpy as np
 from _harness import add_arguments, measure, realdata, write_result
 
 from gsvis.io import load_scene
-from gsvis.render import GaussianTensors, rasterize
+from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -75,22 +75,21 @@ def main() -> None:
     found = subprocess.run([sys.executable, __file__, "--memory"], check=True, capture_output=True, text=True)
     memory = json.loads(found.stdout)["over_scene"]
     g = load_scene(realdata() / "scenes/showroom/lod-meta.json", lod=2)
-    whole = GaussianTensors.from_gaussians(g)
-    full = measure(lambda: draw(whole, cameras(1920, 1080)), repeats=5, warmup=1)
+    full = measure(lambda: draw(g, cameras(1920, 1080)), repeats=5, warmup=1)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
-    one = measure(lambda: draw(whole, cameras(1920, 1080)), repeats=3, warmup=0)
+    one = measure(lambda: draw(g, cameras(1920, 1080)), repeats=3, warmup=0)
     numba.set_num_threads(threads)
     order = np.random.default_rng(0).permutation(len(g))
     by_count, by_pixels = [], []
     for n in (50_000, 100_000, 200_000, 400_000, 800_000, len(g)):
-        tensors = GaussianTensors.from_gaussians(g[np.sort(order[:n])])
-        seconds = measure(lambda t=tensors: draw(t, cameras(1920, 1080)), repeats=3, warmup=1).median / len(EYES)
+        some = g[np.sort(order[:n])]
+        seconds = measure(lambda t=some: draw(t, cameras(1920, 1080)), repeats=3, warmup=1).median / len(EYES)
         by_count.append({"gaussians": n, "seconds": seconds})
         print(f"N {n:>9,}: {seconds:.3f} s", file=sys.stderr)
     for height in (240, 540, 1080, 1620, 2160):
         views = cameras(height * 16 // 9, height)
-        seconds = measure(lambda v=views: draw(whole, v), repeats=3, warmup=1).median / len(EYES)
+        seconds = measure(lambda v=views: draw(g, v), repeats=3, warmup=1).median / len(EYES)
         by_pixels.append({"megapixels": views.width * height / 1e6, "seconds": seconds})
         print(f"{views.width} x {height}: {seconds:.3f} s", file=sys.stderr)
     write_result(

@@ -57,7 +57,7 @@ def psnr(image: Any, target: Any, data_range: float = 1.0) -> Tensor | Values:
 
         return psnr_torch(image, target, data_range)
     a, b = _pair(image, target)
-    error = np.square(a - b).reshape(len(a), -1).mean(axis=1)
+    error = np.square(a - b).mean(axis=(1, 2, 3))
     with np.errstate(divide="ignore"):
         return _like(image, 10.0 * np.log10(check_white(data_range) ** 2 / error))
 
@@ -184,7 +184,8 @@ def lpips(image: Any, target: Any, net: str = "vgg") -> Tensor | Values:
     values = lpips_torch(image, target, net)
     if tensors:
         return values
-    return _like(image, values.double().numpy())
+    array: F64 = values.detach().double().numpy()
+    return array if array.ndim else float(array)
 
 
 def _is_tensor(image: Any, target: Any) -> bool:

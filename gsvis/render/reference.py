@@ -163,7 +163,8 @@ def draw_reference(
         half = left[:, 1:] <= 0.5
         median = np.zeros_like(alpha)
         reached = half.any(axis=1)
-        median[reached] = splats.depths[half[reached].argmax(axis=1)]
+        if reached.any():
+            median[reached] = splats.depths[half[reached].argmax(axis=1)]
         parts.append((image, alpha, depth, median))
     shape = (view.height, view.width)
     whole = [np.concatenate(part).astype(np.float32) for part in zip(*parts, strict=True)]

@@ -31,7 +31,7 @@ def test_weights_equal_the_reference(kind: str) -> None:
 def test_summed_weights_make_up_alpha() -> None:
     g, cameras = scene("mixed"), views()
     summed = view_weights(g, cameras).summed.sum(axis=1)
-    np.testing.assert_allclose(summed, rasterize(g, cameras).alphas.sum(dim=(1, 2)), rtol=1e-4)
+    np.testing.assert_allclose(summed, rasterize(g, cameras).alphas.sum(axis=(1, 2)), rtol=1e-4)
 
 
 def test_contributors_make_up_their_pixel() -> None:
