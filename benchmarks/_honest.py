@@ -213,7 +213,7 @@ class Checker:
         with Package.open(package) as opened:
             self._header = SceneHeader.of(opened.manifest).to_message()
             self._contents = c = opened.contents
-            self._gaussians, colors = c.gaussians(), c.colors().dequantized()
+            self._gaussians, colors = c.gaussians(), c.colors().dequantize()
             rgb = base_rgb(c.records, c.grids)
         self._sh0 = ((rgb - np.float32(0.5)) / np.float32(SH_C0))[:, None]  # in float32, as a client does it
         self._terms = colors.functions, colors.centers, colors.decays, colors.intensities

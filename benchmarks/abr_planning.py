@@ -93,7 +93,7 @@ def walks_of(data: Path, index: SceneIndex, seconds: float, count: int) -> list[
     files = sorted((data / "traces" / "eyenav_rutgers" / "room").glob("*.csv.gz"))[:count]
     out, grid = [], index.grid
     for file in files:
-        walk = read_eyenav(file).cut(0.0, seconds).resampled(10.0)
+        walk = read_eyenav(file).cut(0.0, seconds).resample(10.0)
         shift = grid.centers[len(grid) // 2] - walk.positions.mean(axis=0)
         out.append(HeadPath(walk.times - walk.times[0], walk.positions + shift, walk.quats))
     return out

@@ -280,7 +280,7 @@ def shown(subject: Subject, path: HeadPath, walk: WalkTerms) -> dict[str, float]
     """Images at eight poses with the terms sent until then, against all terms."""
     times = walk.times[np.unique(np.linspace(0, len(walk.times) - 1, 8).round().astype(int))]
     config, values = walk.config, []
-    cameras = path.resampled(times=times).cameras(config.width, config.height, config.fov)
+    cameras = path.resample(times=times).cameras(config.width, config.height, config.fov)
     for i, seconds in enumerate(times):
         held = walk.first_active <= np.float32(seconds)
         values.append(min(CAP, float(psnr(subject.image(cameras[i], held), subject.image(cameras[i])))))

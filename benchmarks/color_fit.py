@@ -40,7 +40,7 @@ def scene() -> tuple[Gaussians, np.ndarray]:
     sets = trace_directions(Tracer(EllipsoidProxies.from_scene(g)), space, ids=ids, rays_per_face=1)
     borrowed = sets[np.arange(len(g)) // 8]
     turns = [np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0] for k in range(COPIES)]
-    turned = Gaussians.concatenate([g.transformed(turn * np.sign(np.linalg.det(turn))) for turn in turns])
+    turned = Gaussians.concatenate([g.transform(turn * np.sign(np.linalg.det(turn))) for turn in turns])
     return turned[:COUNT], np.tile(borrowed, (COPIES, 1))[:COUNT]
 
 

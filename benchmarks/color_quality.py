@@ -132,7 +132,7 @@ def main() -> None:
             )
             colors = fit.colors
             images = rasterize(g, held_out, colors=colors).images
-            wire = rasterize(g, held_out, colors=quantize(colors, "wire").dequantized()).images
+            wire = rasterize(g, held_out, colors=quantize(colors, "wire").dequantize()).images
             exact, rounded = psnr_of(images, reference), psnr_of(wire, reference)
             counts = colors.counts
             row = {

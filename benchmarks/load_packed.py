@@ -130,7 +130,7 @@ def write(scene: Gaussians, folder: Path, peer: Path | None) -> dict[str, Any]:
     for kind, path in paths.items():
         got = load_spz(path)
         if kind == "splat-transform":
-            got = got.transformed(np.diag([1.0, -1.0, -1.0]))
+            got = got.transform(np.diag([1.0, -1.0, -1.0]))
         error = float(np.mean((drawn(got, around) - wanted) ** 2))
         found[kind] = {"bytes": path.stat().st_size, "psnr": -10.0 * float(np.log10(error))}
     return found

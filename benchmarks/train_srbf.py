@@ -85,7 +85,7 @@ def main() -> None:
             config = FitConfig(variant=name, mean_terms=mean_terms, max_terms=8)
             colors = fit_srbf(g, sets, config, importance=views.importance).colors
             images = rasterize(g, held_out.cameras, colors=colors).images
-            wire = rasterize(g, held_out.cameras, colors=quantize(colors, "wire").dequantized()).images
+            wire = rasterize(g, held_out.cameras, colors=quantize(colors, "wire").dequantize()).images
             row = {
                 "variant": name,
                 "mean_terms": float(colors.counts.mean()),

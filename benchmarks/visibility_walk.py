@@ -28,7 +28,7 @@ from _harness import add_arguments, realdata, write_result
 from gsvis.io import load_scene
 from gsvis.io.poses import load_path
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.walk import PAPER_WALK, WalkConfig, seen_over_walk
+from gsvis.pvs.walk import PAPER_WALK, WalkConfig, measure_walk
 from gsvis.raycast import PAPER
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.retarget import RetargetConfig, retarget
@@ -84,15 +84,15 @@ def measured(name: str, walks: tuple[str, ...], config: WalkConfig, store: Path 
         recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{walk}.csv.gz").cut(0.0, config.seconds)
         placed = retarget(recording, navigable, RetargetConfig(meters_per_unit=METERS.get(label), seed=seed))
         start = time.perf_counter()
-        seen = seen_over_walk(g, placed.path, config)
+        seen = measure_walk(g, placed.path, config)
         seconds = time.perf_counter() - start
         taken.append({"walk": walk, "retarget": placed.as_dict(), "seconds": seconds, **seen.as_dict()})
         if store is not None:
             with VisibilityStore.open(store, scene=g) as sets:
-                taken[-1]["cells"] = seen_over_walk(sets, placed.path, config).as_dict()
+                taken[-1]["cells"] = measure_walk(sets, placed.path, config).as_dict()
         if seed == 0:
             slower = WalkConfig(config.seconds, config.rate / 2.0, config.width, config.height, config.fov)
-            taken[0]["seen_at_end_at_half_the_rate"] = float(seen_over_walk(g, placed.path, slower).seen[-1])
+            taken[0]["seen_at_end_at_half_the_rate"] = float(measure_walk(g, placed.path, slower).seen[-1])
         told = f"{seen.visible.mean():.2%} per camera, {seen.seen[-1]:.2%} in all, {seconds:.1f} s"
         print(
             f"{label}: {walk}: {placed.similarity}, {placed.inside:.2%} inside, {placed.looking:.0%} looking: {told}",

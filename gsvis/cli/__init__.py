@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as done:  # from tyro, which has said what it had to say
         return done.code if isinstance(done.code, int) else 2
     except KeyboardInterrupt as stopped:
-        return _told(f"interrupted; {str(stopped) or 'nothing was left half-written'}", 130)
+        return _exit_with(f"interrupted; {str(stopped) or 'nothing was left half-written'}", 130)
     except BrokenPipeError:
         # What reads stdout has gone. Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _drop_stdout_if_full(error)
         if debug:
             raise
-        return _told(*_explained(error))
+        return _exit_with(*_explain(error))
     finally:
         if before is not None:
             signal.signal(signal.SIGTERM, before)
@@ -94,7 +94,7 @@ def parse(arguments: Sequence[str]) -> Command:
 
     wrong = misspelling(arguments)
     if wrong is not None:
-        raise SystemExit(_told(f"error: {wrong}", 2))
+        raise SystemExit(_exit_with(f"error: {wrong}", 2))
     command: Command = tyro.cli(
         Command,
         prog="gsvis",
@@ -185,7 +185,7 @@ def _run(command: Command) -> None:
         run_convert(command)
 
 
-def _explained(error: Exception) -> tuple[str, int]:
+def _explain(error: Exception) -> tuple[str, int]:
     """One line for the user, and the exit code."""
     from gsvis.errors import GsvisError, OutputError
 
@@ -206,9 +206,9 @@ def _explained(error: Exception) -> tuple[str, int]:
 
 def _stdout() -> AbstractContextManager[None]:
     """What raises OutputError where standard output goes to a file and the disk is full."""
-    from gsvis.cli.terminal import written_out
+    from gsvis.cli.terminal import check_stdout
 
-    return written_out()
+    return check_stdout()
 
 
 def _drop_stdout_if_full(error: Exception) -> None:
@@ -220,7 +220,7 @@ def _drop_stdout_if_full(error: Exception) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _told(line: str, code: int) -> int:
+def _exit_with(line: str, code: int) -> int:
     sys.stderr.write(f"gsvis: {line}\n")
     return code
 

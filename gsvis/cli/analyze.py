@@ -16,7 +16,7 @@ from gsvis.cli.source import (
     check_source,
     evenly,
     file_cameras,
-    inspected,
+    inspect_scene_of,
     is_builtin,
     is_report,
     load_source,
@@ -51,14 +51,14 @@ def run_analyze(command: Analyze) -> None:
     check_report(command.out)
     given = _given_cameras(command)
     with Status() as status:
-        document = _reported(command, given, status)
+        document = _write_report(command, given, status)
     if command.json:
         print_json(document)
     else:
         show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
 
 
-def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[str, Any]:
+def _write_report(command: Analyze, given: Cameras | None, status: Status) -> dict[str, Any]:
     """Everything between reading the scene and a written report."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.analysis import AnalysisConfig, analyze
@@ -70,11 +70,11 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
     g = source.gaussians
     if len(g) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
-    facts_found = inspected(source)
+    facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
     status("space", 0, 1)
     navigable, no_space = navigable_space(source, seeds=None if given is None else given.viewpoints)
-    cameras = given if given is not None else _sampled(command, navigable, no_space)
+    cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
     status("space", 1, 1)
     status("kernels", 0, 1)
     _warm_up()
@@ -89,7 +89,7 @@ def _reported(command: Analyze, given: Cameras | None, status: Status) -> dict[s
         gaussians=g,
         up=navigable.up if navigable is not None else axis_vector(facts_found["up"]),
         cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
-        command=_spelled(command),
+        command=_command_line(command),
         version=version(),
         facts={"path": command.scene, "lod": source.lod, **facts_found},
         parameters=_parameters(command, cameras),
@@ -132,7 +132,7 @@ def _given_cameras(command: Analyze) -> Cameras | None:
     return cameras if command.views is None else evenly(cameras, command.views)
 
 
-def _sampled(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:
+def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:
     if navigable is None:
         raise SceneError(f"{command.scene}: {no_space}; give cameras with --cameras FILE")
     return navigable.sample_cameras(
@@ -161,7 +161,7 @@ def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
     }
 
 
-def _spelled(command: Analyze) -> str:
+def _command_line(command: Analyze) -> str:
     """The command line that makes the report again."""
     words = ["gsvis", "analyze", command.scene, "-o", command.out]
     for name in ("lod", "cameras", "views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face"):

@@ -20,11 +20,11 @@ from gsvis.cli.source import (
     check_file,
     check_report,
     check_source,
-    given_up,
     inputs_of,
-    inspected,
-    levels_told,
+    inspect_scene_of,
     load_source,
+    parse_up,
+    summarize_levels,
 )
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
@@ -88,16 +88,16 @@ def run_color(command: Color) -> None:
         OSError: If a file cannot be written.
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
-    config = _checked(command)
+    config = _check_arguments(command)
     with ExitStack() as opened, Status() as status:
         store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))
-        plan = _planned(command, config, store, status)
-        fitted = _done(command, plan, status)
+        plan = _plan(command, config, store, status)
+        fitted = _run(command, plan, status)
         seconds = dict(status.seconds)
     tell_result(command, plan.source, fitted, plan.remarks, seconds)
 
 
-def _checked(command: Color) -> ColorConfig:
+def _check_arguments(command: Color) -> ColorConfig:
     """Everything about the arguments that can be known before work begins."""
     check_source(command.scene, command.lod)
     if command.pvs is not None and not Path(command.pvs).exists():
@@ -118,7 +118,7 @@ def _checked(command: Color) -> ColorConfig:
         raise ValueError(f"--up: expected none with --pvs, which knows it, got {command.up.strip()}; leave it out")
     if command.report is not None and command.held_out == 0:
         raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
-    given_up(command.up)
+    parse_up(command.up)
     from gsvis.prepare.colors import ColorConfig
     from gsvis.scene.view_sampling import ViewSampling
 
@@ -157,7 +157,7 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
             )
 
 
-def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None, status: Status) -> _Plan:
+def _plan(command: Color, config: ColorConfig, store: VisibilityStore | None, status: Status) -> _Plan:
     """The scene and where eyes may be."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -173,7 +173,7 @@ def _planned(command: Color, config: ColorConfig, store: VisibilityStore | None,
     if store is not None:
         space, why_not = _space_of(store, source), ""
     else:
-        space, why_not = found_space(source, up=given_up(command.up))
+        space, why_not = found_space(source, up=parse_up(command.up))
     status("space", 1, 1)
     if space is None and g.sh_degree > 0:
         raise SceneError(
@@ -204,22 +204,22 @@ def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
     return box_space(store.grid, source.gaussians)
 
 
-def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
+def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     """Everything between a read scene and the last file that was asked for."""
-    from gsvis.prepare.colors import kept_beside, prepare_colors
+    from gsvis.prepare.colors import find_kept, prepare_colors
     from gsvis.prepare.fitted_colors import FittedColors, rounded
 
     g, sets = plan.source.whole, None if plan.store is None else plan.store.direction_sets
     if plan.source.union.sh_degree > 0:
         warm_colors(plan.config, status)
-    kept = kept_beside(g, plan.space, plan.config, command.out, sets=sets)
+    kept = find_kept(g, plan.space, plan.config, command.out, sets=sets)
     try:
         found = prepare_colors(g, plan.space, plan.config, sets=sets, keep=command.out, progress=status)
         status("records", 0, 1)
         colors = rounded(found.fit.colors, command.precision)
         status("records", 1, 1)
         epsilon, calibration = _epsilon(command, plan, colors, status)
-        size = _written(command, plan, found, (epsilon, calibration))
+        size = _write(command, plan, found, (epsilon, calibration))
     except KeyboardInterrupt:
         if kept is None or not kept.exists():
             raise
@@ -236,7 +236,7 @@ def _done(command: Color, plan: _Plan, status: Status) -> FittedColors:
     union = plan.source.union
     fitted = FittedColors(union, colors, found, command.precision, size, epsilon, calibration, shown=shown)
     try:
-        return _looked_at(command, plan, fitted, status)
+        return _examine(command, plan, fitted, status)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{command.out} is written, what else was asked for may not be") from None
     except OutputError as error:
@@ -274,7 +274,7 @@ def _epsilon(
     return found.epsilon, found
 
 
-def _written(
+def _write(
     command: Color, plan: _Plan, found: ColorPreparation, known: tuple[float | None, EpsilonCalibration | None]
 ) -> int:
     """The file written; its size."""
@@ -286,7 +286,7 @@ def _written(
         "fit": asdict(plan.config.fit),
         "views": asdict(plan.config.views),
         "directions": found.sets_from,
-        "levels": levels_told(plan.source),
+        "levels": summarize_levels(plan.source),
         "epsilon": epsilon,
         "epsilon_from": None if calibration is None else calibration.as_dict(),
     }
@@ -295,7 +295,7 @@ def _written(
     return Path(command.out).stat().st_size
 
 
-def _looked_at(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> FittedColors:
+def _examine(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> FittedColors:
     """What is made of the colors once they are safe."""
     g, colors, epsilon = fitted.gaussians, fitted.colors, fitted.epsilon
     if command.active is not None and plan.store is not None and epsilon is not None:
@@ -314,13 +314,13 @@ def _looked_at(command: Color, plan: _Plan, fitted: FittedColors, status: Status
     if command.staircase is not None:
         _write_staircase(command, plan, colors, status)
     if command.held_out:
-        fitted = replace(fitted, quality=_compared(command, plan, fitted, status))
+        fitted = replace(fitted, quality=_compare(command, plan, fitted, status))
     if command.report is not None:
         _write_report(command, plan, fitted, status)
     return fitted
 
 
-def _compared(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> ColorQuality:
+def _compare(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> ColorQuality:
     from gsvis.prepare.color_quality import ColorQualityConfig, has_flip, measure_colors
     from gsvis.scene.view_sampling import ViewSampling
 
@@ -363,16 +363,16 @@ def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Sta
         gaussians=plan.source.gaussians,
         up=plan.space.up,
         cameras_from=f"drawn at random where eyes may be ({plan.space.rule})",
-        command=_spelled(command),
+        command=_command_line(command),
         version=version(),
-        facts={"path": command.scene, "lod": plan.source.lod, **inspected(plan.source)},
+        facts={"path": command.scene, "lod": plan.source.lod, **inspect_scene_of(plan.source)},
         parameters={name: getattr(command, name) for name in (*_PATHS, *_NUMBERS)},
         seconds=dict(status.seconds),
     )
     write_color_report(command.report, fitted, subject, progress=status)
 
 
-def _spelled(command: Color) -> str:
+def _command_line(command: Color) -> str:
     """The command line that makes all this again."""
     words = ["gsvis", "color", command.scene, "-o", command.out]
     for name in (*_PATHS[2:], *_NUMBERS):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Color
-from gsvis.cli.source import Source, levels_spelled, levels_told
+from gsvis.cli.source import Source, levels_spelled, summarize_levels
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def tell_result(
             "lod": source.lod,
             "out": command.out,
         }
-        about["levels"] = levels_told(source)
+        about["levels"] = summarize_levels(source)
         written = {name: getattr(command, name) for name in ("active", "report", "staircase")}
         print_json({**about, **written, **document, "seconds": seconds})
         return

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Inspect
-from gsvis.cli.source import Source, inspected, load_source
+from gsvis.cli.source import Source, inspect_scene_of, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 
 __all__ = ["run_inspect"]
@@ -23,7 +23,7 @@ def run_inspect(command: Inspect) -> None:
     with Status() as status:
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
-        report = inspected(source)
+        report = inspect_scene_of(source)
         status("reading", 1, 1)
     if command.json:
         place = {"scene": source.name, "lod": source.lod, "lods_present": list(source.lods)}

@@ -16,11 +16,11 @@ import numpy as np
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import record_of, tell_result
-from gsvis.cli.source import Source, check_folder, check_source, given_up, load_source, navigable_space
+from gsvis.cli.source import Source, check_folder, check_source, load_source, navigable_space, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.errors import FormatError, OutputError, SceneError
-from gsvis.files.atomic import interrupted_moves
+from gsvis.files.atomic import find_interrupted_moves
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -69,11 +69,11 @@ def run_levels(command: Levels) -> None:
         OSError: If the folder cannot be written.
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
-    config = _checked(command)
+    config = _check_arguments(command)
     with Status() as status:
-        plan = _planned(command, config, status)
+        plan = _plan(command, config, status)
         warm_levels(config, status)
-        trained, record = _done(command, plan, status)
+        trained, record = _run(command, plan, status)
         seconds = dict(status.seconds)
     tell_result(command, trained.levels, record, plan.remarks, seconds)
 
@@ -93,7 +93,7 @@ def _target(out: str) -> Path:
     return Path(os.path.abspath(out))
 
 
-def _checked(command: Levels) -> LevelsConfig:
+def _check_arguments(command: Levels) -> LevelsConfig:
     """Everything about the arguments that can be known before work begins."""
     check_source(command.scene, command.lod)
     if command.photos is not None:
@@ -103,7 +103,7 @@ def _checked(command: Levels) -> LevelsConfig:
             if getattr(command, name) is not None:
                 spelled, value = name.replace("_", "-"), str(getattr(command, name)).strip()
                 raise ValueError(f"--{spelled}: expected none with --photos, got {value}; leave it out")
-    given_up(command.up)
+    parse_up(command.up)
     if command.size is not None and min(command.size) < _LEAST_SIDE:
         told = f"{command.size[0]}x{command.size[1]}"
         raise ValueError(f"--size: expected at least {_LEAST_SIDE} pixels a side, got {told}")
@@ -161,7 +161,7 @@ def check_views(sampling: ViewSampling, held_out: int) -> None:
         )
 
 
-def _planned(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
+def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
     """The scene, the views, and where the work is kept."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -175,11 +175,11 @@ def _planned(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
     _check_replaced(command, g)
     status("reading", 1, 1)
     if command.photos is not None:
-        from gsvis.train.level_views import photograph_views
+        from gsvis.train.level_views import load_photograph_views
 
-        drawn = photograph_views(g, command.photos, command.size, progress=status)
+        drawn = load_photograph_views(g, command.photos, command.size, progress=status)
     else:
-        drawn = _drawn(command, source, status)
+        drawn = _draw_views(command, source, status)
     remarks = [f" {remark}" for remark in drawn.remarks]
     least = sum((1.0 - reuse) * share for reuse, share in zip(config.reuse, config.shares, strict=True))
     if least > 0.05:
@@ -208,7 +208,7 @@ def _check_target(command: Levels, names: tuple[str, ...]) -> None:
     for file in files.values():
         if file.exists() and Path(command.scene).exists() and file.samefile(command.scene):
             raise ValueError(f"--out: expected a folder of its own, got {command.out}, whose {file.name} is read")
-    known = interrupted_moves(folder)
+    known = find_interrupted_moves(folder)
     if (folder / MAP).exists():
         wanted = f"--out: expected a new folder, or levels of this scene to replace, got {command.out}"
         try:
@@ -237,18 +237,18 @@ def _check_replaced(command: Levels, g: Gaussians) -> None:
         raise ValueError(f"{wanted}, which holds those of another; name another")
 
 
-def _drawn(command: Levels, source: Source, status: Status) -> LevelViews:
+def _draw_views(command: Levels, source: Source, status: Status) -> LevelViews:
     """Renders of the scene to train on and to measure on, from cameras that have nothing to do with each other."""
-    from gsvis.train.level_views import drawn_views
+    from gsvis.train.level_views import draw_views
 
     status("space", 0, 1)
-    space, why_not = navigable_space(source, up=given_up(command.up))
+    space, why_not = navigable_space(source, up=parse_up(command.up))
     if space is None:
         raise SceneError(f"{command.scene}: {why_not}; photographs with cameras, --photos, serve as well")
     status("space", 1, 1)
     held_out = _HELD_OUT if command.held_out is None else command.held_out
     sampling = view_sampling(command.views, command.size, command.seed)
-    return drawn_views(source.gaussians, space, sampling, held_out, progress=status)
+    return draw_views(source.gaussians, space, sampling, held_out, progress=status)
 
 
 def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:
@@ -258,7 +258,7 @@ def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) ->
     return ViewSampling(views or _VIEWS, *(size or (_WIDTH, _HEIGHT)), _FOV, seed)
 
 
-def _done(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, dict[str, object]]:
+def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, dict[str, object]]:
     """Everything between a plan and the last file; the record of it."""
     from gsvis.train.level_quality import measure_levels
     from gsvis.train.levels import train_levels

@@ -116,7 +116,7 @@ def tell_result(
         ("time", clock(spent)),
     ]
     written = f" Written to {command.out}: {', '.join(row['file'] for row in rows)}, {MAP}."
-    show(table, facts("", told), *_told(record), *remarks, written)
+    show(table, facts("", told), *_explain(record), *remarks, written)
 
 
 def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, Any]) -> list[str]:
@@ -131,7 +131,7 @@ def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, A
     return [*cells, size_of(row["bytes"])]
 
 
-def _told(record: Mapping[str, Any]) -> list[str]:
+def _explain(record: Mapping[str, Any]) -> list[str]:
     """What the columns mean, and what went wrong."""
     views, top = record["views"], record["levels"][-1]["name"]
     lines = [

@@ -13,7 +13,7 @@ from gsvis.errors import FormatError
 from gsvis.io.levels import MAP, levels_info
 from gsvis.package import Manifest, Package, unpack_package
 
-__all__ = ["run_unpack", "run_verify", "sizes_told"]
+__all__ = ["run_unpack", "run_verify", "size_rows"]
 
 
 def run_verify(command: Verify) -> None:
@@ -45,7 +45,7 @@ def run_verify(command: Verify) -> None:
         ("terms", f"{found.terms:,}, variant {manifest.grids.variant}"),
         ("cells", f"{found.cells:,}" if found.cells else "no visible sets"),
         ("parts", f"{found.parts:,}, {size_of(found.nbytes)}"),
-        *sizes_told(manifest),
+        *size_rows(manifest),
         ("up", ", ".join(f"{v:g}" for v in manifest.info.up)),
         ("meters per unit", f"{meters:g}" if meters else "not known"),
         ("cost of rounding", f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}" if cost else "not measured"),
@@ -108,7 +108,7 @@ def _check_replaced(folder: Path, manifest: Manifest) -> None:
             raise ValueError(f"{wanted}, which has a {name}.ply that no {MAP} knows; name another, or move it away")
 
 
-def sizes_told(manifest: Manifest) -> list[tuple[str, str]]:
+def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
     """Rows that tell where the bytes of a package are."""
     sizes, n = manifest.sizes(), max(1, manifest.gaussians)
     records = sizes["records"] + sizes["chunks"]

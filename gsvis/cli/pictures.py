@@ -127,7 +127,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
     """
     animation: list[Image.Image] = []
     with ExitStack() as stack:
-        place = stack.enter_context(_placed(target, depth))
+        place = stack.enter_context(_partial_paths(target, depth))
         kept = Path(stack.enter_context(tempfile.TemporaryDirectory())) if depth else Path()
         near, far = np.inf, -np.inf
         for i, frame in enumerate(frames):
@@ -153,7 +153,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
 
 
 @contextmanager
-def _placed(target: Target, depth: bool) -> Iterator[Callable[[Path], Path]]:
+def _partial_paths(target: Target, depth: bool) -> Iterator[Callable[[Path], Path]]:
     """Where to write each file until all are there."""
     if target.kind == "folder":
         with atomic_folder(target.path) as folder:
@@ -173,7 +173,7 @@ def _write_depths(
         f"expected depth (camera z, scene units) in viridis, linear from near={near:.9g} to far={far:.9g}; black: none"
     )
     texts = {"gsvis:near": f"{near:.9g}", "gsvis:far": f"{far:.9g}", "Description": said}
-    pictures = (Image.fromarray(_colored(np.load(path), near, far)) for path in kept)
+    pictures = (Image.fromarray(_color_depth(np.load(path), near, far)) for path in kept)
     if target.kind == "gif":
         _save_animation(place(target.depth_files[0]), [each.quantize(256) for each in pictures], fps, said)
         return
@@ -223,7 +223,7 @@ def eight_bit(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0), np.uint8)
 
 
-def _colored(depth: NDArray[np.float32], near: float, far: float) -> NDArray[np.uint8]:
+def _color_depth(depth: NDArray[np.float32], near: float, far: float) -> NDArray[np.uint8]:
     """(H, W, 3) viridis from near to far; black where the depth is 0."""
     from matplotlib import colormaps
 

@@ -15,7 +15,7 @@ from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
 from gsvis.cli.levels import check_views, levels_config, view_sampling
 from gsvis.cli.prepare_result import tell_estimate, tell_result
 from gsvis.cli.pvs import local_workers, sets_config
-from gsvis.cli.source import check_folder, check_source, free_space, given_up, is_levels, load_source
+from gsvis.cli.source import check_folder, check_source, free_space, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.errors import SceneError
@@ -41,7 +41,7 @@ def run_prepare(command: Prepare) -> None:
     from gsvis.prepare import estimate_preparation, prepare_package
     from gsvis.prepare.work import WorkFolder
 
-    config = _checked(command)
+    config = _check_arguments(command)
     workers = local_workers(command.workers, command.max_memory)
     with Status() as status:
         status("reading", 0, 1)
@@ -85,7 +85,7 @@ def run_prepare(command: Prepare) -> None:
         tell_result(command, source, space, prepared)
 
 
-def _checked(command: Prepare) -> PrepareConfig:
+def _check_arguments(command: Prepare) -> PrepareConfig:
     """Everything about the arguments that can be known before work begins."""
     from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
@@ -96,7 +96,7 @@ def _checked(command: Prepare) -> PrepareConfig:
     check_source(command.scene, command.lod)
     if command.photos is not None and not Path(command.photos).exists():
         raise FileNotFoundError(2, "no such file or folder", command.photos)
-    given_up(command.up)
+    parse_up(command.up)
     _check_training(command)
     check_folder(Path(command.out).absolute().parent)
     check_target(Path(command.out))

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Prepare
-from gsvis.cli.package import sizes_told
+from gsvis.cli.package import size_rows
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
 from gsvis.scene.navigable import NavigableSpace
@@ -71,7 +71,7 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
         told = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
         rows.append(("cost of rounding", told))
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
-    rows += sizes_told(m)
+    rows += size_rows(m)
     if prepared.parts_kept:
         rows.append(("as before", f"{prepared.parts_kept:,} of the parts, {size_of(prepared.nbytes_kept)}"))
     if not command.discard:

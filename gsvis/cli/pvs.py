@@ -19,10 +19,10 @@ from gsvis.cli.source import (
     check_file,
     check_source,
     free_space,
-    given_up,
     levels_spelled,
-    levels_told,
     load_source,
+    parse_up,
+    summarize_levels,
 )
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
@@ -63,10 +63,10 @@ def run_pvs(command: Pvs) -> None:
         OSError: If the store cannot be written.
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
-    config = _checked(command)
+    config = _check_arguments(command)
     walk = None if command.path is None else load_path(command.path)
     with Status() as status, _workers(command) as workers:
-        plan = _planned(command, config, walk, status)
+        plan = _plan(command, config, walk, status)
         if command.dry_run:
             estimate = estimate_pvs(
                 plan.source.whole, plan.grid, plan.space, command.out, config, workers=workers, progress=status
@@ -83,7 +83,7 @@ def run_pvs(command: Pvs) -> None:
         _tell_result(command, plan, store, seconds)
 
 
-def _checked(command: Pvs) -> PvsConfig:
+def _check_arguments(command: Pvs) -> PvsConfig:
     """Everything about the arguments that can be known before work begins."""
     check_source(command.scene, command.lod)
     check_file(command.out)
@@ -95,7 +95,7 @@ def _checked(command: Pvs) -> PvsConfig:
         if getattr(command, name) is not None and getattr(command, other) is not None:
             spelled = other.replace("_", "-")
             raise ValueError(f"--{spelled}: expected none with --{name}, got {getattr(command, other)}; leave one out")
-    given_up(command.up)
+    parse_up(command.up)
     if command.scheduler is not None:
         from gsvis.pvs.cluster import check_address
 
@@ -162,7 +162,7 @@ def local_workers(count: int | None, max_memory: int | None) -> Workers:
     return Workers(count or cores, max_memory)
 
 
-def _planned(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
+def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
     """The scene, the space and its cells."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -223,7 +223,7 @@ def _about(plan: _Plan) -> dict[str, Any]:
         "scene": plan.source.name,
         "lod": plan.source.lod,
         "gaussians": len(plan.source.union),
-        "levels": levels_told(plan.source),
+        "levels": summarize_levels(plan.source),
         "grid": plan.grid.as_dict(),
         "space": {"rule": plan.space.rule, "voxel_size": plan.space.voxel_size, "volume": plan.space.volume},
         "config": plan.config.as_dict(),

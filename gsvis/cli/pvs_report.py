@@ -10,7 +10,7 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
-from gsvis.cli.source import Source, check_report, check_source, inspected, load_source, navigable_space
+from gsvis.cli.source import Source, check_report, check_source, inspect_scene_of, load_source, navigable_space
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
@@ -35,19 +35,19 @@ def run_pvs_report(command: PvsReport) -> None:
     check_source(command.scene, command.lod)
     check_report(command.out)
     with VisibilityStore.open(command.store) as store, Status() as status:
-        document = _reported(command, store, status)
+        document = _write_report(command, store, status)
     if command.json:
         print_json(document)
     else:
         show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
 
 
-def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dict[str, Any]:
+def _write_report(command: PvsReport, store: VisibilityStore, status: Status) -> dict[str, Any]:
     """Everything between the opened store and a written report."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     store.check_scene(source.whole)
-    facts_found = inspected(source)
+    facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
     status("space", 0, 1)
     viewpoints, told = _viewpoints(store, source)
@@ -64,7 +64,7 @@ def _reported(command: PvsReport, store: VisibilityStore, status: Status) -> dic
         gaussians=source.gaussians,
         up=store.grid.up,
         cameras_from=told,
-        command=_spelled(command),
+        command=_command_line(command),
         version=version(),
         facts={"path": command.scene, "lod": source.lod, **facts_found},
         parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
@@ -92,7 +92,7 @@ def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints,
     return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), told
 
 
-def _spelled(command: PvsReport) -> str:
+def _command_line(command: PvsReport) -> str:
     """The command line that makes the report again."""
     words = ["gsvis", "pvs-report", command.store, command.scene, "-o", command.out]
     for name in _OPTIONS:
@@ -106,7 +106,7 @@ def _spelled(command: PvsReport) -> str:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """What was measured, the figures beside their targets, and what faint classes are worth."""
-    from gsvis.report.pvs_page import spelled, spelled_target
+    from gsvis.report.pvs_page import format_target, spelled
 
     store, quality = document["store"], document["quality"]
     config, share = quality["config"], store["visible_share"]
@@ -122,7 +122,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     for each in quality["figures"].values():
         mean, worst = (spelled(each[which], each["unit"]) for which in ("mean", "worst"))
         wanted = [(each[f"target_{which}"], each[f"met_{which}"]) for which in ("mean", "worst")]
-        beside = "; ".join("" if target is None else spelled_target(target, each["unit"]) for target, _ in wanted)
+        beside = "; ".join("" if target is None else format_target(target, each["unit"]) for target, _ in wanted)
         verdicts = [met for _, met in wanted if met is not None]
         verdict = "" if not verdicts else "met" if all(verdicts) else "MISSED"
         figures.append((each["told"], mean, worst, beside.strip("; "), verdict))

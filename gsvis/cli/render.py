@@ -14,7 +14,7 @@ from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.cli.views import camera_count, check_views, given_cameras, placed_cameras
+from gsvis.cli.views import camera_count, check_views, given_cameras, place_cameras
 from gsvis.errors import BackendError, SceneError
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.render import PixelContributors, contributors, rasterize
@@ -57,7 +57,7 @@ def run_render(command: Render) -> None:
     target = _target(command, camera_count(command, given))
     older = target.older() if target else 0
     with Status() as status:
-        done = _rendered(command, given, target, backend, status)
+        done = _render(command, given, target, backend, status)
     if command.json:
         print_json(_document(command, target, done))
         return
@@ -69,7 +69,7 @@ def run_render(command: Render) -> None:
     show(*parts, *done.remarks, *(_table(command, done.found) if done.found is not None else []))
 
 
-def _rendered(command: Render, given: Cameras | None, target: Target | None, backend: str, status: Status) -> _Done:
+def _render(command: Render, given: Cameras | None, target: Target | None, backend: str, status: Status) -> _Done:
     """Everything between reading the scene and written pictures."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -77,7 +77,7 @@ def _rendered(command: Render, given: Cameras | None, target: Target | None, bac
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
     status("reading", 1, 1)
     status("space", 0, 1)
-    cameras, remarks = (given, []) if given is not None else placed_cameras(command, source)
+    cameras, remarks = (given, []) if given is not None else place_cameras(command, source)
     status("space", 1, 1)
     if command.contributors is not None:
         _check_pixel(command.contributors, cameras)

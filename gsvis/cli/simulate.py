@@ -60,7 +60,7 @@ def run_simulate(command: Simulate) -> None:
     check_report(command.out)
     walk, trace = load_path(command.path), _trace(command)
     with Status() as status:
-        document = _reported(command, walk, trace, status)
+        document = _write_report(command, walk, trace, status)
     from gsvis.report.session_page import content_remarks
 
     if command.json:
@@ -102,7 +102,7 @@ def _trace(command: Simulate) -> BandwidthTrace:
     return load_trace(command.trace) if command.trace else BandwidthTrace.constant(command.mbit or _MBIT)
 
 
-def _reported(command: Simulate, walk: HeadPath, trace: BandwidthTrace, status: Status) -> dict[str, Any]:
+def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, status: Status) -> dict[str, Any]:
     """Everything between the read arguments and a written report."""
     from contextlib import ExitStack
 
@@ -120,11 +120,11 @@ def _reported(command: Simulate, walk: HeadPath, trace: BandwidthTrace, status: 
         count = command.visits or len(places)
         for k in range(count):
             place = places[k % len(places)]
-            path, told = _walked(command, place, walk, k)
+            path, told = _cut_walk(command, place, walk, k)
             later = link if k == 0 else link.from_time(k * config.seconds)
-            visits.append(_visited(command, place, path, told, later, config, status))
+            visits.append(_simulate_visit(command, place, path, told, later, config, status))
     simulation = Simulation(
-        tuple(visits), link, _spelled(command), version(),
+        tuple(visits), link, _command_line(command), version(),
         {name: _plain(value) for name, value in vars(command).items() if name not in ("json", "debug")},
         dict(status.seconds),
     )  # fmt: skip
@@ -179,7 +179,7 @@ def _file_size(command: Simulate, which: int, g: Gaussians) -> tuple[int, str]:
         return (Path(folder) / "scene.sog").stat().st_size, f"SOG as gsvis writes it, of the scene: {told}"
 
 
-def _walked(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> tuple[HeadPath, dict[str, Any]]:
+def _cut_walk(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> tuple[HeadPath, dict[str, Any]]:
     """The part of the recording that a visit replays, in its scene: the next one while it lasts, else the first."""
     start = visit * command.seconds
     start = start if start + 0.5 * command.seconds <= walk.duration else 0.0
@@ -195,7 +195,7 @@ def _walked(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> tup
     return moved.path, {**told, **moved.as_dict()}
 
 
-def _visited(
+def _simulate_visit(
     command: Simulate, place: _Place, path: HeadPath, told: dict[str, Any], link: Link, config: SessionConfig,
     status: Status,
 ) -> Visit:  # fmt: skip
@@ -238,7 +238,7 @@ def _pictures(stage: Any, sessions: Any, path: HeadPath, config: SessionConfig) 
     return tuple(shown)
 
 
-def _spelled(command: Simulate) -> str:
+def _command_line(command: Simulate) -> str:
     """The command line that makes the report again."""
     words = ["gsvis", "simulate", *command.package, "--path", command.path, "-o", command.out]
     for name, value in vars(command).items():
@@ -258,12 +258,12 @@ def _plain(value: Any) -> Any:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """A table of figures for each visit."""
-    from gsvis.report.session_page import spelled_figures
+    from gsvis.report.session_page import format_figures
 
     link = document["link"]
     told = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
     parts: list[Any] = [f" Link: {told} there and back."]
     for visit in document["visits"]:
-        header, rows = spelled_figures(visit["systems"])
+        header, rows = format_figures(visit["systems"])
         parts.append(facts(visit["scene"]["name"], rows, header))
     return parts

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
-from gsvis.files.atomic import interrupted_moves
+from gsvis.files.atomic import find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
@@ -35,16 +35,16 @@ __all__ = [
     "evenly",
     "file_cameras",
     "free_space",
-    "given_up",
     "inputs_of",
-    "inspected",
+    "inspect_scene_of",
     "is_builtin",
     "is_levels",
     "is_report",
     "levels_spelled",
-    "levels_told",
     "load_source",
     "navigable_space",
+    "parse_up",
+    "summarize_levels",
 ]
 
 BUILTIN = "builtin:"
@@ -139,20 +139,20 @@ def load_source(scene: str, lod: int | None) -> Source:
         from gsvis.io.levels import load_levels
 
         levels = load_levels(scene)
-        return Source(_called(Path(scene), None), levels.level(len(levels) - 1), Path(scene), levels=levels)
+        return Source(_title(Path(scene), None), levels.level(len(levels) - 1), Path(scene), levels=levels)
     from gsvis.io import load_scene
-    from gsvis.io.streamed_sog import streamed_sog_lods
+    from gsvis.io.streamed_sog import list_lods
 
     path = Path(scene)
     g = load_scene(path, lod=lod)
     meta = path / "lod-meta.json" if path.is_dir() else path
-    lods = streamed_sog_lods(meta) if meta.name == "lod-meta.json" and meta.is_file() else ()
+    lods = list_lods(meta) if meta.name == "lod-meta.json" and meta.is_file() else ()
     if lods and lod is None:
         lod = lods[0]
-    return Source(_called(path, lod), g, path, lod, lods)
+    return Source(_title(path, lod), g, path, lod, lods)
 
 
-def levels_told(source: Source) -> list[dict[str, Any]] | None:
+def summarize_levels(source: Source) -> list[dict[str, Any]] | None:
     """Names and sizes of the levels for JSON; None for a scene without."""
     found = source.levels
     if found is None:
@@ -162,11 +162,11 @@ def levels_told(source: Source) -> list[dict[str, Any]] | None:
 
 def levels_spelled(source: Source) -> str:
     """' in levels low 300, high 1,000', or nothing."""
-    sizes = ", ".join(f"{each['name']} {each['gaussians']:,}" for each in levels_told(source) or ())
+    sizes = ", ".join(f"{each['name']} {each['gaussians']:,}" for each in summarize_levels(source) or ())
     return f" in levels {sizes}" if sizes else ""
 
 
-def inspected(source: Source) -> dict[str, Any]:
+def inspect_scene_of(source: Source) -> dict[str, Any]:
     """What inspection says of a scene, as a dict; what is known of a built-in scene is not guessed."""
     report = inspect_scene(source.gaussians).as_dict()
     if source.navigable is not None:
@@ -177,7 +177,7 @@ def inspected(source: Source) -> dict[str, Any]:
     return report
 
 
-def _called(path: Path, lod: int | None) -> str:
+def _title(path: Path, lod: int | None) -> str:
     """'showroom, LOD 3' for showroom/lod-meta.json, 'biker' for biker.compressed.ply."""
     resolved = path.resolve()
     inner = resolved.name in ("lod-meta.json", "meta.json") or resolved.is_dir()
@@ -214,7 +214,7 @@ def free_space(source: Source, box: Sequence[float] | None, up: str | None) -> N
     Raises:
         SceneError: If there is no such place.
     """
-    axis = given_up(up)
+    axis = parse_up(up)
     if box is not None:
         known = axis if axis is not None else source.navigable.up if source.navigable is not None else (0.0, 0.0, 1.0)
         return NavigableSpace.from_box(box[:3], box[3:], _BOX_VOXELS, up=known)
@@ -224,7 +224,7 @@ def free_space(source: Source, box: Sequence[float] | None, up: str | None) -> N
     return space
 
 
-def given_up(axis: str | None) -> NDArray[np.float64] | None:
+def parse_up(axis: str | None) -> NDArray[np.float64] | None:
     """The up axis of --up, (3,); None where it is left open.
 
     Raises:
@@ -333,7 +333,7 @@ def check_report(path: str | os.PathLike[str]) -> None:
         return
     others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
     others += sorted(file.name for file in folder.glob("*.png"))
-    moved = interrupted_moves(folder)
+    moved = find_interrupted_moves(folder)
     others = [name for name in others if name not in moved]  # a report of gsvis that was cut short is replaced, too
     if others:
         raise ValueError(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
-__all__ = ["STDOUT", "Status", "clock", "facts", "print_json", "show", "size_of", "written_out"]
+__all__ = ["STDOUT", "Status", "check_stdout", "clock", "facts", "print_json", "show", "size_of"]
 
 STDOUT = "standard output"
 """What an OutputError calls it."""
@@ -179,7 +179,7 @@ def size_of(count: int) -> str:
 
 
 @contextmanager
-def written_out() -> Iterator[None]:
+def check_stdout() -> Iterator[None]:
     """Raise OutputError where standard output goes to a file that cannot be written."""
     try:
         yield
@@ -192,7 +192,7 @@ def written_out() -> Iterator[None]:
 def print_json(document: dict[str, Any]) -> None:
     """One JSON document on stdout; NaN and infinity, which JSON does not know, are an error."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    with written_out():
+    with check_stdout():
         sys.stdout.write(f"{text}\n")
 
 
@@ -217,7 +217,7 @@ def show(*parts: Table | str) -> None:
     from rich.console import Console
 
     console = Console(width=min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80, highlight=False)
-    with written_out(), console.capture() as held:  # it flushes the file even then
+    with check_stdout(), console.capture() as held:  # it flushes the file even then
         for part in parts:
             if isinstance(part, str):
                 indent = " " * (3 if part.startswith(" - ") else 1)
@@ -229,5 +229,5 @@ def show(*parts: Table | str) -> None:
                     break_on_hyphens=False,
                 )
             console.print(part, markup=False, soft_wrap=isinstance(part, str))
-    with written_out():
+    with check_stdout():
         sys.stdout.write("\n".join(line.rstrip() for line in held.get().splitlines()) + "\n")

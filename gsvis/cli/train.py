@@ -67,10 +67,10 @@ def run_train(command: Train) -> None:
         OSError: If a file cannot be written.
         KeyboardInterrupt: With a word on how to go on, if the user has had enough.
     """
-    config = _checked(command)
+    config = _check_arguments(command)
     with Status() as status:
-        plan = _planned(command, config, status)
-        document = _trained(command, plan, status)
+        plan = _plan(command, config, status)
+        document = _train(command, plan, status)
         stages = {name: seconds for name, seconds in status.seconds.items() if name != "kernels"}
         document["timing"] = {"seconds": stages, **document.pop("timing")}
         _write_record(command, document)
@@ -89,7 +89,7 @@ def record_of(command: Train) -> Path:
     return Path(command.out).with_suffix(".train.json")
 
 
-def _checked(command: Train) -> TrainConfig:
+def _check_arguments(command: Train) -> TrainConfig:
     """Everything about the arguments that can be known before work begins."""
     if not Path(command.source).exists():
         raise FileNotFoundError(2, "no such file or folder", command.source)
@@ -144,7 +144,7 @@ def _config(command: Train) -> TrainConfig:
     )
 
 
-def _planned(command: Train, config: TrainConfig, status: Status) -> _Plan:
+def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
     """Photographs read, and a run at its beginning."""
     from gsvis.train.initial import gaussians_from_points, random_points
     from gsvis.train.photos import load_photos
@@ -202,7 +202,7 @@ def _warm_up(config: TrainConfig, device: str, status: Status) -> None:
     status("kernels", 1, 1)
 
 
-def _trained(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
+def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
     """Train, measure and write; the document of it."""
     from gsvis.io import save_scene
     from gsvis.train.likeness import measure_views

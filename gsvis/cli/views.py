@@ -12,7 +12,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, guess_up
 
-__all__ = ["camera_count", "check_views", "given_cameras", "placed_cameras"]
+__all__ = ["camera_count", "check_views", "given_cameras", "place_cameras"]
 
 F64 = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def camera_count(command: Render, given: Cameras | None) -> int:
     return len(given) if given is not None else command.orbit or 1
 
 
-def placed_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
+def place_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
     """Cameras for a scene that come from no file, and what the user should know about them.
 
     Raises:
@@ -85,7 +85,7 @@ def placed_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]
         if space is None:
             raise SceneError(f"{command.scene}: {no_space}; name a place with --eye X Y Z, or --orbit N")
         cameras = space.sample_cameras(1, np.random.default_rng(command.seed), fov=fov, **size)
-        return cameras, [*remarks, f" Again: {_spelled(cameras)}"]
+        return cameras, [*remarks, f" Again: {_options_of(cameras)}"]
     middle, reach = _extent(g)
     target = middle if command.target is None else np.array(command.target)
     if command.eye is not None:
@@ -115,7 +115,7 @@ def _extent(g: Gaussians) -> tuple[F64, float]:
     )
 
 
-def _spelled(camera: Cameras) -> str:
+def _options_of(camera: Cameras) -> str:
     """--eye and --target that give one camera again."""
     eye = camera.viewpoints[0]
     return " ".join(

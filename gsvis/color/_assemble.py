@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.color._kernels.order import order_lobes, shown_errors
+from gsvis.color._kernels.order import measure_shown_errors, order_lobes
 from gsvis.color._kernels.rgb import SPACES
 from gsvis.color._pursuit import LobeFit, SplitFit
 from gsvis.color.srbf import spherical_coordinates
@@ -79,7 +79,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     intensities = np.stack([lobe.intensities for lobe in lobes])[function, rows, k]
     units = np.stack([f.unit for f in split.functions])[function, rows]
     base_errors, errors = np.empty(n, np.float32), np.empty(n, np.float32)
-    shown_errors(
+    measure_shown_errors(
         SPACES[kind.space], directions, fitted.colors, fitted.weights, split.base, split.scales, v, amplitudes,
         order, kept, base_errors, errors,
     )  # fmt: skip

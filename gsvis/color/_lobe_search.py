@@ -121,7 +121,7 @@ class LobeSearch:
             normal -= shared.T @ lapack.dpotrs(now.factor, shared, lower=1)[0]
             moved = None
             for _ in range(_ATTEMPTS):
-                moved = self._moved(v, normal, slopes @ now.left, damping)
+                moved = self._move(v, normal, slopes @ now.left, damping)
                 if moved is not None and moved[2].cost < error:
                     break
                 moved, damping = None, 5.0 * damping
@@ -164,7 +164,7 @@ class LobeSearch:
         left = self.target - intensities @ rows
         return _Solved(intensities, left, factor, float(left @ left + self.ridge * (intensities @ intensities)))
 
-    def _moved(self, v: F64, normal: F64, slope: F64, damping: float) -> tuple[F64, F64, _Solved] | None:
+    def _move(self, v: F64, normal: F64, slope: F64, damping: float) -> tuple[F64, F64, _Solved] | None:
         damped = normal.copy()
         diagonal = normal.diagonal()
         damped.flat[:: len(slope) + 1] = diagonal * (1.0 + damping) + 1e-13 * diagonal.max()

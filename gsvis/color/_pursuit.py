@@ -97,11 +97,11 @@ class Pursuit:
         """
         split = split_colors(self.kind, colors.copy(), weights)
         most = np.where(nowhere, 0, self.config.max_terms)
-        search = self._refined if self.config.refine else self._on_atoms
+        search = self._refine if self.config.refine else self._on_atoms
         lobes = tuple(search(f, importance, price, np.where(f.unit != 0, most, 0)) for f in split.functions)
         return SplitFit(colors, weights, split, lobes)
 
-    def _refined(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
+    def _refine(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
         n, channels, _ = function.targets.shape
         k = self.config.max_terms
         found = LobeFit(

@@ -88,7 +88,7 @@ class Activation:
                 changes in a pixel, contribution times weight, is above epsilon: fewer terms for as good an image.
         """
         found = self.contributions(eye)
-        ids, factors = self._asked(visible, weights)
+        ids, factors = self._select(visible, weights)
         of_gaussian = np.zeros(len(self.colors), np.float32)
         of_gaussian[ids] = 1.0 if factors is None else factors
         return np.asarray(found * np.repeat(of_gaussian, self.colors.counts) > np.float32(self.epsilon))
@@ -117,7 +117,7 @@ class Activation:
         first, last = _check.floats("low", low, (3,), np.float64), _check.floats("high", high, (3,), np.float64)
         if (first > last).any():
             raise ValueError(f"low: expected at most high, {last.tolist()}, got {first.tolist()}")
-        ids, factors = self._asked(visible, weights)
+        ids, factors = self._select(visible, weights)
         with np.errstate(divide="ignore"):
             faint = np.zeros(0) if factors is None else -np.log(factors.astype(np.float64))
         out = np.zeros(self.colors.num_terms, np.bool_)
@@ -125,7 +125,7 @@ class Activation:
         kernels.mark_terms(ids, faint, *terms, first, last, out)
         return out
 
-    def _asked(self, visible: ArrayLike | None, weights: ArrayLike | None) -> tuple[NDArray[np.int64], F32 | None]:
+    def _select(self, visible: ArrayLike | None, weights: ArrayLike | None) -> tuple[NDArray[np.int64], F32 | None]:
         """(V,) ids of the Gaussians asked for, and their weights if there are any."""
         count = len(self.colors)
         ids = np.arange(count) if visible is None else _check.integers("visible", visible, ("V",))

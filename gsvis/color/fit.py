@@ -177,10 +177,10 @@ def fit_srbf(
         fitted = _fit(pursuit, g[part], weights[part], counts[part], price)
         terms.append(assemble(config, fitted, pursuit.directions))
         progress("fit", part.stop, n)
-    return _joined(config, terms, price, int((weights.max(axis=1, initial=0.0) <= 0.0).sum()))
+    return _join(config, terms, price, int((weights.max(axis=1, initial=0.0) <= 0.0).sum()))
 
 
-def sampled_colors(g: Gaussians) -> F32:
+def sample_colors(g: Gaussians) -> F32:
     """(N, 3, 320) RGB toward the centers of the parts of the faces, nowhere below 0."""
     basis = sh_basis(-face_directions(_PARTS).reshape(-1, 3), g.sh_degree).astype(np.float32)
     coefficients = np.concatenate([g.sh0, g.shN], axis=1)
@@ -195,7 +195,7 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
     weights = (faces[:, :, None] * (NUM_FACES * _PARTS * shares)).reshape(len(faces), -1)
     nowhere = weights.max(axis=1) <= 0.0
     weights[nowhere] = 1.0
-    return pursuit.fit(sampled_colors(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
+    return pursuit.fit(sample_colors(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
 
 
 def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_terms: float, progress: Progress) -> float:
@@ -227,7 +227,7 @@ def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_ter
     return high
 
 
-def _joined(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> SrbfFit:
+def _join(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> SrbfFit:
     kind = VARIANTS[config.variant]
     empty = Terms.empty(kind)
     parts = parts or [empty]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["bent", "circle", "companded", "geometric", "middles", "nearest", "octahedral", "unoctahedral"]
+__all__ = ["bent", "circle", "compand", "geometric", "middles", "nearest", "octahedral", "unoctahedral"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -42,7 +42,7 @@ def geometric(low: float, high: float, bits: int) -> F32:
     return _with_ends(np.geomspace(low, high, 1 << bits), low, high)
 
 
-def companded(limit: float, floor: float, bits: int) -> F32:
+def compand(limit: float, floor: float, bits: int) -> F32:
     """(2^bits - 1,) from -limit to limit, 0 in the middle, each entry's distance to the next growing with its size.
 
     Entry i from the middle is floor (exp(k i) - 1): even steps of k floor near 0, ratios of exp(k) far from it.

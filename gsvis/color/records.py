@@ -166,7 +166,7 @@ class Grids:
 
     def intensity_table(self) -> F32:
         """(2^bits - 1,) intensities, 0 in the middle."""
-        return _grids.companded(self.intensity, INTENSITY_FLOOR, self.precision.intensity)
+        return _grids.compand(self.intensity, INTENSITY_FLOOR, self.precision.intensity)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,9 +239,9 @@ class QuantizedColors:
     @property
     def nbytes(self) -> int:
         """Bytes of all records, packed bit by bit."""
-        return _packed(self.grids.kind, self.grids.precision, self.offsets)
+        return _pack(self.grids.kind, self.grids.precision, self.offsets)
 
-    def dequantized(self) -> SrbfColors:
+    def dequantize(self) -> SrbfColors:
         """The colors that the records stand for."""
         g = self.grids
         base = np.stack([g.base_table(k)[self.base[:, k]] for k in range(3)], axis=1)
@@ -278,7 +278,7 @@ def quantize(
 
     Examples:
         >>> packed = quantize(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
-        >>> packed.nbytes, packed.dequantized().base.round(3).tolist()
+        >>> packed.nbytes, packed.dequantize().base.round(3).tolist()
         (4, [[0.0, 0.5, 1.0]])
     """
     own = Grids.of(colors, precision)
@@ -363,7 +363,7 @@ def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | st
     """
     if isinstance(colors, QuantizedColors):
         return colors.nbytes
-    return _packed(colors.kind, None if precision is None else _precision(precision), colors.offsets)
+    return _pack(colors.kind, None if precision is None else _precision(precision), colors.offsets)
 
 
 def sh_bytes(degree: int, bits: int = 32) -> float:
@@ -396,7 +396,7 @@ def _base_bits(kind: Variant, p: Precision | None) -> int:
     return 3 * p.base + has_scales(kind) * p.scale + kind.num_axes * 2 * p.axis
 
 
-def _packed(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
+def _pack(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
     count_bits = int(np.diff(offsets).max(initial=0)).bit_length()
     n, t = len(offsets) - 1, int(offsets[-1])
     return -(-(n * (_base_bits(kind, p) + count_bits) + t * _term_bits(kind, p)) // 8)

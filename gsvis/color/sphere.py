@@ -165,16 +165,16 @@ def fit_function(
     variance = float(shares @ (y - base) ** 2)
     limit = min(most, len(y) // 4)
     if limit == 0 or not variance > (1e-12 * float(np.abs(y).max())) ** 2:
-        return _stacked(base, variance, [], most)
+        return _stack(base, variance, [], most)
     most_decay = config.max_decay or min(max(len(seen) / (4.0 * np.pi), 8.0), MAX_DECAY)
     deviation = variance**0.5
     search = LobeSearch((y - base) / deviation, along, shares, config, most_decay)
-    fits = _searched(search, limit, len(y) // 4, config, progress) if config.refine else _pursued(search, limit)
+    fits = _search(search, limit, len(y) // 4, config, progress) if config.refine else _pursue(search, limit)
     scaled = [Fit(fit.error, fit.v, deviation * fit.intensities, fit.left) for fit in fits]
-    return _stacked(base, variance, scaled, most)
+    return _stack(base, variance, scaled, most)
 
 
-def _searched(search: LobeSearch, limit: int, possible: int, config: SphereConfig, progress: Progress) -> list[Fit]:
+def _search(search: LobeSearch, limit: int, possible: int, config: SphereConfig, progress: Progress) -> list[Fit]:
     """Best fits of 0 to `limit` lobes; a few more are tried on the way, so that the last can be reached from above."""
     high = min(limit + 1 + limit // 10, possible)
     pool: dict[int, Fit] = {0: search.nothing}
@@ -210,7 +210,7 @@ def _keep(fits: dict[int, Fit], k: int, fit: Fit) -> None:
         fits[k] = fit
 
 
-def _pursued(search: LobeSearch, limit: int) -> list[Fit]:
+def _pursue(search: LobeSearch, limit: int) -> list[Fit]:
     """Fits on the atoms that orthogonal matching pursuit chooses."""
     codes = orthogonal_matching_pursuit(
         (search.dictionary / search.roots).T,
@@ -222,7 +222,7 @@ def _pursued(search: LobeSearch, limit: int) -> list[Fit]:
     return [search.on(chosen[:k]) for k in range(len(chosen) + 1)]
 
 
-def _stacked(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:
+def _stack(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:
     """The fits side by side; where more lobes than before are not better, those before stay."""
     centers, decays, intensities = np.zeros((most + 1, most, 3)), np.zeros((most + 1, most)), np.zeros((most + 1, most))
     counts, errors = np.zeros(most + 1, np.int64), np.full(most + 1, variance)

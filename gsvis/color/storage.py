@@ -274,7 +274,7 @@ def _colors(
     if grids is None:
         return SrbfColors(kind.name, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
     packed = QuantizedColors(grids, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
-    return packed.dequantized()
+    return packed.dequantize()
 
 
 def _info(file: ArrowFile) -> SrbfInfo:

@@ -23,7 +23,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, open_regular
 
-__all__ = ["FAULTS", "ArrowFile", "uncompressed_bytes", "write_arrow"]
+__all__ = ["FAULTS", "ArrowFile", "count_uncompressed_bytes", "write_arrow"]
 
 _MAGIC = b"ARROW1"
 _HEADER, _CHECKSUM = b"gsvis", b"checksum"
@@ -112,7 +112,7 @@ class ArrowFile:
         """
         for where, message in self._messages():
             try:
-                promised = uncompressed_bytes(message)
+                promised = count_uncompressed_bytes(message)
             except FAULTS as error:
                 raise FormatError(self.path, where, "a record batch", str(error), _AGAIN) from error
             budget.claim(promised, where)
@@ -211,7 +211,7 @@ def _checksum(data: memoryview, places: list[int]) -> int:
     return crc
 
 
-def uncompressed_bytes(message: pa.Message) -> int:
+def count_uncompressed_bytes(message: pa.Message) -> int:
     """Return what the buffers of a record batch need in memory, as the first eight bytes of each say.
 
     Raises:

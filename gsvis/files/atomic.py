@@ -28,7 +28,7 @@ from gsvis.files.limits import read_whole
 from gsvis.files.locks import try_lock
 from gsvis.files.output import output_errors
 
-__all__ = ["atomic_folder", "atomic_path", "interrupted_moves", "remove_all_partials", "remove_partials"]
+__all__ = ["atomic_folder", "atomic_path", "find_interrupted_moves", "remove_all_partials", "remove_partials"]
 
 _NOTE = ".gsvis-moves"  # in a hidden folder whose files are on their way: which they are
 _NO_HOST = "0000"  # in the place of the host: nobody removes it
@@ -122,12 +122,12 @@ def remove_all_partials(folder: str | os.PathLike[str]) -> None:
     ours = re.compile(rf"\..+\.gsvis-{_host()}[0-9a-f]{{8}}(\.[^.]*)?", re.DOTALL)
     for name in _names(Path(folder)):
         if name.startswith(".") and ours.fullmatch(name):
-            with suppress(OSError), _owned(Path(folder, name)) as owned:
+            with suppress(OSError), _is_owned(Path(folder, name)) as owned:
                 if owned:
                     _delete(Path(folder, name))
 
 
-def interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
+def find_interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
     """Files in a folder that `atomic_folder` had moved there when it was cut short, and nobody has changed since.
 
     Args:
@@ -137,7 +137,7 @@ def interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
         Their names, relative to the folder, with forward slashes.
     """
     target = _check.path("path", path)
-    return {name for partial in _partials(target, "[0-9a-f]{4}") for name in _moved(partial, target)}
+    return {name for partial in _partials(target, "[0-9a-f]{4}") for name in _find_moved(partial, target)}
 
 
 def _move(partial: Path, target: Path, last: str) -> None:
@@ -168,9 +168,9 @@ def _write_note(partial: Path, target: Path, files: list[Path]) -> None:
     """Note what is about to move and what earlier runs had moved, and remove the notes of those."""
     note = {source.relative_to(partial).as_posix(): [_identity(source)] for source in files}
     with ExitStack() as stack:
-        earlier = [other for other in _partials(target, _host()) if stack.enter_context(_owned(other))]
+        earlier = [other for other in _partials(target, _host()) if stack.enter_context(_is_owned(other))]
         for other in earlier:
-            for name, identity in _moved(other, target).items():
+            for name, identity in _find_moved(other, target).items():
                 note.setdefault(name, []).append(identity)
         (partial / _NOTE).write_text(json.dumps(note), encoding="utf-8")
         for other in earlier:
@@ -178,7 +178,7 @@ def _write_note(partial: Path, target: Path, files: list[Path]) -> None:
                 _delete(other)
 
 
-def _moved(partial: Path, target: Path) -> dict[str, list[int]]:
+def _find_moved(partial: Path, target: Path) -> dict[str, list[int]]:
     """Files of the target that the note in a hidden folder names and nobody changed since; half a note names none."""
     try:
         note = json.loads(read_whole(partial / _NOTE))
@@ -190,7 +190,7 @@ def _moved(partial: Path, target: Path) -> dict[str, list[int]]:
 
 def _settle(partial: Path, target: Path) -> None:
     """Remove a hidden folder; if some of its files have moved, all in it but the note that names them."""
-    if not _moved(partial, target):
+    if not _find_moved(partial, target):
         _delete(partial)
         return
     for each in partial.iterdir():
@@ -200,7 +200,7 @@ def _settle(partial: Path, target: Path) -> None:
 
 def _remove(target: Path, *, with_notes: bool) -> None:
     for partial in _partials(target, _host()):
-        with suppress(OSError), _owned(partial) as owned:
+        with suppress(OSError), _is_owned(partial) as owned:
             if owned and with_notes:
                 _delete(partial)
             elif owned:
@@ -237,18 +237,18 @@ def _hidden(name: str, suffix: str = "", host: str = "") -> str:
 
 
 @contextmanager
-def _owned(partial: Path) -> Iterator[bool]:
+def _is_owned(partial: Path) -> Iterator[bool]:
     """Whether a hidden file or folder has no live writer; if so it is locked during the block."""
     with ExitStack() as stack:
         try:
-            owned = try_lock(stack.enter_context(_opened(partial))) == "held"
+            owned = try_lock(stack.enter_context(_open(partial))) == "held"
         except OSError:  # another user's, or gone meanwhile
             owned = False
         yield owned
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[int]:
+def _open(path: Path) -> Iterator[int]:
     """A file or a folder opened to be locked; nothing else is, and no link is followed."""
     access = os.O_RDONLY if path.is_dir() else os.O_RDWR  # NFS locks no file that is open for reading alone
     descriptor = os.open(path, access | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -266,7 +266,7 @@ def _new_file(target: Path) -> tuple[Path, int | None]:
     while True:
         partial = target.with_name(_hidden(target.stem, target.suffix))
         descriptor = os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)  # the usual rights, unlike mkstemp's
-        held = _locked(partial, descriptor)
+        held = _lock(partial, descriptor)
         if held == "held" and _lets_others_write(partial):
             return partial, descriptor
         if held == "held":
@@ -286,12 +286,12 @@ def _new_folder(target: Path) -> tuple[Path, int | None]:
         descriptor: int | None = None
         with suppress(PermissionError):  # a system that opens no folders
             descriptor = os.open(partial, os.O_RDONLY)
-        held = "none" if descriptor is None else _locked(partial, descriptor)
+        held = "none" if descriptor is None else _lock(partial, descriptor)
         if held != "lost":
             return partial, descriptor if held == "held" else None
 
 
-def _locked(partial: Path, descriptor: int) -> str:
+def _lock(partial: Path, descriptor: int) -> str:
     """Lock what was just made: "held", "none" where there are no locks, or "lost" to one who swept it up meanwhile."""
     state = try_lock(descriptor)
     if state == "none":

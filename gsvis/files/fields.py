@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.limits import Budget
 
-__all__ = ["Fields", "parse_json", "parse_object", "parsed_bytes"]
+__all__ = ["Fields", "estimate_parsed_bytes", "parse_json", "parse_object"]
 
 # Bytes in memory, at most, of what each character of JSON text can become (measured in tests).
 _OBJECT, _LIST, _VALUE, _CHARACTER = 256, 128, 88, 8
 
 
-def parsed_bytes(data: bytes) -> int:
+def estimate_parsed_bytes(data: bytes) -> int:
     """Return at least the bytes that JSON text takes in memory when it is parsed, without parsing it.
 
     Every value but the first has a comma, a colon or a bracket before it. Characters inside strings are counted too.
@@ -44,7 +44,7 @@ def parse_json(path: str | os.PathLike[str], data: bytes, budget: Budget | None 
     Raises:
         FormatError: If it is no JSON, nested too deeply, or needs more memory than the budget has.
     """
-    (Budget(path, len(data)) if budget is None else budget).claim(parsed_bytes(data), "JSON")
+    (Budget(path, len(data)) if budget is None else budget).claim(estimate_parsed_bytes(data), "JSON")
     try:
         return json.loads(data, **options)
     except RecursionError as error:

@@ -183,7 +183,7 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
     arrays = toward, g.quats, g.scales, g.opacities, shapes, order, begins
     _kernels.thicken(*arrays, size, nearest, steps, thickness)
     depths = np.empty(6 * size * size)
-    _kernels.spent_depths(thickness, -np.log(spent), nearest, steps, depths)
+    _kernels.find_spent_depths(thickness, -np.log(spent), nearest, steps, depths)
     return depths
 
 

@@ -56,7 +56,7 @@ class Hull:
 
         With `exact` False, flips so close to the hull of the others that rounding decides may be missed.
         """
-        size, order, places, farthest, squared = _sorted_by_cells(flips)
+        size, order, places, farthest, squared = _sort_by_cells(flips)
         reach = float(max(places.max(), -places.min()))
         levels = _levels(farthest, squared, size, len(flips))
         simplex = _simplex(places, levels[0])
@@ -145,7 +145,7 @@ class _Builder:
         return bool(creases[self.corners.reshape(-1)].min() >= 3)
 
 
-def _sorted_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
+def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
     """The flips in the order of the cells of a cubemap with about one occupied cell for eight flips.
 
     Returns the size of the cubemap, the order (M,), the places in it and the origin (M + 1, 3), and for each cell which

@@ -157,7 +157,7 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
             current.lists = True
         else:
             raise FormatError(path, where, "a PLY header line", repr(line[:60].rstrip())[1:])
-    return PlyHeader(path, encoding, _placed(elements, encoding, stream.tell()), stream.tell(), file_size)
+    return PlyHeader(path, encoding, _place(elements, encoding, stream.tell()), stream.tell(), file_size)
 
 
 @dataclass
@@ -169,7 +169,7 @@ class _Parsed:
     lists: bool = False
 
 
-def _placed(parsed: dict[str, _Parsed], encoding: str, header_size: int) -> tuple[Element, ...]:
+def _place(parsed: dict[str, _Parsed], encoding: str, header_size: int) -> tuple[Element, ...]:
     """Elements with their row types and offsets."""
     placed = []
     offset: int | None = 0 if encoding == "ascii" else header_size

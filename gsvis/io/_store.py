@@ -97,13 +97,13 @@ class ZipStore:
         self._file = open_regular(path)
         try:
             self.size = os.fstat(self._file.fileno()).st_size
-            self._zip = self._opened_zip()
+            self._zip = self._open_zip()
             self._entries = self._safe_entries()
         except BaseException:
             self._file.close()
             raise
 
-    def _opened_zip(self) -> zipfile.ZipFile:
+    def _open_zip(self) -> zipfile.ZipFile:
         try:
             return zipfile.ZipFile(self._file)
         except _ZIP_FAULTS as error:

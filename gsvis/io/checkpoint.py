@@ -164,7 +164,7 @@ def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str
     name = _structure_name(archive)
     if name is None:
         raise FormatError(path, "zip", "data.pkl", listed(archive.namelist()), "is this a checkpoint of torch?")
-    found = _gaussians_of(path, _unpickled(path, archive, name))
+    found = _gaussians_of(path, _unpickle(path, archive, name))
     records = _Records(path, archive, name.removesuffix("data.pkl"))
     return {key: records.array(key, tensor) for key, tensor in found.items()}
 
@@ -276,7 +276,7 @@ class _Unpickler(pickle.Unpickler):
         return _Storage(str(pid[1]), pid[2], pid[4])
 
 
-def _unpickled(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str) -> Any:
+def _unpickle(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str) -> Any:
     """What the pickle of a checkpoint describes."""
     size = archive.getinfo(name).file_size
     if size > _MOST_STRUCTURE:

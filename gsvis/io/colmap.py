@@ -162,7 +162,7 @@ class _Bytes:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[_Bytes]:
+def _open(path: Path) -> Iterator[_Bytes]:
     if check_regular(path).st_size == 0:  # an empty file cannot be mapped
         yield _Bytes(path, b"")
         return
@@ -172,7 +172,7 @@ def _opened(path: Path) -> Iterator[_Bytes]:
 
 def _cameras_bin(path: Path) -> dict[int, Camera]:
     cameras: dict[int, Camera] = {}
-    with _opened(path) as data:
+    with _open(path) as data:
         for _ in range(data.count(24 + 2 * 8, "cameras")):
             start = data.at
             camera_id, model, width, height = data.take("<iiQQ", "a camera")
@@ -185,7 +185,7 @@ def _cameras_bin(path: Path) -> dict[int, Camera]:
 
 
 def _images_bin(path: Path) -> Iterator[Image]:
-    with _opened(path) as data:
+    with _open(path) as data:
         for _ in range(data.count(64 + 1 + 8, "images")):
             _, *pose, camera_id = data.take("<i7di", "an image")
             name = data.name("an image name")
@@ -238,7 +238,7 @@ def _images_txt(path: Path) -> Iterator[Image]:
 
 
 def _points_bin(path: Path) -> tuple[F64, NDArray[np.uint8]]:
-    with _opened(path) as data:
+    with _open(path) as data:
         number = data.count(51, "points")
         positions, colors = np.empty((number, 3)), np.empty((number, 3), np.uint8)
         for i in range(number):

@@ -44,9 +44,9 @@ def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     Raises:
         FormatError: If elements or properties are missing, the file is truncated, or values are invalid.
     """
-    vertex = _required(header, "vertex", _VERTEX, "u4")
+    vertex = _require(header, "vertex", _VERTEX, "u4")
     bounds = tuple(f"{end}_{axis}" for end in ("min", "max") for axis in "xyz")
-    chunk = _required(header, "chunk", (*bounds, *(b.replace("_", "_scale_") for b in bounds)), "f4")
+    chunk = _require(header, "chunk", (*bounds, *(b.replace("_", "_scale_") for b in bounds)), "f4")
     if header.encoding == "ascii":
         raise FormatError(header.path, "header", "binary rows in a compressed PLY", "ascii")
     chunks = -(-vertex.count // _CHUNK)
@@ -77,7 +77,7 @@ def _ends(ranges: NDArray[Any], low: str, high: str, axes: str) -> tuple[F32, F3
     return ends[0], ends[1]
 
 
-def _required(header: PlyHeader, name: str, properties: tuple[str, ...], kind: str) -> Element:
+def _require(header: PlyHeader, name: str, properties: tuple[str, ...], kind: str) -> Element:
     """The element of that name with all those properties, each of that numpy type."""
     element = header.element(name)
     if element is None or element.row is None:
@@ -112,7 +112,7 @@ def _higher(header: PlyHeader, count: int, stream: BufferedReader) -> F32 | None
             f"9, 24 or 45 properties and {count:,} rows",
             f"{columns} properties and {sh.count:,} rows",
         )
-    _required(header, "sh", tuple(f"f_rest_{i}" for i in range(columns)), "u1")
+    _require(header, "sh", tuple(f"f_rest_{i}" for i in range(columns)), "u1")
     rows = _rows(header, sh, stream)
     levels = (np.arange(256, dtype=np.float32) + 0.5) / 256.0
     levels[[0, 255]] = 0.0, 1.0

@@ -65,7 +65,7 @@ def convert_scene(
         higher = result.shN[:, : (max_sh_degree + 1) ** 2 - 1]
         result = Gaussians(result.means, result.quats, result.scales, result.opacities, result.sh0, higher)
     if rotation is not None and not np.array_equal(rotation, np.eye(3)):
-        result = result.transformed(rotation)
+        result = result.transform(rotation)
     return result
 
 

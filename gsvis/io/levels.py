@@ -130,7 +130,7 @@ def load_levels(folder: str | os.PathLike[str]) -> Levels:
     parts: list[Gaussians] = []
     places: list[NDArray[np.int64]] = []
     for k, count in enumerate(info.counts):
-        path = _checked_ply(file.path, info, k)
+        path = _check_ply(file.path, info, k)
         member = (first <= k) & (k <= last)
         if int(member.sum()) != count:
             raise FormatError(file.path, f"level {k}", f"{count:,} Gaussians", f"{int(member.sum()):,} rows of the map")
@@ -210,7 +210,7 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
     return first, last, scales, opacities
 
 
-def _checked_ply(file: Path, info: LevelsInfo, level: int) -> Path:
+def _check_ply(file: Path, info: LevelsInfo, level: int) -> Path:
     """The PLY of a level, its content that of the map."""
     path = file.parent / info.files[level]  # links may lead anywhere: the digest says what is there
     try:

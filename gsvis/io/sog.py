@@ -134,13 +134,13 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
         raise FormatError(store.path, f"quats, Gaussian {row}", "a tag from 252 to 255 in alpha", f"{tags[row]}")
     three = (packed[:, :3].astype(np.float32) / 255.0 * 2.0 - 1.0) / np.float32(np.sqrt(2.0))
     quats = largest_from_three(three, tags - np.uint8(252))
-    scales = exp_scales(_looked_up(meta, "scales", _plane(meta, store, budget, "scales")[:, :3], 3))
+    scales = exp_scales(_look_up(meta, "scales", _plane(meta, store, budget, "scales")[:, :3], 3))
     color = _plane(meta, store, budget, "sh0")
     if meta.version == 1:
-        values = _looked_up(meta, "sh0", color, 4)
+        values = _look_up(meta, "sh0", color, 4)
         sh0, opacities = np.ascontiguousarray(values[:, :3]), sigmoid(values[:, 3])
     else:
-        sh0, opacities = _looked_up(meta, "sh0", color[:, :3], 3), color[:, 3].astype(np.float32) / np.float32(255.0)
+        sh0, opacities = _look_up(meta, "sh0", color[:, :3], 3), color[:, 3].astype(np.float32) / np.float32(255.0)
     higher = _higher(meta, store, budget) if "shN" in meta.files else None
     return gaussians_from(store.path, means, quats, scales, opacities, sh0[:, None, :], higher)
 
@@ -167,7 +167,7 @@ def _image(meta: SogMeta, store: Store, budget: Budget, key: str, index: int) ->
     return decode_plane(store.path, name, data)
 
 
-def _looked_up(meta: SogMeta, key: str, pixels: U8, channels: int) -> F32:
+def _look_up(meta: SogMeta, key: str, pixels: U8, channels: int) -> F32:
     """(N, channels) values that the bytes of a plane stand for."""
     table = meta.table(key, channels)
     _check_index(meta, key, int(pixels.max()), len(table), "codebook entries")

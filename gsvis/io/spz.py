@@ -199,9 +199,9 @@ def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8
     means = _positions(header, streams["positions"])
     quats = _smallest_three(streams["rotations"]) if header.version >= 3 else _first_three(streams["rotations"])
     codes = np.arange(256, dtype=np.float32)
-    scales = _looked_up(streams["scales"], exp_scales(codes / 16.0 - 10.0), (n, 3))
-    sh0 = _looked_up(streams["colors"], (codes / 255.0 - 0.5) / np.float32(_COLOR_SCALE), (n, 1, 3))
-    opacities = _looked_up(streams["alphas"], codes / np.float32(255.0), (n,))
+    scales = _look_up_bytes(streams["scales"], exp_scales(codes / 16.0 - 10.0), (n, 3))
+    sh0 = _look_up_bytes(streams["colors"], (codes / 255.0 - 0.5) / np.float32(_COLOR_SCALE), (n, 1, 3))
+    opacities = _look_up_bytes(streams["alphas"], codes / np.float32(255.0), (n,))
     shN = None
     if degree:
         if degree == 4:
@@ -223,7 +223,7 @@ def _positions(header: _Header, stream: U8) -> F32:
     return means
 
 
-def _looked_up(stream: U8, table: F32, shape: tuple[int, ...]) -> F32:
+def _look_up_bytes(stream: U8, table: F32, shape: tuple[int, ...]) -> F32:
     """The value of each byte."""
     values = np.empty(stream.size, np.float32)
     look_up(stream, table, values)
@@ -271,7 +271,7 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
         raise ValueError(f"scene: expected coordinates within 2^23 for SPZ, got {reach:g}; crop it or write a PLY")
     most = _COMPACT_FRACTION_BITS if compact else 16
     fraction_bits = next(bits for bits in range(most, -1, -1) if reach * 2**bits < 2.0**23 - 1)
-    streams = [_byte_stream(stream) for stream in _packed_streams(scene, fraction_bits, compact)]
+    streams = [_byte_stream(stream) for stream in _pack_streams(scene, fraction_bits, compact)]
     packed = [zstandard.ZstdCompressor(level=12).compress(stream) for stream in streams]
     contents = _HEADER.size + _V4_REST.size
     with atomic_path(path) as partial, open(partial, "wb") as out:
@@ -282,7 +282,7 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
         out.writelines(packed)
 
 
-def _packed_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[NDArray[np.generic]]:
+def _pack_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[NDArray[np.generic]]:
     turned = scene.means.astype(np.float64) * np.diag(_TURN)
     fixed = np.rint(turned * 2.0**fraction_bits).astype("<i4")
     xyzw = scene.quats[:, [1, 2, 3, 0]] * np.array([1, -1, -1, 1], np.float32)

@@ -21,13 +21,13 @@ from gsvis.io._store import FolderStore, ZipStore
 from gsvis.io.sog import SogMeta, read_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_streamed_sog", "streamed_sog_lods"]
+__all__ = ["list_lods", "load_streamed_sog"]
 
 Runs = dict[int, list[tuple[int, int]]]
 _MAX_COUNT = 1 << 40
 
 
-def streamed_sog_lods(path: str | os.PathLike[str]) -> tuple[int, ...]:
+def list_lods(path: str | os.PathLike[str]) -> tuple[int, ...]:
     """Levels of detail that are present, finest first.
 
     Args:

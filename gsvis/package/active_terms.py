@@ -28,7 +28,7 @@ from gsvis import _check
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
-from gsvis.files.arrow import FAULTS, uncompressed_bytes
+from gsvis.files.arrow import FAULTS, count_uncompressed_bytes
 from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, open_regular
@@ -118,9 +118,9 @@ class ActiveTerms:
         self._messages: list[Any] = []  # of the groups up to the highest that was asked for
         with open_regular(self.path) as file:  # a missing file is told as such, not by Arrow
             self._budget_bytes = os.fstat(file.fileno()).st_size
-        self._source = self._checked("", lambda: pa.memory_map(str(self.path), "r"))
+        self._source = self._guard("", lambda: pa.memory_map(str(self.path), "r"))
         try:
-            self._reader = self._checked("", lambda: pa.ipc.open_file(self._source))
+            self._reader = self._guard("", lambda: pa.ipc.open_file(self._source))
             self.info = self._read_info()
             groups = -(-self.info.cells // _GROUP)
             if self._reader.num_record_batches != groups:
@@ -274,12 +274,12 @@ class ActiveTerms:
 
                 def read() -> Any:
                     message = self._message(group)
-                    Budget(self.path, self._budget_bytes).claim(uncompressed_bytes(message), where)
+                    Budget(self.path, self._budget_bytes).claim(count_uncompressed_bytes(message), where)
                     batch = pa.ipc.read_record_batch(message, self._reader.schema)
                     batch.validate(full=True)
                     return batch
 
-                batch = self._checked(where, read)
+                batch = self._guard(where, read)
                 rows = min(_GROUP, self.info.cells - group * _GROUP)
                 if batch.num_rows != rows or any(batch.column(k).null_count for k in range(len(_SCHEMA))):
                     raise self._fault(where, f"a group of {rows} cells without gaps", f"{batch.num_rows} rows")
@@ -334,7 +334,7 @@ class ActiveTerms:
             fields.raw("weighted") is True, text("scene"), text("colors"), text("sets"),
         )  # fmt: skip
 
-    def _checked(self, where: str, read: Any) -> Any:
+    def _guard(self, where: str, read: Any) -> Any:
         """What `read` gives; what Arrow says of bytes that are not its own becomes a FormatError."""
         try:
             return read()

@@ -176,4 +176,4 @@ def base_rgb(records: U8, grids: Grids) -> F32:
     flat = QuantizedColors(
         grids, base[:, :3], base[:, 3], axes, offsets, none.astype(np.uint8), none.reshape(0, 2), none, empty
     )
-    return np.ascontiguousarray(evaluate_along(flat.dequantized(), [[0.0, 0.0, 1.0]])[:, 0])
+    return np.ascontiguousarray(evaluate_along(flat.dequantize(), [[0.0, 0.0, 1.0]])[:, 0])

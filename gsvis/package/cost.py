@@ -46,7 +46,7 @@ def measure_cost(
     contents = Contents.of(levels, colors)
     member = levels.member(len(levels) - 1)
     scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
-    shown = exact[member], contents.colors().dequantized()[member]
+    shown = exact[member], contents.colors().dequantize()[member]
     evaluators = [Evaluator(of) for of in shown]
     found = []
     progress("cost", 0, len(cameras))

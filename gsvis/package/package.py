@@ -170,11 +170,11 @@ class Package:
         pieces = [np.zeros((0, narrow), np.uint8)]
         for part, count in block.terms:
             read = self._parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count, budget)
-            pieces.append(_stacked(read, "t", narrow))
+            pieces.append(_stack(read, "t", narrow))
         terms = np.concatenate(pieces)
         if len(terms) != block.num_terms:
             raise self._fault("term_parts", f"{block.num_terms:,} terms", f"{len(terms):,}")
-        return _stacked(columns, "r", wide), _stacked(columns, "a", axes), terms, counts
+        return _stack(columns, "r", wide), _stack(columns, "a", axes), terms, counts
 
     @cached_property
     def visibility(self) -> VisibilityStore:
@@ -184,7 +184,7 @@ class Package:
             SceneError: If the package has none.
             FormatError: If it is damaged, or of another scene.
         """
-        store = VisibilityStore(self._joined(self.manifest.visibility, "sets.pvs"))
+        store = VisibilityStore(self._join(self.manifest.visibility, "sets.pvs"))
         self._opened.callback(store.close)
         if store.info.scene != self.manifest.scene or store.gaussians != len(self):
             raise self._fault("visibility", f"sets of {self.manifest.scene[:12]}...", f"{store.info.scene[:12]}...")
@@ -198,7 +198,7 @@ class Package:
             SceneError: If the package has none.
             FormatError: If it is damaged, or of other terms.
         """
-        store = ActiveTerms(self._joined(self.manifest.active_terms, "active.terms.arrow"))
+        store = ActiveTerms(self._join(self.manifest.active_terms, "active.terms.arrow"))
         self._opened.callback(store.close)
         if store.info.scene != self.manifest.scene or store.info.terms != self.manifest.terms:
             raise self._fault("active_terms", f"those of {self.manifest.terms:,} terms", f"{store.info.terms:,}")
@@ -257,7 +257,7 @@ class Package:
         except ValueError as error:
             raise self._fault("chunks", "valid rows", str(error)) from error
 
-    def _joined(self, blob: Blob | None, name: str) -> Path:
+    def _join(self, blob: Blob | None, name: str) -> Path:
         """A store as one file, in a temporary folder that goes when the package is closed."""
         if blob is None:
             raise SceneError(f"{self.path}: the package has no {name.split('.')[0]}; prepare it with visibility")
@@ -277,7 +277,7 @@ def columns_of(table: ChunkTable, levels: U8) -> dict[str, NDArray[Any]]:
     return dict(zip(_TABLE, values, strict=True))
 
 
-def _stacked(columns: dict[str, Any], letter: str, width: int) -> U8:
+def _stack(columns: dict[str, Any], letter: str, width: int) -> U8:
     if width == 0:
         return np.zeros((len(next(iter(columns.values()))), 0), np.uint8)
     return np.stack([columns[f"{letter}{k}"] for k in range(width)], axis=1)

@@ -34,7 +34,7 @@ def unpack_levels(package: Package, *, sh_degree: int | None = None, progress: P
     levels = contents.levels()
     if degree == 0:
         return levels
-    sh = to_sh(contents.colors().dequantized(), sh_degree=degree, progress=progress)
+    sh = to_sh(contents.colors().dequantize(), sh_degree=degree, progress=progress)
     g = levels.union
     union = Gaussians(g.means, g.quats, g.scales, g.opacities, sh.sh0, sh.shN)
     return Levels(union, levels.first, levels.last, levels.names)

@@ -193,7 +193,7 @@ def measure_colors(
         progress("colors", c + 1, len(cameras))
     mean_terms = np.array([np.minimum(colors.counts, k).mean() if len(g) else 0.0 for k in counts])
     return ColorQuality(
-        cameras, _joined(measured["all"]), _joined(measured["base"]), counts, mean_terms,
+        cameras, _join(measured["all"]), _join(measured["base"]), counts, mean_terms,
         np.array(measured["count"]).T, np.array(config.epsilons), np.array(measured["share"]).T,
         np.array(measured["active"]).T, config,
     )  # fmt: skip
@@ -213,7 +213,7 @@ def _likeness(image: F32, target: F32, with_flip: bool) -> tuple[float, float, f
     return _psnr(image, target), alike, float(flip(image, target)) if with_flip else None
 
 
-def _joined(rows: Sequence[tuple[float, float, float | None]]) -> Likeness:
+def _join(rows: Sequence[tuple[float, float, float | None]]) -> Likeness:
     psnrs, ssims, flips = zip(*rows, strict=True)
     return Likeness(np.array(psnrs), np.array(ssims), None if flips[0] is None else np.array(flips, np.float64))
 

@@ -27,7 +27,7 @@ from gsvis.scene.levels import Levels, as_levels, level_scenes, levels_record, u
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["ColorConfig", "ColorPreparation", "kept_beside", "prepare_colors"]
+__all__ = ["ColorConfig", "ColorPreparation", "find_kept", "prepare_colors"]
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
@@ -100,7 +100,7 @@ def prepare_colors(
         navigable: Where eyes may be; None only for a scene of SH degree 0.
         config: How; None means `ColorConfig()`.
         sets: (N, 10) uint8 direction sets that are known, such as `VisibilityStore.direction_sets`; None traces them.
-        keep: The file that will be made of this. What was found is kept beside it until `kept_beside` is removed, so
+        keep: The file that will be made of this. What was found is kept beside it until `find_kept` is removed, so
             that a run which is killed and started again traces nothing twice. None keeps nothing.
         progress: Called with stages "directions", "importance", "price" and "fit".
 
@@ -114,7 +114,7 @@ def prepare_colors(
     """
     config = config or ColorConfig()
     union = union_of(g)
-    given = None if sets is None else _checked_sets(sets, len(union))
+    given = None if sets is None else _check_sets(sets, len(union))
     if union.sh_degree == 0 or len(union) == 0:
         fit = fit_srbf(union, None, replace(config.fit, max_terms=0), progress=progress)
         everywhere, ones = np.full((len(union), NUM_FACES // 8), 255, np.uint8), np.ones(len(union))
@@ -151,7 +151,7 @@ def prepare_colors(
     return ColorPreparation(fit, directions, found["importance"], views, told)
 
 
-def kept_beside(
+def find_kept(
     g: Gaussians | Levels,
     navigable: NavigableSpace | None,
     config: ColorConfig,
@@ -174,7 +174,7 @@ def kept_beside(
     union = union_of(g)
     if navigable is None or union.sh_degree == 0:
         return None
-    return Kept(keep, _plan(g, navigable, config, None if sets is None else _checked_sets(sets, len(union)))).path
+    return Kept(keep, _plan(g, navigable, config, None if sets is None else _check_sets(sets, len(union)))).path
 
 
 def _plan(g: Gaussians | Levels, navigable: NavigableSpace, config: ColorConfig, sets: U8 | None) -> dict[str, Any]:
@@ -223,7 +223,7 @@ def _trace(
             kept.save(**found)
 
 
-def _checked_sets(sets: ArrayLike, count: int) -> U8:
+def _check_sets(sets: ArrayLike, count: int) -> U8:
     array = np.ascontiguousarray(sets)
     if array.dtype != np.uint8 or array.shape != (count, NUM_FACES // 8):
         wanted = f"uint8 of shape ({count}, {NUM_FACES // 8})"

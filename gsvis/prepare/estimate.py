@@ -120,7 +120,7 @@ class _Estimator:
     def __init__(self, stages: Stages, workers: Workers) -> None:
         self.stages, self.workers, self.config = stages, workers, stages.config
         self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self.known = stages.kept_levels()
+        self.known = stages.reuse_levels()
         self.levels = _stand_in(stages) if self.known is None else self.known
         self.counts = self.levels.counts if self.known is not None else _counts(stages)
         top = self.levels.counts[-1]
@@ -133,7 +133,7 @@ class _Estimator:
         self._levels()
         store, share, disk, memory = self._sets()
         exact = self._colors(store)
-        terms = exact.num_terms if exact is not None else self._expected_terms()
+        terms = exact.num_terms if exact is not None else self._expect_terms()
         self._terms(store, exact, share, terms)
         self._cost(exact)
         if store is not None:
@@ -203,7 +203,7 @@ class _Estimator:
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """The colors if they are there."""
         stages, fit, degree = self.stages, self.config.colors.fit, self.levels.union.sh_degree
-        terms = self._expected_terms()
+        terms = self._expect_terms()
         aim = f"up to {terms:,} terms" if terms else "no terms: no color depends on direction"
         what = f"{self.union:,} colors, variant {fit.variant}; {aim}"
         nbytes = 60 * self.union + 25 * terms
@@ -226,7 +226,7 @@ class _Estimator:
         stages, cells = self.stages, len(self.stages.grid())
         what = f"{terms:,} terms, {cells:,} cells, epsilon {self.config.epsilon:g}"
         if store is not None and exact is not None:
-            name = stages.terms_name(self.levels, quantize(exact, "wire").dequantized(), store.path)
+            name = stages.terms_name(self.levels, quantize(exact, "wire").dequantize(), store.path)
             if stages.work.whole(name):
                 size = stages.work.at(name).stat().st_size
                 self.found.append(StageEstimate("terms", "done", what, 0.0, size))
@@ -260,7 +260,7 @@ class _Estimator:
     def _ply_bytes(self) -> float:
         return float(4 * (14 + 3 * self.levels.union.shN.shape[1]))
 
-    def _expected_terms(self) -> int:
+    def _expect_terms(self) -> int:
         fit = self.config.colors.fit
         if self.levels.union.sh_degree == 0:
             return 0

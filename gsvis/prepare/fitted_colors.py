@@ -35,7 +35,7 @@ def rounded(colors: SrbfColors, precision: str) -> SrbfColors:
         colors: As fitted.
         precision: One of `PRECISION_NAMES`.
     """
-    return colors if precision == "exact" else quantize(colors, precision).dequantized()
+    return colors if precision == "exact" else quantize(colors, precision).dequantize()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +130,12 @@ class FittedColors:
             },
             "bytes_per_gaussian": self.sizes(),
             "file_bytes": self.file_bytes,
-            "epsilon": None if self.epsilon is None else self._told_epsilon(self.epsilon),
+            "epsilon": None if self.epsilon is None else self._epsilon_of(self.epsilon),
             "active_in_cells": active,
             "quality": None if self.quality is None else self.quality.as_dict(),
         }
 
-    def _told_epsilon(self, epsilon: float) -> dict[str, Any]:
+    def _epsilon_of(self, epsilon: float) -> dict[str, Any]:
         found = self.calibration
         if found is None:
             return {"value": epsilon, "from": "given"}

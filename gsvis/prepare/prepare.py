@@ -163,7 +163,7 @@ def stages_of(
     work = WorkFolder(out)
     work.check()
     stages = Stages(scene, space, config, photos, work, progress, [], [])
-    if stages.trains and not has("torch") and stages.kept_levels() is None:
+    if stages.trains and not has("torch") and stages.reuse_levels() is None:
         raise missing("levels: training them", "torch")
     return stages
 

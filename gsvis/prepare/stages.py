@@ -31,7 +31,7 @@ from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package import Cost, in_package_order, measure_cost
 from gsvis.package.active_terms import colors_hash
 from gsvis.prepare.active_terms import build_active_terms
-from gsvis.prepare.colors import kept_beside, prepare_colors
+from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.work import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
@@ -43,7 +43,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.level_quality import measure_levels
-from gsvis.train.level_views import LevelViews, drawn_views, photograph_views
+from gsvis.train.level_views import LevelViews, draw_views, load_photograph_views
 from gsvis.train.levels import train_levels
 
 __all__ = ["StageRecord", "Stages"]
@@ -109,7 +109,7 @@ class Stages:
         training = None if config.levels is None else asdict(config.levels)
         return "levels-" + self._key("levels", scene=scene_hash(self.scene), training=training, views=views)
 
-    def kept_levels(self) -> Levels | None:
+    def reuse_levels(self) -> Levels | None:
         """The levels, in the order of a package, if nothing has to be trained for them."""
         if isinstance(self.scene, Levels) or self.config.levels is None:
             self.progress("order", 0, 1)
@@ -126,10 +126,10 @@ class Stages:
     def levels(self) -> tuple[Levels, dict[str, Any] | None]:
         """The levels in the order of a package, and how good they are, where they were trained here."""
         with self._stage("levels") as done:
-            found = self.kept_levels()
+            found = self.reuse_levels()
             if found is None:
                 done.append(True)
-                found = self._trained(self.work.at(self.levels_name))
+                found = self._train(self.work.at(self.levels_name))
             extra = levels_info(self.work.at(self.levels_name)).extra if self.trains else None
         return found, extra
 
@@ -169,7 +169,7 @@ class Stages:
         """Colors of the union before they are rounded, and where the directions come from that they were fitted to."""
         name, sets = self.colors_name(levels, store), store.direction_sets
         found_so_far = self.work.at("directions")  # whatever the variant, it serves: see `prepare_colors`
-        kept = kept_beside(levels, self.space, self.config.colors, found_so_far, sets=sets)
+        kept = find_kept(levels, self.space, self.config.colors, found_so_far, sets=sets)
         if kept is not None:
             self.work.at(kept.name)
         with self._stage("colors") as done:
@@ -197,7 +197,7 @@ class Stages:
 
     def terms(self, levels: Levels, packed: QuantizedColors, store: VisibilityStore) -> Path:
         """The store of active terms."""
-        rounded = packed.dequantized()
+        rounded = packed.dequantize()
         name = self.terms_name(levels, rounded, store.path)
         with self._stage("terms") as done:
             if not self.work.whole(name):
@@ -229,7 +229,7 @@ class Stages:
                 self.work.seal(name)
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
-    def _trained(self, folder: Path) -> Levels:
+    def _train(self, folder: Path) -> Levels:
         """Levels made, measured and kept."""
         assert isinstance(self.scene, Gaussians)
         assert self.config.levels is not None
@@ -269,8 +269,8 @@ class Stages:
         assert isinstance(self.scene, Gaussians)
         config = self.config
         if self.photos is not None:
-            return photograph_views(self.scene, self.photos, config.level_size, progress=self.progress)
-        return drawn_views(self.scene, self.space, config.level_views, config.level_held_out, progress=self.progress)
+            return load_photograph_views(self.scene, self.photos, config.level_size, progress=self.progress)
+        return draw_views(self.scene, self.space, config.level_views, config.level_held_out, progress=self.progress)
 
     def _key(self, stage: str, **decides: Any) -> str:
         return self.work.key(stage, {"version": _VERSIONS[stage], **decides})

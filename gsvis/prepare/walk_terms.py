@@ -132,7 +132,7 @@ def terms_over_walk(
     if len(colors) != len(scene):
         raise ValueError(f"colors: expected those of {len(scene):,} Gaussians, got {len(colors):,}")
     config = config or WalkConfig()
-    walk = (path.cut(0.0, config.seconds) if path.duration > config.seconds else path).resampled(config.rate)
+    walk = (path.cut(0.0, config.seconds) if path.duration > config.seconds else path).resample(config.rate)
     look, threshold, by = _looker(colors, scene, epsilon, sets, walk, config, weighted)
     count, counts, size = len(scene), colors.counts, len(walk)
     curves = {name: np.zeros(size) for name in ("gaussians", "terms", "active", "of_visible", "unpruned")}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
     from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
     from gsvis.pvs.viewpoints import CellViewpoints
-    from gsvis.pvs.walk import WalkConfig, WalkVisibility, seen_over_walk
+    from gsvis.pvs.walk import WalkConfig, WalkVisibility, measure_walk
     from gsvis.pvs.why import Why
 
 __all__ = [
@@ -42,7 +42,7 @@ __all__ = [
     "connect",
     "estimate_pvs",
     "measure_quality",
-    "seen_over_walk",
+    "measure_walk",
     "write_store",
 ]
 
@@ -71,7 +71,7 @@ _HOMES = {
     "walk": (
         "WalkConfig",
         "WalkVisibility",
-        "seen_over_walk",
+        "measure_walk",
     ),
     "why": ("Why",),
 }

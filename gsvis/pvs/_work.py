@@ -43,10 +43,10 @@ from gsvis.scene.levels import Levels, level_scenes
 __all__ = [
     "SceneArrays",
     "Task",
-    "done_by",
-    "done_by_processes",
-    "done_here",
     "forget_scene",
+    "run_here",
+    "run_in_processes",
+    "run_on",
     "see",
     "use_threads",
 ]
@@ -107,7 +107,7 @@ class SceneArrays:
             _ready.clear()
             source, config = self.source, self.config
             if isinstance(source, Path):
-                source = _mapped(source)
+                source = _map(source)
             first, last = (source[name] for name in _MEMBERSHIP)
             union = Gaussians(**{name: source[name] for name in _SHAPES})
             levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
@@ -130,7 +130,7 @@ class Task:
     viewpoints: Any
 
 
-def _mapped(folder: Path) -> dict[str, NDArray[Any]]:
+def _map(folder: Path) -> dict[str, NDArray[Any]]:
     kinds: dict[str, Any] = dict.fromkeys(_SHAPES, np.float32) | dict.fromkeys(_MEMBERSHIP, np.uint8)
     arrays = {name: np.asarray(np.memmap(folder / f"{name}.bin", kind, mode="r")) for name, kind in kinds.items()}
     return {name: array.reshape(_SHAPES.get(name, (-1,))) for name, array in arrays.items()}
@@ -154,7 +154,7 @@ def forget_scene() -> None:
     _ready.clear()
 
 
-def done_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
+def run_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
     """The tasks one after the other, in this process."""
     try:
         for task in tasks:
@@ -163,7 +163,7 @@ def done_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
         forget_scene()
 
 
-def done_by(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
+def run_on(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
     """The tasks as an executor finishes them; begun again where it has lost them.
 
     Args:
@@ -176,10 +176,10 @@ def done_by(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_
         GsvisError: If tasks are lost again and again.
     """
     told = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
-    return _until_done(tasks, lambda left: _submitted(executor, share(), left, in_flight), CancelledError, told)
+    return _until_done(tasks, lambda left: _submit(executor, share(), left, in_flight), CancelledError, told)
 
 
-def done_by_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
+def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
     """The tasks on `workers` processes of this machine; processes that die are replaced.
 
     Raises:
@@ -188,7 +188,7 @@ def done_by_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> It
 
     def attempt(left: list[Task]) -> Iterator[Result]:
         with _local_processes(min(workers, len(left))) as executor:
-            yield from _submitted(executor, scene, left, 2 * workers)
+            yield from _submit(executor, scene, left, 2 * workers)
 
     told = (
         "worker processes died again and again, most likely for want of memory: use fewer --workers or a smaller"
@@ -214,7 +214,7 @@ def _until_done(
                 raise GsvisError(told) from error
 
 
-def _submitted(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: int) -> Iterator[Result]:
+def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: int) -> Iterator[Result]:
     waiting: dict[Future[bytes], Task] = {}
     left = iter(tasks)
     try:

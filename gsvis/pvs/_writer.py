@@ -194,7 +194,7 @@ class StoreWriter:
             raise ValueError(f"cells: expected {len(self.grid)}, got {len(self)}; add_cell the others first")
         progress("store", 0, len(self))
         labels = _order.choose_labels(self.info.gaussians, len(self), self._set)
-        self._rows["parent"] = _order.parents_of(self._shared(), len(self))
+        self._rows["parent"] = _order.parents_of(self._count_shared(), len(self))
         with atomic_path(self.path) as partial, partial.open("wb") as file:
             container = ContainerWriter(file)
             self._write_sets(container, labels, progress)
@@ -258,7 +258,7 @@ class StoreWriter:
             }
         )
 
-    def _shared(self) -> list[tuple[int, int, int]]:
+    def _count_shared(self) -> list[tuple[int, int, int]]:
         """How much each pair of neighbors shares."""
         edges = []
         for cell in range(len(self)):

@@ -30,10 +30,10 @@ from gsvis.pvs._work import (
     Result,
     SceneArrays,
     Task,
-    done_by,
-    done_by_processes,
-    done_here,
     forget_scene,
+    run_here,
+    run_in_processes,
+    run_on,
 )
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
@@ -146,7 +146,7 @@ def build_pvs(
         OSError: If the disk is full or cannot be written; finished cells are kept.
     """
     config, workers = config or PvsConfig(), workers or Workers()
-    levels = _checked(g)
+    levels = _check_levels(g)
     count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
     target, plan = _check.path("path", path), _plan(levels, grid, space, config)
@@ -169,7 +169,7 @@ def build_pvs(
         journal.remove()
         raise
     except OSError as error:
-        raise _explained(error, journal, len(grid), target) from error
+        raise _explain(error, journal, len(grid), target) from error
     return store
 
 
@@ -201,7 +201,7 @@ def estimate_pvs(
         ValueError: If the memory cannot suffice, or the grid was cut from another space.
     """
     config, workers = config or PvsConfig(), workers or Workers()
-    levels = _checked(g)
+    levels = _check_levels(g)
     count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
     _check.positive_int("sample", sample)
@@ -243,7 +243,7 @@ def _folder_of(target: Path, plan: dict[str, Any]) -> Path:
     return target.with_name(f"{target.name}.partial-{digest[:12]}")
 
 
-def _checked(g: Gaussians | Levels) -> Levels:
+def _check_levels(g: Gaussians | Levels) -> Levels:
     """The levels, if there is something to see in each."""
     bright = union_of(g).opacities >= MIN_ALPHA
     told = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
@@ -256,7 +256,7 @@ def _checked(g: Gaussians | Levels) -> Levels:
     return levels
 
 
-def _explained(error: OSError, journal: Journal, cells: int, target: Path) -> OSError:
+def _explain(error: OSError, journal: Journal, cells: int, target: Path) -> OSError:
     """The error with a word on what is kept and what helps."""
     kept = len(journal.finished(cells))
     held = f"{kept} of {cells} cells are kept in {journal.folder.name}" if kept else "no cell was finished"
@@ -295,12 +295,12 @@ def _results(
 ) -> Generator[Result, None, None]:
     if workers.executor is not None:
         share = workers.scatter or (lambda given: given)
-        yield from done_by(workers.executor, lambda: share(scene), tasks, 2 * workers.count)
+        yield from run_on(workers.executor, lambda: share(scene), tasks, 2 * workers.count)
     elif count == 1 or len(tasks) < 2:
-        yield from done_here(scene, tasks)
+        yield from run_here(scene, tasks)
     else:
         with scene.stored(journal.folder / "scene") as stored:
-            yield from done_by_processes(stored, tasks, min(count, len(tasks)))
+            yield from run_in_processes(stored, tasks, min(count, len(tasks)))
 
 
 def _write(

@@ -233,9 +233,9 @@ class _Meter:
             total = summed.sum()
             weighted[v] = [_share(summed[subset].sum(), total) for subset in subsets]
             ever |= largest >= tau
-            recall[v] = _found(largest >= tau, held)
+            recall[v] = _recall(largest >= tau, held)
             if self.tracer is not None:
-                by_rays[v] = _found(visible_from(self.tracer, eyes[v][None], size=config.size)[0] >= tau, held)
+                by_rays[v] = _recall(visible_from(self.tracer, eyes[v][None], size=config.size)[0] >= tau, held)
             shown = np.flatnonzero(view_weights(g, cameras[v]).largest[0] >= tau)
             exact[v] = len(shown)
             full = _image(g, cameras[v])
@@ -272,7 +272,7 @@ def _around(g: Gaussians, eye: F64, size: int) -> tuple[F32, F64]:
     return largest, summed
 
 
-def _found(seen: Mask, held: Mask) -> float:
+def _recall(seen: Mask, held: Mask) -> float:
     """Share of what is seen that is held."""
     return _share(int(np.count_nonzero(seen & held)), int(np.count_nonzero(seen)))
 

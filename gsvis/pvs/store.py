@@ -143,7 +143,7 @@ class VisibilityStore:
             ValueError: If there is no such class.
         """
         edges = [*self.info.class_edges.tolist(), 1.0]
-        level = self._checked_class("level", level)
+        level = self._check_class("level", level)
         return edges[level], edges[level + 1]
 
     def cell_at(self, position: ArrayLike) -> int:
@@ -254,7 +254,7 @@ class VisibilityStore:
     @cached_property
     def direction_sets(self) -> U8:
         """(N, 10) uint8 direction sets gathered while the store was built; read-only."""
-        flat = self._unpacked("directions", 10 * self.gaussians)
+        flat = self._unpack("directions", 10 * self.gaussians)
         sets = np.ascontiguousarray(np.frombuffer(flat, np.uint8).reshape(10, self.gaussians).T)
         sets.flags.writeable = False
         return sets
@@ -376,7 +376,7 @@ class VisibilityStore:
 
     def _at_least(self, cell: int, least_class: int) -> Words:
         """What a cell sees with at least this class, stored order."""
-        if self._checked_class("least_class", least_class) == 0:
+        if self._check_class("least_class", least_class) == 0:
             return self._words(self.check_cell(cell))
         chosen = np.flatnonzero(self._levels(self.check_cell(cell)) > least_class)
         return _codec.pack(chosen, self.gaussians)
@@ -411,13 +411,13 @@ class VisibilityStore:
             self._cache.keep(("classes", cell), held)
         return held
 
-    def _checked_class(self, name: str, level: int) -> int:
+    def _check_class(self, name: str, level: int) -> int:
         count = len(self.info.class_edges)
         if isinstance(level, bool) or not isinstance(level, int | np.integer) or not 0 <= level < count:
             raise ValueError(f"{name}: expected a class in [0, {count}), got {level!r}")
         return int(level)
 
-    def _unpacked(self, name: str, length: int) -> bytes:
+    def _unpack(self, name: str, length: int) -> bytes:
         try:
             return _codec.decompress(self._container.read(name), length)
         except _codec.CodecError as error:
@@ -436,7 +436,7 @@ class VisibilityStore:
         shape = tuple(int(side) for side in grid.numbers("shape", 3))
         frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
         tau, edges, up = header.number("tau"), header.numbers("class_edges"), grid.numbers("up", 3)
-        coords = np.frombuffer(self._unpacked("coords", 12 * cells), "<i4").reshape(-1, 3).astype(np.int32)
+        coords = np.frombuffer(self._unpack("coords", 12 * cells), "<i4").reshape(-1, 3).astype(np.int32)
         try:
             return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
         except (ValueError, SceneError) as error:

@@ -60,7 +60,7 @@ class CellViewpoints:
             (V, 3); the first k of more viewpoints are those that a call for k gives.
         """
         _check.positive_int("count", count)
-        voxels = self._of(cell)
+        voxels = self._candidates(cell)
         middle = voxels.mean(axis=0)
         outward = voxels - middle
         length = np.linalg.norm(outward, axis=1, keepdims=True)
@@ -75,10 +75,10 @@ class CellViewpoints:
     def draw(self, cell: int, count: int, rng: np.random.Generator) -> F64:
         """(count, 3) viewpoints uniform over the free part of a cell; for tests, never for building."""
         _check.positive_int("count", count, at_least=0)
-        voxels = self._of(cell)
+        voxels = self._candidates(cell)
         some = voxels[rng.integers(len(voxels), size=count)]
         return np.asarray(self.space.origin + self.space.voxel_size * (some + 0.001 + 0.998 * rng.random((count, 3))))
 
-    def _of(self, cell: int) -> NDArray[np.int64]:
+    def _candidates(self, cell: int) -> NDArray[np.int64]:
         cell = self.grid.checked(cell)
         return self._voxels[self._starts[cell] : self._starts[cell + 1]]

@@ -21,7 +21,7 @@ from gsvis.render.weights import view_weights
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
 
-__all__ = ["PAPER_WALK", "VisibleCells", "WalkConfig", "WalkVisibility", "seen_over_walk"]
+__all__ = ["PAPER_WALK", "VisibleCells", "WalkConfig", "WalkVisibility", "measure_walk"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -115,7 +115,7 @@ class WalkVisibility:
         }
 
 
-def seen_over_walk(
+def measure_walk(
     scene: Gaussians | Tracer | VisibleCells,
     path: HeadPath,
     config: WalkConfig | None = None,
@@ -144,7 +144,7 @@ def seen_over_walk(
     """
     config = config or WalkConfig()
     walk = path.cut(0.0, config.seconds) if path.duration > config.seconds else path
-    walk = walk.resampled(config.rate)
+    walk = walk.resample(config.rate)
     see, count, by = _watcher(scene, walk, config)
     if gaussians is not None and count is not None and gaussians != count:
         raise ValueError(f"gaussians: expected {count}, as the scene has, got {gaussians}; leave it out")

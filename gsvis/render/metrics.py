@@ -100,7 +100,7 @@ def ssim(image: Any, target: Any, data_range: float = 1.0, *, padding: str = "va
     values = np.empty(len(a))
     for c in range(len(a)):
         x, y = (np.ascontiguousarray(v[c].transpose(2, 0, 1)) for v in (a, b))
-        means = _blurred(np.concatenate([x, y, x * x, y * y, x * y]), WINDOW // 2 if padding == "same" else 0)
+        means = _blur(np.concatenate([x, y, x * x, y * y, x * y]), WINDOW // 2 if padding == "same" else 0)
         mx, my, mxx, myy, mxy = np.split(means, 5)
         luminance = (2.0 * mx * my + c1) / (mx * mx + my * my + c1)
         structure = (2.0 * (mxy - mx * my) + c2) / ((mxx - mx * mx) + (myy - my * my) + c2)
@@ -250,7 +250,7 @@ def gaussian_window() -> F64:
     return np.asarray(window / window.sum())
 
 
-def _blurred(planes: F64, margin: int) -> F64:
+def _blur(planes: F64, margin: int) -> F64:
     """Return (B, H, W) with `margin` zeros around, under the Gaussian window; only whole windows."""
     less = 2 * margin - WINDOW + 1
     out = np.empty((len(planes), planes.shape[1] + less, planes.shape[2] + less))

@@ -104,7 +104,7 @@ def removal_effects(
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
         if images is not None:
-            residual = _blended(view, projected, features, behind) - _target(images[c])
+            residual = _blend(view, projected, features, behind) - _target(images[c])
         pairs = np.empty((len(projected.members), 4), np.float32)
         _kernels_removal.remove_tiles(
             projected.splats, features, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
@@ -121,7 +121,7 @@ def removal_effects(
     return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.height * cameras.width)
 
 
-def _blended(view: View, projected: Projected, features: F32, background: F32) -> F32:
+def _blend(view: View, projected: Projected, features: F32, background: F32) -> F32:
     """(H, W, 3) the image, as `rasterize` draws it with opacities times presence."""
     splats = projected.splats
     if (features[:, 3] != 1.0).any():

@@ -50,11 +50,11 @@ class Approximations:
         activation = Activation(colors, g.means, 0.0)
         self._eyes = cameras.viewpoints
         self._contributions = [activation.contributions(eye) for eye in self._eyes]
-        self.reference = np.stack([self._drawn(view, None) for view in range(len(cameras))])
+        self.reference = np.stack([self._draw(view, None) for view in range(len(cameras))])
 
     def images(self, epsilon: float) -> F32:
         """(C, H, W, 3) with the terms that change a channel by more than epsilon."""
-        return np.stack([self._drawn(view, epsilon) for view in range(len(self._cameras))])
+        return np.stack([self._draw(view, epsilon) for view in range(len(self._cameras))])
 
     def ladder(self, epsilons: ArrayLike, *, progress: Progress = silent) -> F32:
         """(C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
@@ -76,7 +76,7 @@ class Approximations:
         counts = [int((found > np.float32(epsilon)).sum()) for found in self._contributions]
         return np.asarray(counts) / max(1, len(self._contributions[0]))
 
-    def _drawn(self, view: int, epsilon: float | None) -> F32:
+    def _draw(self, view: int, epsilon: float | None) -> F32:
         active = None if epsilon is None else self._contributions[view] > np.float32(epsilon)
         colors = self._evaluator.colors(self._gaussians.means, self._eyes[view], active=active)
         image: F32 = rasterize(self._gaussians, self._cameras[view], colors=colors).images[0]

@@ -54,7 +54,7 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
     g, weight = fitted.gaussians, fitted.preparation.importance
     shown = weight >= np.quantile(weight, 0.9) if len(weight) else np.zeros(0, bool)
     richness = np.where(shown, np.square(g.shN.astype(np.float64)).sum(axis=(1, 2)), -1.0)
-    ids = _apart(np.argsort(-richness, kind="stable"), g, count)
+    ids = _pick_different(np.argsort(-richness, kind="stable"), g, count)
     some = g[ids]
     config = FitConfig(variant or fitted.colors.variant, max_terms=max(COUNTS), mean_terms=None, tolerance=1e-3)
     colors = fit_srbf(some, None, config).colors
@@ -97,7 +97,7 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
             axes.text(middle, m * _ROW + _SIDE + 5, told, ha="center", va="top", fontsize=7, color=theme.muted)
 
 
-def _apart(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:
+def _pick_different(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:
     """The first few of an order whose base colors differ, so that the rows do not all look alike."""
     chosen: list[int] = []
     candidates = order[: 200 * count]

@@ -228,11 +228,11 @@ def _frame(axes: Axes, ground: Ground) -> None:
     axes.grid(visible=False)
     for locator in (axes.xaxis, axes.yaxis):
         locator.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(f"{_named(ground.right)}, scene units")
-    axes.set_ylabel(f"{_named(ground.onward)}, scene units")
+    axes.set_xlabel(f"{_name_axis(ground.right)}, scene units")
+    axes.set_ylabel(f"{_name_axis(ground.onward)}, scene units")
 
 
-def _named(direction: F64) -> str:
+def _name_axis(direction: F64) -> str:
     """'x' or '-z' for an axis of the scene, 'across' for anything oblique."""
     which = int(np.abs(direction).argmax())
     if abs(direction[which]) < 0.999:

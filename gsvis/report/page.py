@@ -75,7 +75,7 @@ def _tiles(analysis: Analysis, differs: str) -> str:
     return listed(tiles)
 
 
-def _published(differs: str) -> str:
+def _explain_paper(differs: str) -> str:
     """Why the paper's figures do not stand beside these."""
     return (
         f"<p>The paper's figures ({PAPER['mean_visible']:.2%} visible in a view on average) are means over the training"
@@ -104,7 +104,7 @@ def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str) -> st
         + f"<p>A Gaussian is visible in a view when its largest weight on a pixel ray (alpha times the light left in"
         f" front of it) is at least {analysis.config.tau:.4g}. Gaussians that fall between the rays do not count, so"
         f" these shares belong to {_rays(analysis)}; more pixels or a wider view find more.</p>"
-        + (_published(differs) if differs else "")
+        + (_explain_paper(differs) if differs else "")
     )
 
 
@@ -157,21 +157,21 @@ def _directions(analysis: Analysis, figures: dict[str, Figure], differs: str) ->
     if not differs:
         caption += " Diamonds are the two points that the paper states."
     text = figure(figures["cdf"], "Cumulative distribution of the directions from which Gaussians are seen", caption)
-    text += table(header, rows) + _settled(analysis, figures)
+    text += table(header, rows) + _explain_settling(analysis, figures)
     if traced is None:
         return text + f"<p>Directions were not traced outward: {escape(analysis.untraced_because)}.</p>"
     caption = (
         f"The {len(analysis.sample):,} traced Gaussians from above. Dark ones can be seen from few directions: they lie"
         " on walls, floors and behind things. Bright ones stand free."
     )
-    return text + figure(figures["map_directions"], "Map of directions", caption) + _agreed(analysis)
+    return text + figure(figures["map_directions"], "Map of directions", caption) + _explain_agreement(analysis)
 
 
 def _both(cdf: DirectionCdf, faces: int) -> list[str]:
     return [f"{cdf.below(faces):.1%}", f"{cdf.below(faces, of_seen=True):.1%}"]
 
 
-def _settled(analysis: Analysis, figures: dict[str, Figure]) -> str:
+def _explain_settling(analysis: Analysis, figures: dict[str, Figure]) -> str:
     count, change = len(analysis.cameras), analysis.settling[-1].change
     if analysis.has_settled:
         verdict = "What the cameras saw has settled"
@@ -210,7 +210,7 @@ def _settled(analysis: Analysis, figures: dict[str, Figure]) -> str:
     )
 
 
-def _agreed(analysis: Analysis) -> str:
+def _explain_agreement(analysis: Analysis) -> str:
     found = analysis.agreement
     if found is None:
         return ""

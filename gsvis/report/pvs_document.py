@@ -53,12 +53,12 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
         "parameters": subject.parameters,
         "scene": {"name": subject.title, **subject.facts},
         "viewpoints_from": subject.cameras_from,
-        "store": _stored(store),
+        "store": _describe_store(store),
         "quality": quality.as_dict(),
     }
 
 
-def _stored(store: VisibilityStore) -> dict[str, Any]:
+def _describe_store(store: VisibilityStore) -> dict[str, Any]:
     """What the store holds, for all cells."""
     shares = store.visible_counts / max(store.gaussians, 1)
     looked, growing = store.viewpoints, still_growing(store)

@@ -11,7 +11,7 @@ from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
 from gsvis.report.html import Figure, described, figure, filled, table, tiles
 
-__all__ = ["pvs_page", "spelled", "spelled_target"]
+__all__ = ["format_target", "pvs_page", "spelled"]
 
 _WORST = 8  # cells listed
 
@@ -48,7 +48,7 @@ def spelled(value: float | None, unit: str) -> str:
     return f"{value:.1f} dB" if unit == "dB" else f"{value:.2f}"
 
 
-def spelled_target(target: float, unit: str) -> str:
+def format_target(target: float, unit: str) -> str:
     """A target with its unit, in as few digits as it has."""
     return f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
 
@@ -59,7 +59,7 @@ def _target(measure: Measure, which: int) -> str:
     if target is None:
         return ""
     bound = "at least" if measure.better == "higher" else "at most"
-    return f"{bound} {spelled_target(target, measure.unit)} ({'met' if measure.met(which) else 'missed'})"
+    return f"{bound} {format_target(target, measure.unit)} ({'met' if measure.met(which) else 'missed'})"
 
 
 def _lead(quality: Quality, document: dict[str, Any]) -> str:

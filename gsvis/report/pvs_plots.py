@@ -30,7 +30,7 @@ def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> Non
         ever: Share that at least one cell sees.
     """
     values = np.sort(np.asarray(shares, np.float64))[::-1]
-    _sorted_bars(axes, values, theme.gathered)
+    _draw_bars(axes, values, theme.gathered)
     mean = float(values.mean())
     top = max(ever, float(values.max()))
     axes.set_ylim(0.0, 1.16 * top)
@@ -70,7 +70,7 @@ def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], gro
 def draw_growth(axes: Axes, theme: Theme, growth: ArrayLike, limit: float | None) -> None:
     """Share by which the last viewpoint made each set grow, highest first, with the limit of building."""
     values = np.sort(np.asarray(growth, np.float64))[::-1]
-    _sorted_bars(axes, values, theme.gathered)
+    _draw_bars(axes, values, theme.gathered)
     top = max(float(values.max()), limit or 0.0, 1e-9)
     axes.set_ylim(0.0, 1.2 * top)
     if limit is not None:
@@ -140,7 +140,7 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
 
 
-def _sorted_bars(axes: Axes, values: F64, color: str) -> None:
+def _draw_bars(axes: Axes, values: F64, color: str) -> None:
     """Bars without gaps, from the first to the last."""
     edges = np.arange(len(values) + 1) + 0.5
     axes.stairs(values, edges, fill=True, color=color, linewidth=0)

@@ -14,7 +14,7 @@ from gsvis.simulate.session import GOOD_DB
 if TYPE_CHECKING:
     from gsvis.report.session_document import Simulation, Visit
 
-__all__ = ["content_remarks", "session_page", "spelled_figures"]
+__all__ = ["content_remarks", "format_figures", "session_page"]
 
 Rows = list[tuple[str, ...]]
 
@@ -35,14 +35,14 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
         tiles=_tiles(document),
         start=_start(simulation, document, figures),
         session=_session(document, figures),
-        sent=_sent(document, figures),
+        sent=_explain_sent(document, figures),
         figures=_tables(document),
-        assumed=_assumed(document),
+        assumed=_explain_assumptions(document),
         how=described(document),
     )
 
 
-def spelled_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows]:
+def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows]:
     """Header and rows of the table of a visit: a figure in each row, a system in each column; all text.
 
     Args:
@@ -186,7 +186,7 @@ def _session(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     )
 
 
-def _sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+def _explain_sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     ours = document["visits"][0]["systems"][0]["system"]
     shares = (
         f"Shares of the Gaussians, of all levels together, and of the SRBFs that {escape(ours)} has sent (figure 13)."
@@ -204,13 +204,13 @@ def _sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _tables(document: dict[str, Any]) -> str:
     text = ""
     for visit in document["visits"]:
-        header, rows = spelled_figures(visit["systems"])
+        header, rows = format_figures(visit["systems"])
         text += f"<h3>{escape(visit['scene']['name'])}</h3>"
         text += table([escape(cell) for cell in header], [[escape(cell) for cell in row] for row in rows])
     return text
 
 
-def _assumed(document: dict[str, Any]) -> str:
+def _explain_assumptions(document: dict[str, Any]) -> str:
     config, link = document["config"], document["link"]
     text = (
         "<ul>"

@@ -99,7 +99,7 @@ def draw_sphere_figure(
     Raises:
         ValueError: If a number of terms is not one of the fit, or the errors are not as many.
     """
-    told = [float(fit.errors[_counted(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
+    told = [float(fit.errors[_count(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
     if len(told) != len(counts):
         raise ValueError(f"errors: expected {len(counts)}, one for each number of terms, got {len(told)}")
     values = np.stack([_values(function, fit, counts, sphere_directions(side)[1]) for side in SIDES])
@@ -147,7 +147,7 @@ def _eye() -> F64:
     return np.array([np.cos(height), 0.0, np.sin(height)])
 
 
-def _counted(fit: SphereFit, terms: int) -> int:
+def _count(fit: SphereFit, terms: int) -> int:
     if not 0 <= terms <= fit.max_terms:
         raise ValueError(f"counts: expected 0 to {fit.max_terms}, the terms of the fit, got {terms}")
     return terms
@@ -157,7 +157,7 @@ def _values(function: Callable[[F64], ArrayLike], fit: SphereFit, counts: Sequen
     """(1 + counts, P, P) of the truth and the fits."""
     flat = points.reshape(-1, 3)
     truth = _check.floats("function", function(flat), (len(flat),), np.float64)
-    fits = [fit.evaluate(flat, _counted(fit, k)) for k in counts]
+    fits = [fit.evaluate(flat, _count(fit, k)) for k in counts]
     return np.stack([truth, *fits]).reshape(-1, *points.shape[:2])
 
 

@@ -98,7 +98,7 @@ def write_staircase_page(
     if not 1.0 <= pixels_per_degree <= 1000.0:
         raise ValueError(f"pixels_per_degree: expected a value in [1, 1000], got {pixels_per_degree!r}")
     pictures: dict[str, int] = {}
-    first, rest = _encoded(same, other, pictures, progress)
+    first, rest = _encode(same, other, pictures, progress)
     provenance = {
         **({} if about is None else about),
         "observer": "person",
@@ -189,7 +189,7 @@ def _is_trial(trial: Any) -> bool:
     )
 
 
-def _encoded(
+def _encode(
     reference: NDArray[np.float32], approximations: NDArray[np.float32], pictures: dict[str, int], progress: Progress
 ) -> tuple[list[int], list[list[int]]]:
     """Indices of the pictures of references (V,) and approximations (V, E); `pictures` takes what is new."""

@@ -73,7 +73,7 @@ class Occupancy:
         origin = 0.5 * (low + high) - 0.5 * counts * voxel_size
         depth = _optical_depth(seen, origin, voxel_size, (int(counts[0]), int(counts[1]), int(counts[2])))
         occupied = np.asarray(depth >= -np.log1p(-max_alpha), bool)
-        clear = ~_dilated(occupied, clearance)
+        clear = ~_dilate(occupied, clearance)
         if not clear.any():
             raise SceneError(
                 f"no navigable space: all {clear.size} voxels of {voxel_size:.3g} units are occupied or too close to"
@@ -172,7 +172,7 @@ def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple
     return depth
 
 
-def _dilated(mask: Mask, radius: float) -> Mask:
+def _dilate(mask: Mask, radius: float) -> Mask:
     """The mask with everything within `radius` voxels of it, between centers."""
     reach = int(radius)
     if reach < 1 or not mask.any():
@@ -213,10 +213,10 @@ def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
         if step @ up <= -0.5 * np.linalg.norm(step) + 1e-9:
             below += solid
             downward += 1
-    return _smoothed(below, max(downward, 1)), _smoothed(around, 26)
+    return _smooth(below, max(downward, 1)), _smooth(around, 26)
 
 
-def _smoothed(counts: NDArray[np.uint8], of: int) -> Depth:
+def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
     shares = counts.astype(np.float32)
     shares /= of
     return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)

@@ -58,7 +58,7 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
             f"path: expected positions in the navigable space of the scene, got {near:.0%} of them within {margin:.3g}"
             " of it; bring the path into the scene's frame (retarget it), or raise the margin"
         )
-    way, held = _voxels(space, _filled_in(points, 0.5 * space.voxel_size))
+    way, held = _voxels(space, _fill_in(points, 0.5 * space.voxel_size))
     on_way = np.zeros(shape, bool)
     on_way[tuple(way[held].T)] = True
     kept = space.free & (np.asarray(ndimage.distance_transform_edt(~on_way)) <= reach)
@@ -72,7 +72,7 @@ def _voxels(space: NavigableSpace, points: F64) -> tuple[NDArray[np.int64], NDAr
     return voxels, np.all((voxels >= 0) & (voxels < shape), axis=1)
 
 
-def _filled_in(points: F64, step: float) -> F64:
+def _fill_in(points: F64, step: float) -> F64:
     """The points with others between them, so that no step is longer than `step`, as far as memory goes."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     step = max(step, float(lengths.sum()) / _MOST_POINTS)

@@ -48,7 +48,7 @@ class Gaussians:
         >>> ball = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 2]], [0.5], [[[0, 0, 0]]])
         >>> ball
         Gaussians(1 of SH degree 0)
-        >>> ball.transformed(np.eye(3), translation=(1, 0, 0), scale=2.0).covars()[0].diagonal()
+        >>> ball.transform(np.eye(3), translation=(1, 0, 0), scale=2.0).covars()[0].diagonal()
         array([ 4.,  4., 16.])
     """
 
@@ -84,7 +84,7 @@ class Gaussians:
             "scales", arrays["scales"], 0.0, np.inf, open_low=True, remedy=_LOG_SCALES if negative else _FLAT
         )
         _check.in_range("opacities", arrays["opacities"], 0.0, 1.0, remedy=_LOGITS)
-        arrays["quats"] = _normalized(arrays["quats"])
+        arrays["quats"] = _normalize(arrays["quats"])
         for name, array in arrays.items():
             view = array.view()
             view.flags.writeable = False
@@ -169,7 +169,7 @@ class Gaussians:
         half = self.rotations() * self.scales.astype(np.float64)[:, None, :]
         return np.asarray(half @ np.swapaxes(half, 1, 2))
 
-    def transformed(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0), scale: float = 1.0) -> Gaussians:
+    def transform(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0), scale: float = 1.0) -> Gaussians:
         """The same scene in another frame: x -> scale * R x + t; view-dependent color turns with it.
 
         Args:
@@ -202,7 +202,7 @@ class Gaussians:
 _NAMES = tuple(f.name for f in fields(Gaussians))
 
 
-def _normalized(quats: F32) -> F32:
+def _normalize(quats: F32) -> F32:
     squared = np.einsum("ij,ij->i", quats, quats, dtype=np.float64)
     if len(squared) and squared.min() < 1e-24:
         zero = int(squared.argmin())

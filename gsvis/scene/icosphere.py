@@ -49,13 +49,13 @@ def icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64]
     ]
     faces = np.array([t if np.linalg.det(vertices[list(t)]) > 0 else (t[0], t[2], t[1]) for t in triangles], np.int64)
     for _ in range(subdivisions):
-        vertices, faces = _subdivided(vertices, faces)
+        vertices, faces = _subdivide(vertices, faces)
     vertices.flags.writeable = False
     faces.flags.writeable = False
     return vertices, faces
 
 
-def _subdivided(
+def _subdivide(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)

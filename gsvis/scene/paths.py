@@ -133,7 +133,7 @@ class HeadPath:
         quats = _slerp(self.quats[left], self.quats[right], part)
         return (positions[0], quats[0]) if single else (positions, quats)
 
-    def resampled(self, rate_hz: float | None = None, *, times: ArrayLike | None = None) -> HeadPath:
+    def resample(self, rate_hz: float | None = None, *, times: ArrayLike | None = None) -> HeadPath:
         """The same motion sampled at a steady rate, or at given times.
 
         Args:
@@ -174,9 +174,9 @@ class HeadPath:
             )
         stop = min(stop, self.duration)
         between = self.times[(self.times > start) & (self.times < stop)]
-        return self.resampled(times=np.concatenate([[start], between, [stop]]))
+        return self.resample(times=np.concatenate([[start], between, [stop]]))
 
-    def transformed(self, similarity: Similarity) -> HeadPath:
+    def transform(self, similarity: Similarity) -> HeadPath:
         """The path in the frame that a similarity transform leads to."""
         return HeadPath(
             self.times,

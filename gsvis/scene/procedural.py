@@ -250,14 +250,14 @@ def _scene(
         step *= float(np.sqrt(built / count))
     painted = surfaces(step)
     patches = [surface.patch() for surface, _ in painted]
-    g = _dressed(patches, [color for _, color in painted], sh_degree)
+    g = _dress(patches, [color for _, color in painted], sh_degree)
     viewpoints = np.array(eyes, np.float64)
-    visible, hidden = _judged(g, [surface for surface, _ in painted], patches, viewpoints)
+    visible, hidden = _judge(g, [surface for surface, _ in painted], patches, viewpoints)
     space = _space(g, [surface for surface, _ in painted], box, viewpoints[0])
     return OccluderScene(g, viewpoints, visible, hidden, space, np.array(UP), name)
 
 
-def _dressed(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussians:
+def _dress(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussians:
     """Gaussians of the patches with a soft checker pattern and colors that drift with the direction of view."""
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
@@ -281,7 +281,7 @@ def _dressed(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaus
     )
 
 
-def _judged(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F64) -> tuple[Mask, Mask]:
+def _judge(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F64) -> tuple[Mask, Mask]:
     """(V, N) certainly visible and certainly hidden: every surface has its say on every Gaussian."""
     means, covars = g.means.astype(np.float64), g.covars()
     starts = np.cumsum([0, *(len(patch.means) for patch in patches)])

@@ -131,15 +131,15 @@ def retarget(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig |
     if config.keep and config.scale in (None, 1.0) and float(path.upright @ navigable.up) >= _UPRIGHT:
         share = float(navigable.contains(path.positions).mean())
         if share >= config.enough:
-            return _finished(path, navigable, config, Similarity(), "kept: upright and inside as it is")
+            return _finish(path, navigable, config, Similarity(), "kept: upright and inside as it is")
     similarity, rule = _search(path, navigable, config)
-    return _finished(path, navigable, config, similarity, rule)
+    return _finish(path, navigable, config, similarity, rule)
 
 
-def _finished(
+def _finish(
     path: HeadPath, navigable: NavigableSpace, config: RetargetConfig, similarity: Similarity, rule: str
 ) -> RetargetedPath:
-    there = replace(path.transformed(similarity), up=navigable.up)
+    there = replace(path.transform(similarity), up=navigable.up)
     if config.meters_per_unit is not None:
         there = replace(there, meters_per_unit=config.meters_per_unit)
     inside = navigable.contains(there.positions)

@@ -57,7 +57,7 @@ class Stage:
     @cached_property
     def evaluator(self) -> Evaluator | None:
         """Colors with terms; None where there are none."""
-        return Evaluator(self.contents.colors().dequantized()) if len(self.contents.term_records) else None
+        return Evaluator(self.contents.colors().dequantize()) if len(self.contents.term_records) else None
 
     @property
     def size(self) -> tuple[int, int]:

@@ -73,7 +73,7 @@ class Densifier:
             grown = len(self.parameters)
             prune = torch.cat([removed, removed.new_zeros(grown - before)])
             split = int(prune.sum())
-            prune |= self._spent(step)
+            prune |= self._is_spent(step)
             prune[: self.parameters.frozen] = False
             self.parameters.keep(~prune)
             self._forget()
@@ -110,7 +110,7 @@ class Densifier:
         parts["log_scales"] = parts["log_scales"] - math.log(_SMALLER)
         return parts
 
-    def _spent(self, step: int) -> Tensor:
+    def _is_spent(self, step: int) -> Tensor:
         """Mask of what is too faint, or too large."""
         c, values = self.config, self.parameters.values
         spent = values["logit_opacities"].detach().sigmoid() < c.least_opacity

@@ -100,12 +100,12 @@ def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> Poi
     _check.positive_int("count", count)
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one, got none")
-    low, high = _seen_box(cameras)
+    low, high = _box_of(cameras)
     kept: list[F64] = []
     have = 0
     for _ in range(_ROUNDS):
         drawn = rng.uniform(low, high, (count, 3))
-        kept.append(drawn[_seen(cameras, drawn)])
+        kept.append(drawn[_is_seen(cameras, drawn)])
         have += len(kept[-1])
         if have >= count:
             return PointCloud(np.concatenate(kept)[:count])
@@ -114,7 +114,7 @@ def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> Poi
     )
 
 
-def _seen_box(cameras: Cameras) -> tuple[F64, F64]:
+def _box_of(cameras: Cameras) -> tuple[F64, F64]:
     """Lowest and highest corner of the box, (3,) each."""
     eyes, axes = cameras.viewpoints, cameras.forwards
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # takes away what lies along the line of sight
@@ -127,7 +127,7 @@ def _seen_box(cameras: Cameras) -> tuple[F64, F64]:
     return middle - half, middle + half
 
 
-def _seen(cameras: Cameras, points: F64) -> NDArray[np.bool_]:
+def _is_seen(cameras: Cameras, points: F64) -> NDArray[np.bool_]:
     """(N,) whether a point is inside the image of at least one camera."""
     seen = np.zeros(len(points), bool)
     for pose, k in zip(cameras.viewmats, cameras.Ks, strict=True):

@@ -20,7 +20,7 @@ from gsvis.train.images import PosedImages, render_views
 from gsvis.train.likeness import mean_psnr
 from gsvis.train.photos import load_photos
 
-__all__ = ["LevelViews", "drawn_views", "photograph_views"]
+__all__ = ["LevelViews", "draw_views", "load_photograph_views"]
 
 _EVERY = 8  # of photographs, how many are trained on before one is held out
 _CHOOSE = 4  # cameras to choose by for each to train on
@@ -49,7 +49,7 @@ class LevelViews:
     remarks: tuple[str, ...] = ()
 
 
-def drawn_views(
+def draw_views(
     g: Gaussians,
     space: NavigableSpace,
     sampling: ViewSampling,
@@ -88,7 +88,7 @@ def drawn_views(
     return LevelViews(found[0], found[1] if held_out else None, told_space, False, many.cameras(g, space))
 
 
-def photograph_views(
+def load_photograph_views(
     g: Gaussians,
     photos: str | os.PathLike[str],
     size: tuple[int, int] | None = None,

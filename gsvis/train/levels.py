@@ -248,7 +248,7 @@ def _subsets(
 ) -> dict[int, Mask]:
     """Nested masks by their size, from a file of the same run if there is one."""
     counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
-    cameras = _halved(views.cameras) if choose_by is None else choose_by
+    cameras = _halve(views.cameras) if choose_by is None else choose_by
     looks = len(views) if config.looks is None and choose_by is not None else config.looks
 
     def chosen() -> list[Mask]:
@@ -285,7 +285,7 @@ def _subsets(
     return dict(zip(counts, masks, strict=True))
 
 
-def _halved(cameras: Cameras) -> Cameras:
+def _halve(cameras: Cameras) -> Cameras:
     """The same at half the size: enough to choose by, and quicker."""
     width, height = max(cameras.width // 2, 1), max(cameras.height // 2, 1)
     scale = np.array([width / cameras.width, height / cameras.height, 1.0])

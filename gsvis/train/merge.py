@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 
-__all__ = ["merged", "merged_by_cell", "occupied_voxels"]
+__all__ = ["merge_by_cell", "merged", "occupied_voxels"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -53,7 +53,7 @@ def merged(g: Gaussians, count: int) -> Gaussians:
     place = np.full(number, -1)
     place[kept] = np.arange(count)
     inside = place[cells] >= 0
-    return merged_by_cell(g[inside], place[cells[inside]])
+    return merge_by_cell(g[inside], place[cells[inside]])
 
 
 def _cells_for(g: Gaussians, count: int) -> I64:
@@ -86,7 +86,7 @@ def occupied_voxels(points: F64, side: float) -> I64:
     return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64).reshape(-1)
 
 
-def merged_by_cell(g: Gaussians, cells: I64) -> Gaussians:
+def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     """One Gaussian for each cell, by the rules of `merged`.
 
     Args:

@@ -64,7 +64,7 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.values["means"])
 
-    def activated(self) -> GaussianTensors:
+    def activate(self) -> GaussianTensors:
         """What a rasterizer draws; gradients flow back to the raw values."""
         v = self.values
         scales, opacities = v["log_scales"].exp(), v["logit_opacities"].sigmoid()
@@ -73,7 +73,7 @@ class Parameters:
     def gaussians(self) -> Gaussians:
         """The scene as it stands, in NumPy, a copy."""
         with torch.no_grad():
-            now = self.activated()
+            now = self.activate()
             return Gaussians(**{name: part.cpu().numpy().copy() for name, part in vars(now).items()})
 
     def adam_step(self, rates: Mapping[str, float]) -> None:

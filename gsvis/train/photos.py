@@ -112,7 +112,7 @@ def load_photos(
     remarks = []
     if factor > 1:
         remarks.append(f"The images are 1/{factor} of the size in the model; its intrinsics were rescaled to them.")
-    views = _of_size(views, sizes)
+    views = _resize(views, sizes)
     width, height = _target(views, downscale, size)
     _check_memory(len(files), width, height)
     cameras = views.cameras((width, height))
@@ -137,7 +137,7 @@ def _check_target(downscale: float | None, size: Size | None) -> None:
         raise ValueError(f"downscale: expected a factor of at least 1, got {downscale!r}")
 
 
-def _of_size(views: Views, sizes: list[Size]) -> Views:
+def _resize(views: Views, sizes: list[Size]) -> Views:
     """The same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they simply scale."""
     ratios = [
         np.array([have[0] / told[0], have[1] / told[1], 1.0]) for told, have in zip(views.sizes, sizes, strict=True)

@@ -91,10 +91,10 @@ class Trainer:
         self._frozen = frozen
         self.beginning = "".join(scene_hash(part) for part in (start, frozen) if part is not None)
         degree = config.sh_degree if config.sh_every == 0 else min(start.sh_degree, config.sh_degree)
-        whole = _of_degree(start, degree)
+        whole = _set_degree(start, degree)
         if frozen is not None and len(frozen):
             degree = max(degree, frozen.sh_degree)
-            whole = Gaussians.concatenate([_of_degree(part, degree) for part in (frozen, start)])
+            whole = Gaussians.concatenate([_set_degree(part, degree) for part in (frozen, start)])
         self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen), device=device)
         rules = config.densify
         self.densifier = Densifier(rules, self.extent, self.parameters) if rules is not None else None
@@ -134,7 +134,7 @@ class Trainer:
             self.parameters.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
         index = self.view_of(self.step)
         camera = self.views.cameras[index]
-        drawn = rasterize(self.parameters.activated(), camera, backend=c.backend, frozen=self.parameters.frozen)
+        drawn = rasterize(self.parameters.activate(), camera, backend=c.backend, frozen=self.parameters.frozen)
         target = torch.from_numpy(self.views.image(index)).to(drawn.images)
         loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
         loss.backward()  # type: ignore[no-untyped-call]
@@ -206,8 +206,8 @@ class Trainer:
         if self._frozen is None or len(self._frozen) == 0:
             return whole
         degree = max(self._frozen.sh_degree, whole.sh_degree)
-        own = _of_degree(whole[len(self._frozen) :], degree)
-        return Gaussians.concatenate([_of_degree(self._frozen, degree), own])
+        own = _set_degree(whole[len(self._frozen) :], degree)
+        return Gaussians.concatenate([_set_degree(self._frozen, degree), own])
 
 
 def train(
@@ -255,7 +255,7 @@ def hash_of(seed: int, step: int) -> int:
     return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
 
 
-def _of_degree(gaussians: Gaussians, degree: int) -> Gaussians:
+def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:
     """The same Gaussians with SH cut or filled up with zeros to a degree."""
     have, want = gaussians.shN.shape[1], (degree + 1) ** 2 - 1
     if have == want:

@@ -112,7 +112,7 @@ def test_recorded_heads(realdata: Path) -> None:
     files = sorted((realdata / "traces" / "eyenav_rutgers").rglob("*.csv.gz"))[::11]
     errors: dict[tuple[str, int], list[tuple[float, float]]] = {}
     for file in files:
-        path = read_eyenav(file).resampled(30.0).cut(5.0, 25.0)
+        path = read_eyenav(file).resample(30.0).cut(5.0, 25.0)
         for name in PREDICTORS:
             made = predictor(name)
             for k, t in enumerate(path.times):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf
 from gsvis.color._kernels.fit import fit_lobes
 from gsvis.color._kernels.refine import refine, work
-from gsvis.color.fit import sampled_colors
+from gsvis.color.fit import sample_colors
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares, icosphere
 
@@ -44,7 +44,7 @@ def errors_along(g: Gaussians, faces: np.ndarray, fit: SrbfFit, most: int) -> np
     """(N, most + 1) weighted mean squared RGB error with the first 0, 1, ... terms."""
     weights = np.repeat(faces, 4, axis=1) * SHARES
     weights /= weights.sum(axis=1, keepdims=True)
-    truth = sampled_colors(g).transpose(0, 2, 1)
+    truth = sample_colors(g).transpose(0, 2, 1)
     rows = []
     for count in range(most + 1):
         shown = evaluate_along(fit.colors.first(count), POINTS)
@@ -153,7 +153,7 @@ def test_degenerate_gaussians_get_defined_colors(name: str) -> None:
     assert fit.unseen == 1
     assert fit.colors.counts[6] == 0
     assert not fit.colors.counts[:4].any()
-    truth = sampled_colors(scenes).transpose(0, 2, 1)
+    truth = sample_colors(scenes).transpose(0, 2, 1)
     np.testing.assert_allclose(shown[:4], truth[:4], rtol=1e-5, atol=1e-5)
     assert fit.colors.counts[7] <= 1 * len(VARIANTS[name].functions)  # four points carry one term at the most
 
@@ -163,7 +163,7 @@ def test_no_terms_and_no_gaussians() -> None:
     fit = fit_srbf(g, None, FitConfig(max_terms=0))
     assert fit.colors.num_terms == 0
     weights = SHARES / SHARES.sum()
-    np.testing.assert_allclose(fit.colors.base, sampled_colors(g) @ weights, atol=1e-5)
+    np.testing.assert_allclose(fit.colors.base, sample_colors(g) @ weights, atol=1e-5)
     assert len(fit_srbf(g[:0], None).colors) == 0
 
 
@@ -194,7 +194,7 @@ def test_refinement_is_as_good_as_scipys(terms: int, channels: int) -> None:
     rng = np.random.default_rng(terms)
     points = np.zeros((4, 320), np.float32)
     points[:3], points[3] = POINTS.T, np.sqrt(rng.uniform(0.2, 1.0, 320))
-    truth = sampled_colors(scene(1, seed=terms))[0].T[:, :channels]
+    truth = sample_colors(scene(1, seed=terms))[0].T[:, :channels]
     truth = truth - truth.mean(axis=0)
     targets = np.zeros((4, 320), np.float32)
     targets[:channels] = (truth * points[3][:, None]).T

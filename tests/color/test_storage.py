@@ -75,7 +75,7 @@ def test_what_was_saved_is_loaded_to_the_bit(
     rng = np.random.default_rng(seed)
     g, colors = random_scene(rng, count), random_colors(rng, count, name, most_terms)
     save_srbf(tmp_path / "a.arrow", g, colors, precision=precision)
-    expected = colors if precision is None else quantize(colors, precision).dequantized()
+    expected = colors if precision is None else quantize(colors, precision).dequantize()
     assert same(load_srbf(tmp_path / "a.arrow"), (g, expected))
 
 
@@ -97,7 +97,7 @@ def test_the_header_tells_what_is_in_the_file(saved: tuple[Path, Gaussians, Srbf
     assert info.nbytes == path.stat().st_size
     packed = quantize(colors, "coarse")
     save_srbf(path, g, packed)
-    assert srbf_info(path).grids == packed.grids == Grids.of(packed.dequantized(), "coarse")
+    assert srbf_info(path).grids == packed.grids == Grids.of(packed.dequantize(), "coarse")
 
 
 def test_any_arrow_client_reads_it(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
@@ -121,7 +121,7 @@ def test_integers_and_header_are_all_a_decoder_needs(tmp_path: Path) -> None:
     table = pa.ipc.open_file(tmp_path / "a.arrow").read_all()
     header = json.loads(table.schema.metadata[b"gsvis"])["quantized"]
     terms = [term for row in table.to_pylist() for term in row["terms"]]
-    values = packed.dequantized()
+    values = packed.dequantize()
     low, high = header["decays"]
     bits = header["precision"]
     decays = [low * (high / low) ** (t["decay"] / (2 ** bits["decay"] - 1)) for t in terms]

@@ -19,7 +19,7 @@ from gsvis.files.atomic import (
     _host,
     atomic_folder,
     atomic_path,
-    interrupted_moves,
+    find_interrupted_moves,
     remove_all_partials,
     remove_partials,
 )
@@ -251,16 +251,16 @@ def test_files_that_a_kill_left_moved_are_known_until_the_next_run_is_done(tmp_p
     target = tmp_path / "out"
     assert subprocess.run([sys.executable, "-c", code, target], check=False).returncode == -signal.SIGKILL
     assert everything(target) == ["p", "q"]
-    assert interrupted_moves(target) == {"p", "q"}
+    assert find_interrupted_moves(target) == {"p", "q"}
     (target / "q").write_text("somebody's")
     (target / "r").write_text("somebody's")
-    assert interrupted_moves(target) == {"p"}
+    assert find_interrupted_moves(target) == {"p"}
     with pytest.raises(KeyboardInterrupt), atomic_folder(target):
         raise KeyboardInterrupt
-    assert interrupted_moves(target) == {"p"}
+    assert find_interrupted_moves(target) == {"p"}
     with atomic_folder(target) as folder:
         (folder / "p").write_text("new")
-    assert interrupted_moves(target) == set()
+    assert find_interrupted_moves(target) == set()
     assert everything(tmp_path) == ["out", "out/p", "out/q", "out/r"]
 
 
@@ -278,7 +278,7 @@ def test_an_interrupt_between_moves_is_like_a_kill(tmp_path: Path, monkeypatch: 
         with pytest.raises(KeyboardInterrupt), atomic_folder(target) as folder:
             (folder / "p").write_text("p")
             (folder / "q").write_text("q")
-        assert interrupted_moves(target) == ({"p"} if limit else set())
+        assert find_interrupted_moves(target) == ({"p"} if limit else set())
         assert len(list(tmp_path.iterdir())) == 1 + limit  # nothing beside it where nothing was moved
     limit = 9
     with atomic_folder(target) as folder:
@@ -300,7 +300,7 @@ def test_a_note_that_is_cut_or_of_which_nothing_moved_is_no_note(tmp_path: Path,
     left.mkdir()
     (left / "half").write_text("half")
     (left / _NOTE).write_text(note)
-    assert interrupted_moves(target) == set()
+    assert find_interrupted_moves(target) == set()
     with pytest.raises(KeyboardInterrupt), atomic_folder(target):
         raise KeyboardInterrupt
     assert everything(tmp_path) == ["out", "out/p"]
@@ -357,7 +357,7 @@ def test_failures_between_moves_leave_one_note_and_no_payload(tmp_path: Path, mo
                 (folder / "sub").mkdir()
                 (folder / "z").write_text("large")
             moved.add(name)
-            assert interrupted_moves(target) == moved
+            assert find_interrupted_moves(target) == moved
             (left,) = hidden(tmp_path)
             assert everything(left) == [_NOTE]
     with atomic_folder(target) as folder:
@@ -379,7 +379,7 @@ def test_what_a_kill_between_moves_left_shrinks_to_its_note(tmp_path: Path) -> N
     with pytest.raises(KeyboardInterrupt), atomic_folder(target):
         raise KeyboardInterrupt
     assert everything(left) == [_NOTE]
-    assert interrupted_moves(target) == {"p"}
+    assert find_interrupted_moves(target) == {"p"}
 
 
 @posix
@@ -401,7 +401,7 @@ def test_another_host_s_files_stay_and_its_moves_are_known(tmp_path: Path, monke
         remove_partials(target)
         remove_all_partials(tmp_path)
         assert hidden(tmp_path) == theirs
-        assert interrupted_moves(target) == {"p"}
+        assert find_interrupted_moves(target) == {"p"}
     remove_all_partials(tmp_path)
     assert everything(tmp_path) == ["out", "out/p", "out/q"]
 

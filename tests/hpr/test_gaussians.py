@@ -100,7 +100,7 @@ def test_another_unit_of_length_changes_nothing() -> None:
     g = random_scene(np.random.default_rng(0), 3000)
     eye = np.array([4.0, 0.5, 0.2])
     near = OcclusionHull.from_scene(g, eye, size=32).nearness()
-    far = OcclusionHull.from_scene(g.transformed(np.eye(3), scale=1e3), 1e3 * eye, size=32).nearness()
+    far = OcclusionHull.from_scene(g.transform(np.eye(3), scale=1e3), 1e3 * eye, size=32).nearness()
     assert np.mean((near <= 1) != (far <= 1)) < 0.002
 
 

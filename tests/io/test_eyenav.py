@@ -212,7 +212,7 @@ def test_all_recordings_read_and_agree_on_the_axes(realdata: Path) -> None:
         bobbing.append(np.ptp(np.quantile(path.positions[:, 1], [0.1, 0.9])))
         mean = path.head_ups.mean(axis=0)
         assert mean[1] / np.linalg.norm(mean) > np.cos(np.radians(20.0))
-        strides = path.resampled(2.0)
+        strides = path.resample(2.0)
         velocity = np.diff(strides.positions, axis=0)[:, [0, 2]]
         facing = strides.forwards[:-1, [0, 2]]
         fast = np.linalg.norm(velocity, axis=1) > 0.15
@@ -240,7 +240,7 @@ def test_the_other_group_agrees_on_the_axes_and_on_milliseconds(realdata: Path) 
         assert np.ptp(path.positions[:, [0, 2]], axis=0).max() < 3.5
         mean = path.head_ups.mean(axis=0)
         assert mean[1] / np.linalg.norm(mean) > np.cos(np.radians(20.0))
-        strides = path.resampled(2.0)
+        strides = path.resample(2.0)
         velocity, facing = np.diff(strides.positions, axis=0)[:, [0, 2]], strides.forwards[:-1, [0, 2]]
         fast = np.linalg.norm(velocity, axis=1) > 0.15
         velocity, facing = (v[fast] / np.linalg.norm(v[fast], axis=1, keepdims=True) for v in (velocity, facing))

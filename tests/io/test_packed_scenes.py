@@ -201,11 +201,11 @@ def test_kernels_unpack_as_plain_numpy() -> None:
 
 
 def test_spz_spends_its_bits_on_the_extent(tmp_path: Path) -> None:
-    far = random_scene(20, 0).transformed(np.eye(3), (1e6, 0, 0))
+    far = random_scene(20, 0).transform(np.eye(3), (1e6, 0, 0))
     save_spz(far, tmp_path / "a.spz")
     np.testing.assert_allclose(load_spz(tmp_path / "a.spz").means, far.means, atol=0.07)
     with pytest.raises(ValueError, match="2\\^23"):
-        save_spz(far.transformed(np.eye(3), scale=100.0), tmp_path / "b.spz")
+        save_spz(far.transform(np.eye(3), scale=100.0), tmp_path / "b.spz")
     with pytest.raises(ValueError, match="at least one"):
         save_spz(Gaussians.empty(), tmp_path / "b.spz")
     assert not (tmp_path / "b.spz").exists()

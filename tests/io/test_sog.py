@@ -15,7 +15,7 @@ import pytest
 from gsvis.errors import FormatError
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
-from gsvis.io.streamed_sog import load_streamed_sog, streamed_sog_lods
+from gsvis.io.streamed_sog import list_lods, load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
 from tests.io.scene_files import plane, random_scene, sog_files, streamed_files, webp, write_files, zip_bytes
 
@@ -268,12 +268,12 @@ def test_every_level_reads_whole_and_none_is_the_finest(tmp_path: Path, levels: 
         assert_within_sog(load_streamed_sog(tmp_path, level), scene)
         assert_within_sog(load_streamed_sog(tmp_path / "lod-meta.json", level), scene)
     assert_within_sog(load_streamed_sog(tmp_path), levels[0])
-    assert streamed_sog_lods(tmp_path) == (0, 1, 2)
+    assert list_lods(tmp_path) == (0, 1, 2)
 
 
 def test_absent_levels_are_named_with_those_present(tmp_path: Path, levels: dict[int, Gaussians]) -> None:
     write_files(tmp_path, streamed_files(levels, present={1, 2}))
-    assert streamed_sog_lods(tmp_path) == (1, 2)
+    assert list_lods(tmp_path) == (1, 2)
     assert_within_sog(load_streamed_sog(tmp_path), levels[1])
     with pytest.raises(FormatError, match=r"files of LOD 0, got no 0_0/meta\.json; LODs present: 1, 2"):
         load_streamed_sog(tmp_path, 0)
@@ -389,4 +389,4 @@ def test_real_streamed_scenes(realdata: Path, name: str, lod: int, count: int, d
 def test_real_absent_levels_are_told(realdata: Path) -> None:
     with pytest.raises(FormatError, match="LODs present: 2, 3"):
         load_streamed_sog(realdata / "scenes" / "showroom", 0)
-    assert streamed_sog_lods(realdata / "scenes" / "flowers_sh2") == (1, 2, 3)
+    assert list_lods(realdata / "scenes" / "flowers_sh2") == (1, 2, 3)

@@ -33,7 +33,7 @@ def test_any_bytes_decode_to_something_that_can_be_shown(data: bytes) -> None:
         found, n = decode_terms(records, grids), len(records)
         none = np.zeros((1, grids.kind.num_axes, 2), np.uint16)
         scales = np.zeros(0 if grids.kind.space == "rgb" else 1, np.uint16)
-        QuantizedColors(grids, np.zeros((1, 3), np.uint16), scales, none, np.array([0, n]), *found).dequantized()
+        QuantizedColors(grids, np.zeros((1, 3), np.uint16), scales, none, np.array([0, n]), *found).dequantize()
 
 
 def test_terms_that_are_too_wide_are_refused() -> None:

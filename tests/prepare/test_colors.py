@@ -13,7 +13,7 @@ from gsvis.color.fit import FitConfig
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import SceneError
 from gsvis.prepare.color_quality import PSNR_CAP, ColorQualityConfig, measure_colors
-from gsvis.prepare.colors import ColorConfig, kept_beside, prepare_colors
+from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.fitted_colors import FittedColors, rounded
 from gsvis.prepare.importance import importance_from_views
 from gsvis.raycast import EllipsoidProxies, Tracer
@@ -63,7 +63,7 @@ def test_a_preparation_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pyt
 
     with pytest.raises(KeyboardInterrupt):
         prepare_colors(g, scene.navigable, QUICK, keep=out, progress=stopping)
-    kept = kept_beside(g, scene.navigable, QUICK, out)
+    kept = find_kept(g, scene.navigable, QUICK, out)
     assert kept is not None
     assert [path.name for path in tmp_path.iterdir()] == [kept.name]
     found = prepare_colors(g, scene.navigable, QUICK, keep=out, progress=noting)
@@ -75,7 +75,7 @@ def test_a_preparation_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pyt
     assert stages[0] == ("directions", len(g))
     assert same(found.fit.colors, again.fit.colors)
     other = ColorConfig(QUICK.fit, ViewSampling(3, 48, 36, seed=1))
-    assert kept_beside(g, scene.navigable, other, out) != kept
+    assert find_kept(g, scene.navigable, other, out) != kept
     kept.write_bytes(kept.read_bytes()[:-30])  # damaged: it counts as missing
     assert same(prepare_colors(g, scene.navigable, QUICK, keep=out).fit.colors, found.fit.colors)
 
@@ -95,7 +95,7 @@ def test_scenes_without_view_dependence_need_no_space() -> None:
     found = prepare_colors(g, None, QUICK)
     assert found.fit.colors.num_terms == 0
     assert found.views is None
-    assert kept_beside(g, None, QUICK, "x.arrow") is None
+    assert find_kept(g, None, QUICK, "x.arrow") is None
     with pytest.raises(ValueError, match="navigable"):
         prepare_colors(rooms().gaussians, None, QUICK)
 

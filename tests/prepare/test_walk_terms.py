@@ -15,7 +15,7 @@ from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import FormatError
 from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
-from gsvis.pvs.walk import WalkConfig, seen_over_walk
+from gsvis.pvs.walk import WalkConfig, measure_walk
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.render.weights import view_weights
 from gsvis.scene.paths import HeadPath
@@ -70,10 +70,10 @@ def test_by_cameras_terms_are_active_at_the_eye(by: str) -> None:
     found = lawful(terms_over_walk(colors, g, path, EPSILON, sets=tracer, config=SMALL))
     assert found.by == f"{by}, active at the eye"
     assert found.term_bytes == bytes_per_term("rgb")
-    seen = seen_over_walk(tracer or g, path, SMALL)
+    seen = measure_walk(tracer or g, path, SMALL)
     assert np.allclose(found.gaussians, seen.seen)
     if by == "raster":
-        walk, activation = path.cut(0.0, 4.0).resampled(2.0), Activation(colors, g.means, EPSILON)
+        walk, activation = path.cut(0.0, 4.0).resample(2.0), Activation(colors, g.means, EPSILON)
         visible = view_weights(g, walk.cameras(32, 24, 90.0)).largest >= 1 / 255
         active = [activation.active(walk.positions[i], np.flatnonzero(visible[i])) for i in range(len(walk))]
         assert np.allclose(found.terms, [np.any(active[: i + 1], axis=0).mean() for i in range(len(walk))])
@@ -115,13 +115,13 @@ def test_by_cells_terms_are_active_anywhere_in_the_cell(tmp_path: Path) -> None:
             assert weighted.terms[-1] < found.terms[-1]
     with w.build() as terms:
         stored = lawful(terms_over_walk(w.colors, w.g, path, terms, sets=w.store, config=config))
-        cells = [w.store.cell_at(point) for point in path.resampled(1.5).positions]
+        cells = [w.store.cell_at(point) for point in path.resample(1.5).positions]
         union = set().union(*(terms.active(cell) for cell in cells if cell >= 0))
     assert stored.epsilon == EPSILON
     assert np.array_equal(stored.first_active, found.first_active)
     assert set(np.flatnonzero(np.isfinite(stored.first_active)).tolist()) == union
     assert stored.outside == sum(cell < 0 for cell in cells) == found.outside
-    assert np.array_equal(stored.gaussians, seen_over_walk(w.store, path, config).seen)
+    assert np.array_equal(stored.gaussians, measure_walk(w.store, path, config).seen)
     expected = w.colors.counts[w.seen[[c for c in cells if c >= 0]].any(axis=0)].sum() / w.colors.num_terms
     assert stored.unpruned[-1] == pytest.approx(expected)
 
@@ -145,7 +145,7 @@ def test_other_cells_have_terms_active_at_the_eye(tmp_path: Path) -> None:
     found = lawful(terms_over_walk(w.colors, w.g, path, EPSILON, sets=Plain(len(w.g)), config=config))
     assert found.by == "cells, active at the eye"
     assert found.unpruned[0] == found.gaussians[0] == 1.0
-    masks = [Activation(w.colors, w.g.means, EPSILON).active(eye) for eye in path.resampled(1.0).positions]
+    masks = [Activation(w.colors, w.g.means, EPSILON).active(eye) for eye in path.resample(1.0).positions]
     assert found.terms[-1] == pytest.approx(np.any(masks, axis=0).mean())
     away = lawful(terms_over_walk(w.colors, w.g, through([2e6, 0, 0], [2e6, 1, 0]), EPSILON, sets=Plain(len(w.g))))
     assert away.outside == len(away.times)

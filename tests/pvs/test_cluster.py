@@ -47,8 +47,8 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 
 def address_in(file: Path, process: subprocess.Popen[bytes]) -> str:
     """The address that a scheduler writes into its file."""
-    given_up = time.monotonic() + GUARD
-    while time.monotonic() < given_up:
+    parse_up = time.monotonic() + GUARD
+    while time.monotonic() < parse_up:
         assert process.poll() is None, "the scheduler ended"
         with contextlib.suppress(FileNotFoundError, ValueError):  # not there yet, or half of it
             return str(json.loads(file.read_text())["address"])

@@ -11,7 +11,7 @@ import pytest
 import gsvis.prepare.colors as colors_module
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
-from gsvis.prepare.colors import ColorConfig, kept_beside, prepare_colors
+from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
 from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
 from gsvis.pvs.cells import CellGrid
@@ -91,7 +91,7 @@ def test_a_single_level_is_the_scene_to_the_byte(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(plain, name), getattr(single, name))
     for name in ("base", "offsets", "centers", "decays", "intensities"):
         np.testing.assert_array_equal(getattr(plain.fit.colors, name), getattr(single.fit.colors, name))
-    assert kept_beside(g, space, QUICK, "x") == kept_beside(Levels.single(g), space, QUICK, "x")
+    assert find_kept(g, space, QUICK, "x") == find_kept(Levels.single(g), space, QUICK, "x")
 
 
 def test_a_permutation_of_the_union_permutes_ids(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_a_build_of_other_levels_is_another_build() -> None:
         Levels(levels.union, levels.first, levels.last, ("a", "b", "c")),
     ]
     assert len({journal_of(each, grid, space, "x.pvs", CONFIG) for each in others}) == len(others)
-    assert len({kept_beside(each, space, QUICK, "x.arrow") for each in others}) == len(others)
+    assert len({find_kept(each, space, QUICK, "x.arrow") for each in others}) == len(others)
 
 
 def test_a_store_knows_its_levels(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gsvis.pvs.walk import VisibleCells, WalkConfig, WalkVisibility, seen_over_walk
+from gsvis.pvs.walk import VisibleCells, WalkConfig, WalkVisibility, measure_walk
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_in
 from gsvis.render.weights import view_weights
 from gsvis.scene.paths import HeadPath
@@ -56,10 +56,10 @@ def lawful(found: WalkVisibility) -> WalkVisibility:
 def test_by_cameras_it_is_the_union_of_what_each_sees(by: str) -> None:
     g = rooms().gaussians
     scene = g if by == "raster" else tracer()
-    found = lawful(seen_over_walk(scene, turning(), SMALL))
+    found = lawful(measure_walk(scene, turning(), SMALL))
     assert found.by == by
     assert found.times.tolist() == [0.5 * i for i in range(9)]
-    cameras = turning().cut(0.0, 4.0).resampled(2.0).cameras(32, 24, 90.0)
+    cameras = turning().cut(0.0, 4.0).resample(2.0).cameras(32, 24, 90.0)
     weights = view_weights(g, cameras).largest if by == "raster" else visible_in(tracer(), cameras)
     seen = weights >= np.float32(SMALL.tau)
     assert np.allclose(found.visible, seen.mean(axis=1))
@@ -69,23 +69,23 @@ def test_by_cameras_it_is_the_union_of_what_each_sees(by: str) -> None:
 
 def test_more_time_more_instants_and_a_lower_tau_see_more() -> None:
     g = rooms().gaussians
-    base = seen_over_walk(g, turning(), SMALL).seen[-1]
-    assert seen_over_walk(g, turning(), WalkConfig(5.0, 2.0, 32, 24)).seen[-1] >= base
-    assert seen_over_walk(g, turning(), WalkConfig(4.0, 4.0, 32, 24)).seen[-1] >= base
-    assert seen_over_walk(g, turning(), WalkConfig(4.0, 2.0, 32, 24, tau=0.0001)).seen[-1] >= base
-    assert seen_over_walk(g, turning(), WalkConfig(4.0, 2.0, 32, 24, tau=0.5)).seen[-1] < base
+    base = measure_walk(g, turning(), SMALL).seen[-1]
+    assert measure_walk(g, turning(), WalkConfig(5.0, 2.0, 32, 24)).seen[-1] >= base
+    assert measure_walk(g, turning(), WalkConfig(4.0, 4.0, 32, 24)).seen[-1] >= base
+    assert measure_walk(g, turning(), WalkConfig(4.0, 2.0, 32, 24, tau=0.0001)).seen[-1] >= base
+    assert measure_walk(g, turning(), WalkConfig(4.0, 2.0, 32, 24, tau=0.5)).seen[-1] < base
 
 
 def test_a_still_head_sees_nothing_new() -> None:
     path = turning()
     still = HeadPath(path.times, path.positions, np.tile(path.quats[0], (len(path), 1)))
-    found = lawful(seen_over_walk(rooms().gaussians, still, SMALL))
+    found = lawful(measure_walk(rooms().gaussians, still, SMALL))
     assert np.all(found.seen == found.visible[0])
     assert set(np.unique(found.first_seen)) == {0.0, np.float32(np.inf)}
 
 
 def test_what_is_certainly_hidden_is_not_seen_from_there() -> None:
-    found = seen_over_walk(tracer(), turning(), SMALL)
+    found = measure_walk(tracer(), turning(), SMALL)
     assert not np.any(np.isfinite(found.first_seen) & rooms().hidden[0])
 
 
@@ -114,7 +114,7 @@ def along(stop: float) -> HeadPath:
 def test_by_cells_it_is_the_union_of_their_sets(kind: Any, outside: Any) -> None:
     cells = Strip(kind, outside)
     assert isinstance(cells, VisibleCells)
-    found = lawful(seen_over_walk(cells, along(5.6), WalkConfig(10.0, 2.0), gaussians=100))
+    found = lawful(measure_walk(cells, along(5.6), WalkConfig(10.0, 2.0), gaussians=100))
     assert found.by == "cells"
     assert found.seen[0] == 0.15
     assert found.seen[-1] == 0.45
@@ -126,25 +126,25 @@ def test_by_cells_it_is_the_union_of_their_sets(kind: Any, outside: Any) -> None
 def test_a_store_knows_how_many_gaussians_there_are() -> None:
     cells = Strip()
     cells.gaussians = 100  # type: ignore[attr-defined]
-    assert len(seen_over_walk(cells, along(1.0)).first_seen) == 100
+    assert len(measure_walk(cells, along(1.0)).first_seen) == 100
     with pytest.raises(ValueError, match="gaussians: expected 100"):
-        seen_over_walk(cells, along(1.0), gaussians=99)
+        measure_walk(cells, along(1.0), gaussians=99)
 
 
 def test_a_short_walk_is_watched_to_its_end() -> None:
-    found = seen_over_walk(Strip(), along(1.4), WalkConfig(30.0, 1.0), gaussians=45)
+    found = measure_walk(Strip(), along(1.4), WalkConfig(30.0, 1.0), gaussians=45)
     assert found.times[-1] == 10.0
 
 
 def test_nonsense_is_refused() -> None:
     with pytest.raises(ValueError, match="gaussians: expected their number"):
-        seen_over_walk(Strip(), along(1.0))
+        measure_walk(Strip(), along(1.0))
     with pytest.raises(ValueError, match="gaussians: expected more than"):
-        seen_over_walk(Strip(), along(1.0), gaussians=10)
+        measure_walk(Strip(), along(1.0), gaussians=10)
     with pytest.raises(ValueError, match=f"gaussians: expected {len(rooms().gaussians)}"):
-        seen_over_walk(rooms().gaussians, turning(), gaussians=7)
+        measure_walk(rooms().gaussians, turning(), gaussians=7)
     with pytest.raises(ValueError, match="scene"):
-        seen_over_walk("a scene", along(1.0))  # type: ignore[arg-type]
+        measure_walk("a scene", along(1.0))  # type: ignore[arg-type]
     for wrong in ({"seconds": 0.0}, {"rate": -1.0}, {"width": 0}, {"fov": 180.0}, {"tau": 0.0}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             WalkConfig(**wrong)  # type: ignore[arg-type]

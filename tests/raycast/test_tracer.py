@@ -112,7 +112,7 @@ def test_rigid_motion_changes_nothing(kind: str) -> None:
     rotation = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
     shift = np.array([0.3, -2.0, 1.0])
-    moved = tracer_of(g.transformed(rotation, shift)).contributions(rays_o @ rotation.T + shift, rays_d @ rotation.T)
+    moved = tracer_of(g.transform(rotation, shift)).contributions(rays_o @ rotation.T + shift, rays_d @ rotation.T)
     still = tracer_of(g).contributions(rays_o, rays_d)
     # The moved scene is rounded to float32, so weights near a cut may move a little; sums per Gaussian must not.
     want = np.bincount(still.gaussian_ids, still.weights, minlength=len(g))
@@ -123,7 +123,7 @@ def test_rigid_motion_changes_nothing(kind: str) -> None:
 def test_scale_of_the_scene_changes_only_depths() -> None:
     g = scene("blobs")
     rays_o, rays_d = rays("blobs")
-    small, large = tracer_of(g).contributions(rays_o, rays_d), tracer_of(g.transformed(np.eye(3), scale=64.0))
+    small, large = tracer_of(g).contributions(rays_o, rays_d), tracer_of(g.transform(np.eye(3), scale=64.0))
     grown = large.contributions(64.0 * rays_o, rays_d)
     np.testing.assert_array_equal(grown.gaussian_ids, small.gaussian_ids)
     np.testing.assert_allclose(grown.weights, small.weights, atol=1e-6)

@@ -256,7 +256,7 @@ def test_scene_and_camera_moved_together_give_the_same_image() -> None:
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     turn *= np.sign(np.linalg.det(turn))
     g = Gaussians(*(getattr(scene, name).numpy() for name in FIELDS))
-    moved = g.transformed(turn, [1.0, -2.0, 0.5])
+    moved = g.transform(turn, [1.0, -2.0, 0.5])
     view = np.eye(4)
     view[:3, :3] = turn.T
     view[:3, 3] = -turn.T @ [1.0, -2.0, 0.5]

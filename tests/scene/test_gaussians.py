@@ -105,7 +105,7 @@ def test_an_empty_scene_is_a_scene(degree: int) -> None:
     scene = Gaussians.empty(degree)
     assert (len(scene), scene.sh_degree) == (0, degree)
     assert scene.covars().shape == (0, 3, 3)
-    assert len(scene.transformed(np.eye(3))) == 0
+    assert len(scene.transform(np.eye(3))) == 0
     assert len(scene[:]) == 0
     with pytest.raises(ValueError, match="got an empty scene"):
         scene.bounds()
@@ -180,16 +180,16 @@ def test_a_known_quaternion_turns_the_known_way() -> None:
 def test_motions_compose_and_undo(seed: int) -> None:
     scene = Gaussians(**arrays(seed=seed))
     (ra, ta, sa), (rb, tb, sb) = motion(seed + 1), motion(seed + 2)
-    twice = scene.transformed(ra, ta, sa).transformed(rb, tb, sb)
-    assert_same(twice, scene.transformed(rb @ ra, sb * (rb @ ta) + tb, sb * sa), atol=1e-4)
-    assert_same(scene.transformed(ra, ta, sa).transformed(ra.T, -ra.T @ ta / sa, 1 / sa), scene, atol=1e-4)
+    twice = scene.transform(ra, ta, sa).transform(rb, tb, sb)
+    assert_same(twice, scene.transform(rb @ ra, sb * (rb @ ta) + tb, sb * sa), atol=1e-4)
+    assert_same(scene.transform(ra, ta, sa).transform(ra.T, -ra.T @ ta / sa, 1 / sa), scene, atol=1e-4)
 
 
 @given(seed=st.integers(0, 10**6))
 def test_covariances_and_colors_move_with_the_scene(seed: int) -> None:
     scene = Gaussians(**arrays(seed=seed))
     r, t, s = motion(seed)
-    moved = scene.transformed(r, t, s)
+    moved = scene.transform(r, t, s)
     np.testing.assert_allclose(moved.covars(), s * s * r @ scene.covars() @ r.T, rtol=1e-3, atol=1e-4 * s * s)
     np.testing.assert_allclose(moved.means, s * scene.means @ r.T + t, rtol=1e-4, atol=1e-4)
     eye = np.array([0.3, -4.0, 2.0])
@@ -206,7 +206,7 @@ def test_moving_commutes_with_selecting() -> None:
     scene = Gaussians(**arrays())
     r, t, s = motion(0)
     order = np.array([5, 0, 3])
-    assert_same(scene[order].transformed(r, t, s), scene.transformed(r, t, s)[order], atol=1e-6)
+    assert_same(scene[order].transform(r, t, s), scene.transform(r, t, s)[order], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -222,7 +222,7 @@ def test_moving_commutes_with_selecting() -> None:
 )
 def test_a_bad_motion_names_itself(change: dict[str, Any], told: str) -> None:
     with pytest.raises(ValueError, match=told):
-        Gaussians(**arrays()).transformed(**{"rotation": np.eye(3), **change})
+        Gaussians(**arrays()).transform(**{"rotation": np.eye(3), **change})
 
 
 @pytest.mark.parametrize(

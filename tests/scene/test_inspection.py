@@ -48,7 +48,7 @@ def rotation_to(axis: str) -> NDArray[np.float64]:
 class TestUp:
     @pytest.mark.parametrize("axis", AXES)
     def test_ground_lies_below(self, axis: str) -> None:
-        found, confidence = guess_up(ground().transformed(rotation_to(axis)))
+        found, confidence = guess_up(ground().transform(rotation_to(axis)))
         assert found == axis
         assert confidence > 0.6
 
@@ -57,7 +57,7 @@ class TestUp:
         rng = np.random.default_rng(1)
         pillar = scene(np.column_stack([rng.normal(0, 0.2, (4000, 2)).clip(-0.4, 0.4), rng.uniform(0, 3, 4000)]))
         assert has_no_floaters(pillar)
-        assert guess_up(pillar.transformed(rotation_to(axis)))[0] == axis
+        assert guess_up(pillar.transform(rotation_to(axis)))[0] == axis
 
     def test_without_evidence_it_is_minus_y_and_unsure(self) -> None:
         for g in (Gaussians.empty(), scene(np.zeros((50, 3))), scene(np.eye(3))):
@@ -69,7 +69,7 @@ class TestUp:
         g = ground()
         found = guess_up(g)
         mixed = guess_up(g[np.random.default_rng(2).permutation(len(g))])
-        larger = guess_up(g.transformed(np.eye(3), scale=1000.0))
+        larger = guess_up(g.transform(np.eye(3), scale=1000.0))
         assert mixed[0] == larger[0] == found[0]
         assert mixed[1] == pytest.approx(found[1], abs=1e-3)
         assert larger[1] == pytest.approx(found[1], abs=1e-3)

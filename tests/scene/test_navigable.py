@@ -92,7 +92,7 @@ class TestRooms:
 
     def test_follows_a_change_of_frame(self, joined: NavigableSpace) -> None:
         turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        g = two_rooms(door=True).transformed(turn, (10.0, -20.0, 5.0), 7.0)
+        g = two_rooms(door=True).transform(turn, (10.0, -20.0, 5.0), 7.0)
         space = NavigableSpace.from_scene(g, resolution=64, up="+z")
         assert space.volume == pytest.approx(joined.volume * 7.0**3, rel=0.02)
         assert space.contains(7.0 * np.array(MIDDLES) @ turn.T + [10.0, -20.0, 5.0]).all()

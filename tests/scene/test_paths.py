@@ -81,7 +81,7 @@ def test_lengths_of_quaternions_are_nothing_but_zero_is_refused() -> None:
 @given(st.floats(0.5, 400.0))
 def test_resampling_is_steady_and_stays_on_the_path(rate: float) -> None:
     path = wander()
-    steady = path.resampled(rate)
+    steady = path.resample(rate)
     assert np.allclose(np.diff(steady.times), 1.0 / rate)
     assert steady.duration <= path.duration + 1e-6 < steady.duration + 1.0 / rate + 2e-6
     assert steady.length <= path.length + 1e-9
@@ -90,7 +90,7 @@ def test_resampling_is_steady_and_stays_on_the_path(rate: float) -> None:
 
 def test_resampling_at_times_and_what_is_refused() -> None:
     path = wander()
-    again = path.resampled(times=path.times[4:9])
+    again = path.resample(times=path.times[4:9])
     assert np.allclose(again.times, path.times[4:9] - path.times[4])
     assert np.allclose(again.positions, path.positions[4:9])
     for wrong in (
@@ -103,7 +103,7 @@ def test_resampling_at_times_and_what_is_refused() -> None:
         {"times": [0.0, 1e9]},
     ):
         with pytest.raises(ValueError, match=r"rate_hz|times"):
-            path.resampled(**wrong)  # type: ignore[arg-type]
+            path.resample(**wrong)  # type: ignore[arg-type]
 
 
 def test_cuts_join_to_the_whole() -> None:
@@ -187,7 +187,7 @@ def test_a_similarity_keeps_angles_and_ratios_and_comes_back(seed: int) -> None:
 @given(st.integers(0, 2**31))
 def test_a_moved_path_looks_at_the_moved_world(seed: int) -> None:
     path, similarity = wander(6, seed, up=np.array([0.0, 1.0, 0.0]), meters_per_unit=2.0), some_similarity(seed + 7)
-    moved = path.transformed(similarity)
+    moved = path.transform(similarity)
     ahead = path.positions + 3.0 * path.forwards
     assert np.allclose(moved.positions + 3.0 * similarity.scale * moved.forwards, similarity.apply(ahead))
     assert moved.length == pytest.approx(similarity.scale * path.length)
@@ -195,7 +195,7 @@ def test_a_moved_path_looks_at_the_moved_world(seed: int) -> None:
     assert moved.up is not None
     assert path.up is not None
     assert np.allclose(moved.up, similarity.rotation @ path.up)
-    back = moved.transformed(similarity.inverse())
+    back = moved.transform(similarity.inverse())
     assert np.allclose(back.positions, path.positions, atol=1e-9)
     assert np.allclose(rotations_from_quats(back.quats), rotations_from_quats(path.quats))
 

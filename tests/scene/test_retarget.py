@@ -111,7 +111,7 @@ def test_with_meters_the_largest_scale_still_stands() -> None:
 def test_the_frame_of_the_recording_is_forgotten(seed: int, meters: float | None) -> None:
     rng = np.random.default_rng(seed)
     path = stroll(meters=meters)
-    other = path.transformed(Similarity(float(np.exp(rng.normal())), rng.normal(size=4), 5 * rng.normal(size=3)))
+    other = path.transform(Similarity(float(np.exp(rng.normal())), rng.normal(size=4), 5 * rng.normal(size=3)))
     space = hall((30, 25, 26))
     config = RetargetConfig(placements=256, yaws=8, seed=seed, keep=False, meters_per_unit=meters)
     here, there = (retarget(p, space, config) for p in (path, other))
@@ -148,7 +148,7 @@ def test_a_walk_that_is_inside_stays() -> None:
     assert np.array_equal(again.path.positions, path.positions)
     assert again.similarity.as_dict() == Similarity().as_dict()
     assert not retarget(path, space, RetargetConfig(keep=False)).rule.startswith("kept")
-    tilted = path.transformed(Similarity(quat=np.array([1.0, 0.05, 0.0, 0.0])))
+    tilted = path.transform(Similarity(quat=np.array([1.0, 0.05, 0.0, 0.0])))
     assert not retarget(tilted, space).rule.startswith("kept")
 
 

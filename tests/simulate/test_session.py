@@ -53,7 +53,7 @@ def sessions(made: tuple[StreamedScene, Stage]) -> dict[str, Session]:
 
 
 def camera() -> Cameras:
-    return walk().resampled(times=[0.7]).cameras(48, 36, 90.0)[0]
+    return walk().resample(times=[0.7]).cameras(48, 36, 90.0)[0]
 
 
 @settings(max_examples=10)
@@ -101,7 +101,7 @@ def test_latency_is_the_first_tick_that_shows_the_pose(
 ) -> None:
     stage, found = made[1], sessions["Morton order"]
     p = found.playback
-    cameras = walk().resampled(times=found.times).cameras(48, 36, 90.0)
+    cameras = walk().resample(times=found.times).cameras(48, 36, 90.0)
     for k, t in enumerate(found.times.tolist()):
         frame, shown = Frame(stage, cameras[k]), []
         for tick in range(11):

@@ -55,7 +55,7 @@ def test_what_comes_is_what_the_package_holds(tmp_path: Path, variant: str, stor
             np.testing.assert_array_equal(getattr(g, name), getattr(whole, name))
         active = np.zeros(scene.about.terms, bool)
         active[receiver.holdings.received_terms] = True
-        every, eye = package.contents.colors().dequantized(), np.array([0.3, -0.2, 0.1])
+        every, eye = package.contents.colors().dequantize(), np.array([0.3, -0.2, 0.1])
         wanted = evaluate(every, package.contents.gaussians().means, eye, active=active)[shown]
         np.testing.assert_allclose(evaluate(colors, g.means, eye), wanted, atol=2e-6)
 

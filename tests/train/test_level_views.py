@@ -7,19 +7,19 @@ import numpy as np
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import random_scene
 from gsvis.scene.view_sampling import ViewSampling
-from gsvis.train.level_views import drawn_views
+from gsvis.train.level_views import draw_views
 
 
 def test_cameras_that_choose_are_many_small_and_others() -> None:
     g = random_scene(np.random.default_rng(0), 400)
     space = NavigableSpace.from_box((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
-    found = drawn_views(g, space, ViewSampling(3, 24, 18), 2)
+    found = draw_views(g, space, ViewSampling(3, 24, 18), 2)
     assert found.choose_by is not None
     assert found.held_out is not None
     assert (len(found.views), len(found.held_out), len(found.choose_by)) == (3, 2, 12)
     assert (found.choose_by.width, found.choose_by.height) == (12, 9)
     eyes = np.concatenate([c.viewpoints for c in (found.views.cameras, found.held_out.cameras, found.choose_by)])
     assert len(np.unique(eyes.round(9), axis=0)) == 17
-    again = drawn_views(g, space, ViewSampling(3, 24, 18), 0)
+    again = draw_views(g, space, ViewSampling(3, 24, 18), 0)
     assert again.choose_by is not None
     np.testing.assert_array_equal(again.choose_by.viewmats, found.choose_by.viewmats)

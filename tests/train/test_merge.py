@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train.merge import merged, merged_by_cell, occupied_voxels
+from gsvis.train.merge import merge_by_cell, merged, occupied_voxels
 
 
 def cloud(n: int = 600, seed: int = 3, degree: int = 1) -> Gaussians:
@@ -41,7 +41,7 @@ def test_moments_of_a_cell_are_those_of_its_mixture() -> None:
     one = Gaussians(
         [[5.0, 0, 0], [7.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[0.5] * 3] * 2, [0.4, 0.4], [[[0.0] * 3], [[1.0] * 3]]
     )
-    level = merged_by_cell(one, np.zeros(2, np.int64))
+    level = merge_by_cell(one, np.zeros(2, np.int64))
     np.testing.assert_allclose(level.means, [[6, 0, 0]], atol=1e-6)
     np.testing.assert_allclose(level.covars()[0], np.diag([1.25, 0.25, 0.25]), atol=1e-6)
     np.testing.assert_allclose(level.sh0, [[[0.5] * 3]], atol=1e-6)
@@ -51,15 +51,15 @@ def test_moments_of_a_cell_are_those_of_its_mixture() -> None:
 
 def test_what_covers_little_counts_little_and_opacity_has_a_top() -> None:
     pair = Gaussians([[0.0, 0, 0], [1.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[0.3] * 3] * 2, [0.0, 1.0], np.zeros((2, 1, 3)))
-    level = merged_by_cell(pair, np.zeros(2, np.int64))
+    level = merge_by_cell(pair, np.zeros(2, np.int64))
     np.testing.assert_allclose(level.means, [[1, 0, 0]], atol=1e-6)
     same = Gaussians([[0.0, 0, 0]] * 3, [[1, 0, 0, 0]] * 3, [[0.3] * 3] * 3, [0.9] * 3, np.zeros((3, 1, 3)))
-    assert merged_by_cell(same, np.zeros(3, np.int64)).opacities[0] == pytest.approx(0.996)
+    assert merge_by_cell(same, np.zeros(3, np.int64)).opacities[0] == pytest.approx(0.996)
 
 
 def test_a_merged_scene_follows_a_scale_of_the_scene_and_a_shuffle() -> None:
     g = cloud()
-    level, larger = merged(g, 200), merged(g.transformed(np.eye(3), scale=4.0), 200)
+    level, larger = merged(g, 200), merged(g.transform(np.eye(3), scale=4.0), 200)
     np.testing.assert_allclose(larger.means, 4.0 * level.means, rtol=1e-4, atol=1e-5)
     shuffled = merged(g[np.random.default_rng(0).permutation(len(g))], 200)
     np.testing.assert_allclose(shuffled.means, level.means, atol=1e-5)

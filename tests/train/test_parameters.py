@@ -103,6 +103,6 @@ def test_a_higher_degree_begins_with_zeros() -> None:
     assert p.values["shN"].shape == (3, 15, 3)
     assert torch.equal(p.values["shN"][:, :3], before)
     assert not p.values["shN"][:, 3:].any()
-    assert p.activated().sh_degree == 3
+    assert p.activate().sh_degree == 3
     p.raise_sh_degree(2)
     assert p.values["shN"].shape == (3, 15, 3)

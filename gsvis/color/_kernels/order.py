@@ -12,7 +12,7 @@ from numba import njit, prange
 from gsvis.color._kernels.refine import copy
 from gsvis.color._kernels.rgb import to_rgb
 
-__all__ = ["order_lobes", "shown_errors"]
+__all__ = ["measure_shown_errors", "order_lobes"]
 
 
 @njit(cache=True, nogil=True)
@@ -109,7 +109,7 @@ def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _errors_of_one(g, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
-    """Gaussian g of `shown_errors`."""
+    """Gaussian g of `measure_shown_errors`."""
     most = v.shape[2]
     width = directions.shape[1]
     seen, target, heavy = (
@@ -132,7 +132,7 @@ def _errors_of_one(g, space, directions, colors, weights, base, scales, v, ampli
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def shown_errors(space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
+def measure_shown_errors(space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
     """Weighted mean squared RGB errors (n,) of the bases alone and with all lobes kept; arguments as above."""
     for g in prange(v.shape[1]):
         _errors_of_one(

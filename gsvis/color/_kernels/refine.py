@@ -159,7 +159,7 @@ def _normal_equations(w, terms, channels, ridge, intensities):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _moved(w, v, terms, damping, largest, least_decay, most_decay):
+def _try_step(w, v, terms, damping, largest, least_decay, most_decay):
     """Where a damped step leads, into w.trial; False if the step cannot be solved for."""
     n = 3 * terms
     for p in range(n):
@@ -216,7 +216,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
             break
         gained = -1.0
         for _ in range(_ATTEMPTS):
-            if _moved(w, v, terms, damping, largest, least_decay, most_decay):
+            if _try_step(w, v, terms, damping, largest, least_decay, most_decay):
                 lobes(points, count, w.trial, terms, w.rows)
                 gram(w.rows, size, count, w.scratch, w.inner2)
                 dots(w.rows, size, targets, channels, count, w.scratch, w.outer2)

@@ -153,7 +153,7 @@ def _place_on_face(x, y, z, face):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def spent_depths(thickness, limit, nearest, steps_per_log, out):
+def find_spent_depths(thickness, limit, nearest, steps_per_log, out):
     """Far end of the bin in which each cell's summed thickness reaches the limit, into out (cells,).
 
     0 where it does at the eye itself, infinite where it does not before the last bin, which has no end.

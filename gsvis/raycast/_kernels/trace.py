@@ -67,7 +67,7 @@ def sort_hits(table, content, ids, alphas, depths, count):
 
 
 @njit(cache=True)
-def spent_after(alphas, count, min_transmittance):
+def count_until_spent(alphas, count, min_transmittance):
     """How many of the sorted hits count: up to the one at which transmittance falls below the bound."""
     transmittance = 1.0
     for i in range(count):
@@ -132,11 +132,11 @@ def trace_ray(
             left *= 1.0 - alpha
             if left < min_transmittance and count >= prune_at:
                 sort_hits(table, content, ids, alphas, depths, count)
-                count = spent_after(alphas, count, min_transmittance)
+                count = count_until_spent(alphas, count, min_transmittance)
                 t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
                 prune_at = count + _PRUNE_EVERY
     sort_hits(table, content, ids, alphas, depths, count)
-    return spent_after(alphas, count, min_transmittance), ids, alphas, depths
+    return count_until_spent(alphas, count, min_transmittance), ids, alphas, depths
 
 
 @njit(cache=True)
@@ -286,7 +286,7 @@ def weigh_candidates(
                 ids[count], alphas[count], depths[count] = g, min(alpha, max_alpha), np.float32(depth)
                 count += 1
         sort_hits(table, content, ids, alphas, depths, count)
-        count = spent_after(alphas, count, min_transmittance)
+        count = count_until_spent(alphas, count, min_transmittance)
         out_count[r] = count
         store(
             ids,

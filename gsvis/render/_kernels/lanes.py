@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 
 from gsvis._kernels.simd import Builder, Vector
 
-__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "reached_rows", "weigh"]
+__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "find_reached_rows", "weigh"]
 
 LANES = 16
 CHANNELS = 8
@@ -61,7 +61,7 @@ class _Record:
 
 
 @intrinsic
-def reached_rows(typing_context, records, number, gates, place):
+def find_reached_rows(typing_context, records, number, gates, place):
     """The rows of a tile in which the Gaussian reaches alpha 1/255 somewhere, and whose gate lies behind `place`.
 
     Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, reached_rows, weigh
+from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh
 
 TILE = LANES
 _LOG2_255 = 7.994353436858858
@@ -158,7 +158,7 @@ def fill_tiles(order, first_room, met, counts, first_pair, places, members, pair
 
 
 @njit(cache=True)
-def _aligned(count):
+def _allocate(count):
     """Room for `count` float32 zeros that starts on a cache line."""
     room = np.zeros(count + 16, np.float32)
     first = (-room.ctypes.data % 64) // 4
@@ -171,8 +171,8 @@ def _open_tile(left, top, width, height):
 
     Returns the state, the gates of its rows, and the rows and columns inside the image.
     """
-    state = _aligned(TILE * CHANNELS * TILE).reshape((TILE, CHANNELS, TILE))
-    gates = _aligned(TILE)
+    state = _allocate(TILE * CHANNELS * TILE).reshape((TILE, CHANNELS, TILE))
+    gates = _allocate(TILE)
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
     gates[:rows] = np.inf
@@ -200,7 +200,7 @@ def _prepare(splats, features, members, first, place, count, left, top, gates, r
             records[j, 6 + e] = features[m, e]
         records[j, 10], records[j, 11] = x, y
     for j in range(count):
-        todo[j] = reached_rows(records, j, gates, np.float32(place + j))
+        todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
 
 
 @njit(cache=True)
@@ -228,7 +228,7 @@ def blend_tiles(splats, features, offsets, members, tiles_x, background, image, 
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
         lit = np.full(1, (1 << rows) - 1)
         first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
         for start in range(0, total, _BATCH):
@@ -265,7 +265,7 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
         gates[:rows] = -1.0
         for r in range(rows):
             for k in range(columns):
@@ -316,7 +316,7 @@ def weigh_tiles(splats, features, offsets, members, pair_of, tiles_x, width, hei
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         state, gates, rows, _ = _open_tile(left, top, width, height)
-        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
         lit = np.full(1, (1 << rows) - 1)
         first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
         for k in range(first, first + total):
