@@ -133,7 +133,7 @@ def _pictures(fitted: FittedColors, quality: ColorQuality, view: int) -> dict[st
     """One view: by SH, by all terms, by base colors, and what differs between the first two."""
     camera, (g, fit) = quality.cameras[view], fitted.drawn
     images = {
-        name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0].numpy(), 0.0, 1.0)
+        name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0], 0.0, 1.0)
         for name, colors in (("sh", None), ("srbf", fit), ("base", fit.first(0)))
     }
     return {**images, "difference": DIFFERENCE * np.abs(images["sh"] - images["srbf"])}

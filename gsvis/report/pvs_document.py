@@ -173,5 +173,5 @@ def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict
     held = np.zeros(store.gaussians, bool)
     held[store.visible_ids(int(quality.cells[m]))] = True
     kept = g[held if quality.shown is None else held[quality.shown]]
-    full, culled = (np.clip(rasterize(some, camera, backend="cpu").images[0].numpy(), 0.0, 1.0) for some in (g, kept))
+    full, culled = (np.clip(rasterize(some, camera, backend="cpu").images[0], 0.0, 1.0) for some in (g, kept))
     return {"worst_full": full, "worst_set": culled, "worst_difference": _BRIGHTER * np.abs(full - culled)}

@@ -66,7 +66,7 @@ def test_a_picture_is_what_the_rasterizer_draws(made: tuple[StreamedScene, Stage
     ids = np.flatnonzero(held)
     eye = camera().viewpoints[0]
     colors = stage.evaluator.colors(stage.drawn.means, eye, active=terms, ids=ids)
-    drawn = rasterize(stage.drawn[ids], camera(), colors=colors, backend="cpu").images[0].numpy().clip(0.0, 1.0)
+    drawn = rasterize(stage.drawn[ids], camera(), colors=colors, backend="cpu").images[0].clip(0.0, 1.0)
     assert np.abs(frame.image(held[frame.ids], terms) - drawn).max() < 1e-6
 
 
