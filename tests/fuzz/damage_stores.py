@@ -249,7 +249,7 @@ def manifests() -> Damaged:
         "meters below 0": told(lambda m: m.update(metres_per_unit=-1.0)),
         "levels of one name": told(lambda m: m["levels"][0].update(name=m["levels"][1]["name"])),
         "a store of another size": told(lambda m: m["visibility"].update(bytes=m["visibility"]["bytes"] + 1)),
-        "bits of another layout": told(lambda m: m["quantisation"].update(record={})),
+        "bits of another layout": told(lambda m: m["quantization"].update(record={})),
         "one Gaussian more": told(lambda m: m.update(gaussians=m["gaussians"] + 1)),
     }
 
