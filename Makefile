@@ -1,13 +1,14 @@
 # make demo    set up, then analyze a built-in scene (or SCENE=path) into demo-out/
 # make test    set up, then run all tests
-# make check   what CI runs: format, lint, types, doctests, examples, tests
+# make check   what CI runs: format, lint, types, doctests, examples, docs, tests
+# make docs    build the documentation site in site/, links checked
 # make stress  run the rooms with processes and sockets five times beside two busy loops a core; docs/results/stress.json
 # make repeat  run `make check` ten times beside a busy loop a core; docs/results/check_repeated.json
 # make bench   run the benchmarks and write docs/results/<question>.json
 # make lowest  run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
 # make fuzz    100,000 damaged inputs to every reader and the wire (INPUTS=, SEED=)
 # make kill    kill commands at 100 random moments, resume them, compare what they end with
-# make pins    rewrite constraints.txt from .venv            make clean   remove .venv and all that was built
+# make pins    rewrite constraints.txt and requirements.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
 SCENE ?= builtin:two_rooms
@@ -16,9 +17,11 @@ INPUTS ?= 100000
 SEED ?= 1
 BIN := .venv/bin
 export PYTHON
+# As many workers as cores that this process may use; nproc knows, and without it pytest-xdist counts them all.
+export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples bench lowest pins clean fuzz kill stress repeat
+.PHONY: help demo test check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -33,13 +36,17 @@ SETUP := pyproject.toml constraints.txt tools/setup.sh
 	@bash tools/setup.sh dev
 	@touch .venv/.gsvis $@
 
+.venv/.gsvis-docs: $(SETUP)
+	@bash tools/setup.sh docs
+	@touch .venv/.gsvis $@
+
 demo: .venv/.gsvis
 	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT)
 	@echo "The report with its pictures: $(OUT)/report.html"
 
-# A file stays with one worker: what a module prepares for its tests is prepared once.
+# A file stays with one worker: what a module prepares for its tests is prepared once. tests/conftest.py orders them.
 test: .venv/.gsvis-dev
-	@$(BIN)/pytest --numprocesses auto --dist loadfile
+	@$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 format: .venv/.gsvis-dev
 	@$(BIN)/ruff format --quiet
@@ -59,8 +66,12 @@ examples: .venv/.gsvis-dev
 	@for example in examples/[0-9]*.py; do \
 	    [ -e "$$example" ] || continue; echo "$$example"; $(BIN)/python -W error "$$example" > /dev/null || exit 1; done
 
+# Strict: a warning, such as a link that leads nowhere, is an error.
+docs: .venv/.gsvis-docs
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 # The tests come last: their closing line is the verdict.
-check: lint types doctests examples test
+check: lint types doctests examples docs test
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \
@@ -93,13 +104,15 @@ lowest: .venv/.gsvis-dev
 fuzz: .venv/.gsvis-dev
 	@mkdir -p docs/results
 	@$(BIN)/python tools/fuzz.py --inputs $(INPUTS) --seed $(SEED) --out docs/results/fuzz.json
+	@$(BIN)/python tools/fuzz.py --inputs 0 --measured 150 --seed $(SEED) --out docs/results/fuzz_coverage.json
 
 kill: .venv/.gsvis-dev
 	@$(BIN)/python tools/kill.py --out docs/results/kill.json
 
 pins: .venv/.gsvis-dev
 	@$(BIN)/python tools/pin.py
+	@$(BIN)/python tools/pin.py --hashes
 
 clean:
-	rm -rf .venv .venv-lowest demo-out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-lowest demo-out build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find gsvis tests benchmarks examples tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -6,6 +6,7 @@ All on loopback, from addresses of their own, bounded in number and in time, on 
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import socket
 import ssl
@@ -15,6 +16,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,7 +28,7 @@ from gsvis.stream.header import SceneHeader
 
 __all__ = ["CROWD", "Target", "attack", "unverified"]
 
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 HOLD_S = 90.0  # a connection that the server does not end is given up after so long
 HEALTH = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 OUTSIDE = (
@@ -63,8 +65,9 @@ class LeakError(Exception):
     """The server gave away what it must not."""
 
 
+@cache
 def unverified() -> ssl.SSLContext:
-    """Return a context that takes any certificate: this is loopback."""
+    """Return a context that takes any certificate: this is loopback. One for all: it has a megabyte of authorities."""
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     return context
@@ -365,6 +368,7 @@ def attack(target: Target, names: Sequence[str], seconds: float, cores: Sequence
     """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)
+    logging.getLogger("asyncio").setLevel(logging.ERROR)  # it warns of each connection that the server has cut
     counts: Counter[str] = Counter()
 
     async def run() -> None:

@@ -101,7 +101,7 @@ def standing_cameras(space: NavigableSpace, count: int, seed: int) -> Cameras:
 
 def drawn(g: Gaussians, cameras: Cameras) -> F32:
     """(C, H, W, 3) images as a display shows them."""
-    images: F32 = rasterize(g, cameras).images.numpy()
+    images: F32 = rasterize(g, cameras).images
     return images.clip(0.0, 1.0)
 
 

@@ -25,21 +25,24 @@ from pathlib import Path
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.abr.candidates import Candidates, CandidateStore
+from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
-from gsvis.abr.index import CellMembers, SceneIndex, extents
+from gsvis.abr.config import AbrConfig
+from gsvis.abr.estimate import ThroughputEstimator, estimator
+from gsvis.abr.index import SceneIndex, extents
+from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES
-from gsvis.abr.scheduler import Scheduler, SchedulerConfig
 from gsvis.io import load_scene
 from gsvis.io.eyenav import read_eyenav
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.codec import pack
 from gsvis.scene.levels import Levels
 from gsvis.scene.paths import HeadPath
 
 BUDGET = 125e3  # 100 ms at 10 Mbit/s
 CLIENTS = 50
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 
 
 class NearestCells:
@@ -47,21 +50,22 @@ class NearestCells:
 
     def __init__(self, means: np.ndarray, centers: np.ndarray, share: float, terms: int) -> None:
         rng = np.random.default_rng(0)
-        self._members = []
+        self._members, self._words = [], []
         for center in centers:
             apart = np.linalg.norm(means - center, axis=1)
             ids = np.flatnonzero(apart <= np.partition(apart, int(share * len(apart)) - 1)[int(share * len(apart)) - 1])
             classes = rng.integers(0, 4, len(ids)).astype(np.uint8)
-            self._members.append(CellMembers.of(ids, len(means), classes))
-        self._terms = np.flatnonzero(rng.random(terms) < 0.1).astype(np.uint32)
+            self._members.append((ids, classes))
+            self._words.append(pack(ids, len(means)))
+        self._terms = np.flatnonzero(rng.random(terms) < 0.1)
 
-    def members(self, cell: int) -> CellMembers:
+    def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         return self._members[cell]
 
-    def words(self, cell: int) -> np.ndarray:
-        return self._members[cell].words
+    def visible_words(self, cell: int) -> np.ndarray:
+        return self._words[cell]
 
-    def terms(self, cell: int) -> np.ndarray:
+    def active_ids(self, cell: int) -> np.ndarray:
         return self._terms
 
 
@@ -79,13 +83,13 @@ def synthetic(levels: Levels, shares: list[float]) -> dict[str, SceneIndex]:
     side = float(((high - low) / boxes).max())
     grid = CellGrid(low, side, tuple(int(n) for n in boxes), coords, np.array([0.0, 0.0, 1.0]))
     offsets, weights = 3 * np.arange(len(means) + 1), [0.008, 0.03, 0.12, 0.5]
-    return {
-        f"cells see {100 * share:g}%": SceneIndex.from_levels(
-            levels, grid, NearestCells(means, grid.centers, share, 3 * len(means)), term_offsets=offsets,
-            class_weights=weights,
+    made = {}
+    for share in shares:
+        cells = NearestCells(means, grid.centers, share, 3 * len(means))
+        made[f"cells see {100 * share:g}%"] = SceneIndex.from_levels(
+            levels, grid, cells, active=cells, term_offsets=offsets, class_weights=weights
         )
-        for share in shares
-    }  # fmt: skip
+    return made
 
 
 def walks_of(data: Path, index: SceneIndex, seconds: float, count: int) -> list[HeadPath]:
@@ -108,45 +112,48 @@ def milliseconds(work) -> float:
 def cold(index: SceneIndex, policy: str, walk: HeadPath, repeats: int) -> list[float]:
     """The first batch in a cell nobody has been in."""
     samples = []
-    shared = CandidateStore(index)
+    shared = CandidateIndex(index)
 
     def first() -> None:
-        shared._kept.clear()
-        scheduler = Scheduler(shared, VIEW, SchedulerConfig(policy=policy, start_rate=10 * BUDGET))
-        scheduler.on_pose(0.0, walk.positions[0], walk.quats[0])
-        assert len(scheduler.next_batch(0.0, BUDGET))
+        shared.cache.clear()
+        planner = Planner(shared, VIEW, AbrConfig(policy=policy))
+        planner.on_pose(0.0, walk.positions[0], walk.quats[0])
+        assert len(planner.next_batch(0.0, BUDGET, 10 * BUDGET))
 
     for _ in range(repeats + 2):
         samples.append(milliseconds(first))
     return samples[2:]
 
 
-def tick(scheduler: Scheduler, t: float, position, quat) -> None:
-    scheduler.on_pose(t, position, quat)
-    batch = scheduler.next_batch(t, BUDGET)
-    scheduler.on_sent(t, batch.bytes)
-    scheduler.on_ack(t + 0.1, batch.bytes, batch.bytes / BUDGET * 0.1)
+def tick(planner: Planner, throughput: ThroughputEstimator, t: float, position, quat) -> float:
+    """Bytes of the batch of one tick, from pose to acknowledgement."""
+    planner.on_pose(t, position, quat)
+    batch = planner.next_batch(t, BUDGET, throughput.estimate())
+    if batch.bytes:
+        throughput.observe(batch.bytes, batch.bytes / BUDGET * 0.1)
+    return batch.bytes
 
 
-def ticks(index: SceneIndex, policy: str, walk: HeadPath) -> tuple[list[float], Scheduler]:
-    out = []
-    scheduler = Scheduler(CandidateStore(index), VIEW, SchedulerConfig(policy=policy, start_rate=10 * BUDGET))
+def ticks(index: SceneIndex, policy: str, walk: HeadPath) -> tuple[list[float], Planner, float]:
+    out, sent = [], []
+    planner = Planner(CandidateIndex(index), VIEW, AbrConfig(policy=policy))
+    throughput = estimator("harmonic", 10 * BUDGET)
     for t, position, quat in zip(walk.times, walk.positions, walk.quats, strict=True):
-        out.append(milliseconds(lambda t=t, p=position, q=quat: tick(scheduler, float(t), p, q)))
-    return out, scheduler
+        out.append(milliseconds(lambda t=t, p=position, q=quat: sent.append(tick(planner, throughput, float(t), p, q))))
+    return out, planner, sum(sent)
 
 
 def together(index: SceneIndex, walks: list[HeadPath], seconds: float) -> list[float]:
     """Milliseconds of each 100 ms in which 50 clients have their turn."""
-    store, out = CandidateStore(index), []
-    clients = [Scheduler(store, VIEW, SchedulerConfig(start_rate=10 * BUDGET)) for _ in range(CLIENTS)]
+    shared, out = CandidateIndex(index), []
+    clients = [(Planner(shared, VIEW), estimator("harmonic", 10 * BUDGET)) for _ in range(CLIENTS)]
     for k in range(int(10 * seconds)):
 
         def round_of(k: int = k) -> None:
-            for c, scheduler in enumerate(clients):
+            for c, client in enumerate(clients):
                 walk = walks[c % len(walks)]
                 place = (k + 29 * (c // len(walks))) % len(walk)
-                tick(scheduler, 0.1 * k, walk.positions[place], walk.quats[place])
+                tick(*client, 0.1 * k, walk.positions[place], walk.quats[place])
 
         out.append(milliseconds(round_of))
     return out
@@ -183,7 +190,7 @@ def main() -> None:
 
         scene = StreamedScene.open(args.package)
         indices[args.package.stem] = scene.index
-        start = [milliseconds(lambda cell=cell: scene.store.build(cell)) for cell in range(len(scene.index.grid))]
+        start = [milliseconds(lambda cell=cell: scene.candidates.build(cell)) for cell in range(len(scene.index.grid))]
         say(f"{args.package.stem}: cold cell with its sets to decode, median", np.median(start[1:]), None)
         say(f"{args.package.stem}: the same, most", max(start[1:]), None)
         details["decoded_ms"] = start
@@ -199,19 +206,19 @@ def main() -> None:
             first = cold(index, policy, walks[0], args.repeats)
             runs = [ticks(index, policy, walks[0]) for _ in range(3)]
             along, least = (np.quantile([run[0] for run in runs], at, axis=0) for at in (0.5, 0.0))
-            scheduler = runs[0][1]
+            _, planner, sent = runs[0]
             name = f"{scene_name}, {policy}"
             say(f"{name}: cold, median", np.median(first), 10.0)
             say(f"{name}: cold, least", min(first), None)
             say(f"{name}: a tick, mean over the walk", np.mean(along), 1.0)
             say(f"{name}: a tick, mean over the walk, least of three", np.mean(least), None)
             say(f"{name}: a tick, 95th percentile", np.percentile(along, 95), None)
-            details[name] = {"cold_ms": first, "ticks_ms": along, "plans": scheduler.plans, "ticks": len(along)}
-            details[name]["sent_bytes"] = scheduler.sent_bytes
+            details[name] = {"cold_ms": first, "ticks_ms": along, "plans": planner.plans, "ticks": len(along)}
+            details[name]["sent_bytes"] = sent
         rounds = [together(index, walks, min(args.seconds, 10.0)) for _ in range(3)]
         say(f"{scene_name}: 50 clients, a tick of one, mean", np.mean(np.median(rounds, axis=0)) / CLIENTS, 1.0)
         say(f"{scene_name}: the same, least of three", np.mean(np.min(rounds, axis=0)) / CLIENTS, None)
-        candidates = CandidateStore(index).of(index.cell_of(walks[0].positions[0]))
+        candidates = CandidateIndex(index).in_cell(index.cell_of(walks[0].positions[0]))
         say(f"{scene_name}: bare, reading once what is ranked", bare(candidates), None)
         details[f"{scene_name}, 50 clients"] = {"rounds_ms": rounds, "units": len(candidates)}
         details[f"{scene_name}, yardstick after it"] = yardstick()

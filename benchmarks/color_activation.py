@@ -84,7 +84,7 @@ class Subject:
 
     def image(self, camera: Cameras, active: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         seen = self.evaluator.colors(self.g.means, camera.viewpoints[0], active=active)
-        drawn = rasterize(self.g, camera, colors=seen, backend="cpu").images[0].numpy()
+        drawn = rasterize(self.g, camera, colors=seen, backend="cpu").images[0]
         return np.clip(drawn, 0.0, 1.0)
 
 

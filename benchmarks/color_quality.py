@@ -92,7 +92,7 @@ def ceiling(g: Gaussians, colors: SrbfColors, cameras: Cameras) -> Images:
         else:
             rgb = unit
         shown.append(np.maximum(rgb * scale, 0.0).astype(np.float32))
-    return rasterize(g, cameras, colors=np.stack(shown)).images.numpy()
+    return rasterize(g, cameras, colors=np.stack(shown)).images
 
 
 def bytes_at(rows: list[dict[str, Any]], psnr: float) -> float | None:
@@ -119,7 +119,7 @@ def main() -> None:
     views = importance_from_views(g, fitting)
     traced = trace_directions(Tracer(EllipsoidProxies.from_scene(g)), space, rays_per_face=1)
     sets = traced | views.sets
-    reference = rasterize(g, held_out).images.numpy()
+    reference = rasterize(g, held_out).images
     curves: dict[str, list[dict[str, Any]]] = {}
     ceilings: dict[str, float] = {}
     for name, points in ((name, POINTS[name]) for name in arguments.variants):
@@ -131,8 +131,8 @@ def main() -> None:
                 g, sets, FitConfig(variant=name, mean_terms=mean_terms, max_terms=most), importance=views.importance
             )
             colors = fit.colors
-            images = rasterize(g, held_out, colors=colors).images.numpy()
-            wire = rasterize(g, held_out, colors=quantize(colors, "wire").dequantize()).images.numpy()
+            images = rasterize(g, held_out, colors=colors).images
+            wire = rasterize(g, held_out, colors=quantize(colors, "wire").dequantize()).images
             exact, rounded = psnr_of(images, reference), psnr_of(wire, reference)
             counts = colors.counts
             row = {
@@ -156,7 +156,7 @@ def main() -> None:
         ceilings[name] = float(psnr_of(ceiling(g, colors, held_out), reference).mean())
         print(name, "ceiling", round(ceilings[name], 2), flush=True)
         if name == "rgb":
-            base = rasterize(g, held_out, colors=colors.first(0)).images.numpy()
+            base = rasterize(g, held_out, colors=colors.first(0)).images
         report(arguments, g, curves, ceilings, float(psnr_of(base, reference).mean()))  # so far
 
 

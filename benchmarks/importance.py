@@ -20,7 +20,7 @@ from _harness import add_arguments, need, realdata, write_result
 from gsvis.io import load_scene
 from gsvis.scene.cameras import Cameras
 from gsvis.train import importance, load_photos, most_important, prune
-from gsvis.train.trainer import mean_psnr
+from gsvis.train.likeness import mean_psnr
 
 SHARES = (0.5, 0.349, 0.25, 0.187)
 SAID = {

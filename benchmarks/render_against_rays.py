@@ -38,7 +38,7 @@ def main() -> None:
         rows = []
         for c in range(len(cameras)):
             a, b = by_rays[c], by_raster[c]
-            image = rasterize(g, cameras[c]).images[0].numpy()
+            image = rasterize(g, cameras[c]).images[0]
             error = np.mean((np.clip(image, 0, 1) - np.clip(ray_image(tracer, cameras[c]), 0, 1)) ** 2)
             rows.append({"rays_kept_by_raster": a[b >= TAU].sum() / a.sum(),
                          "raster_kept_by_rays": b[a >= TAU].sum() / b.sum(),

@@ -81,13 +81,11 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=21)
     options = parser.parse_args()
     g, camera = garden()
-    plain = GaussianTensors.from_gaussians(g)
     learning = GaussianTensors.from_gaussians(g, requires_grad=True)
     ones = torch.ones((1, camera.height, camera.width, 3))
 
     def forward() -> None:
-        with torch.no_grad():
-            rasterize(plain, camera)
+        rasterize(g, camera)
 
     def both() -> None:
         rasterize(learning, camera).images.backward(ones)  # type: ignore[no-untyped-call]

@@ -18,11 +18,10 @@ import sys
 
 import numba
 import numpy as np
-import torch
 from _harness import add_arguments, measure, realdata, write_result
 
 from gsvis.io import load_scene
-from gsvis.render import GaussianTensors, rasterize
+from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -34,22 +33,20 @@ def cameras(width: int, height: int) -> Cameras:
     return Cameras.look_at(EYES, TARGETS, width=width, height=height, fov=70)
 
 
-def draw(tensors: GaussianTensors, views: Cameras) -> None:
-    with torch.no_grad():
-        for c in range(len(views)):
-            rasterize(tensors, views[c])
+def draw(g: Gaussians, views: Cameras) -> None:
+    for c in range(len(views)):
+        rasterize(g, views[c])
 
 
 def peak_over_scene() -> float:
     """Rise of the peak resident size while four frames are drawn, over the bytes of the scene."""
     small = Gaussians([[0, 0, 2.0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.5], np.zeros((1, 1, 3)))
-    draw(GaussianTensors.from_gaussians(small), cameras(64, 48))  # compiled code and libraries are not the frame's
+    draw(small, cameras(64, 48))  # compiled code and libraries are not the frame's
     g = load_scene(realdata() / "scenes/showroom/lod-meta.json", lod=2)
-    tensors = GaussianTensors.from_gaussians(g)
     before = _resident()
     with open("/proc/self/clear_refs", "w", encoding="ascii") as clear:
         clear.write("5")  # forget the peak so far: loading had its own
-    draw(tensors, cameras(1920, 1080))
+    draw(g, cameras(1920, 1080))
     rise = _peak() - before
     return rise / g.nbytes
 
@@ -78,22 +75,21 @@ def main() -> None:
     found = subprocess.run([sys.executable, __file__, "--memory"], check=True, capture_output=True, text=True)
     memory = json.loads(found.stdout)["over_scene"]
     g = load_scene(realdata() / "scenes/showroom/lod-meta.json", lod=2)
-    whole = GaussianTensors.from_gaussians(g)
-    full = measure(lambda: draw(whole, cameras(1920, 1080)), repeats=5, warmup=1)
+    full = measure(lambda: draw(g, cameras(1920, 1080)), repeats=5, warmup=1)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
-    one = measure(lambda: draw(whole, cameras(1920, 1080)), repeats=3, warmup=0)
+    one = measure(lambda: draw(g, cameras(1920, 1080)), repeats=3, warmup=0)
     numba.set_num_threads(threads)
     order = np.random.default_rng(0).permutation(len(g))
     by_count, by_pixels = [], []
     for n in (50_000, 100_000, 200_000, 400_000, 800_000, len(g)):
-        tensors = GaussianTensors.from_gaussians(g[np.sort(order[:n])])
-        seconds = measure(lambda t=tensors: draw(t, cameras(1920, 1080)), repeats=3, warmup=1).median / len(EYES)
+        some = g[np.sort(order[:n])]
+        seconds = measure(lambda t=some: draw(t, cameras(1920, 1080)), repeats=3, warmup=1).median / len(EYES)
         by_count.append({"gaussians": n, "seconds": seconds})
         print(f"N {n:>9,}: {seconds:.3f} s", file=sys.stderr)
     for height in (240, 540, 1080, 1620, 2160):
         views = cameras(height * 16 // 9, height)
-        seconds = measure(lambda v=views: draw(whole, v), repeats=3, warmup=1).median / len(EYES)
+        seconds = measure(lambda v=views: draw(g, v), repeats=3, warmup=1).median / len(EYES)
         by_pixels.append({"megapixels": views.width * height / 1e6, "seconds": seconds})
         print(f"{views.width} x {height}: {seconds:.3f} s", file=sys.stderr)
     write_result(

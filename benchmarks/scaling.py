@@ -25,11 +25,11 @@ from _harness import add_arguments, need, write_result
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.package import Package
-from gsvis.stream import Sender, StreamedScene
+from gsvis.stream import Session, StreamedScene
 
 CITY = 1_000_000_000
 CLIENTS = 20
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 
 
 def resident() -> int:
@@ -68,15 +68,15 @@ def memory(path: Path) -> dict[str, float]:
     scene = StreamedScene.open(path, max_cache_bytes=1 << 34)
     seconds, opened = time.perf_counter() - start, resident()
     for cell in range(len(scene.index.grid)):
-        scene.store.of(cell)
+        scene.candidates.in_cell(cell)
     cells = resident()
     senders = []
     for k in range(CLIENTS):
-        sender = Sender(scene, VIEW)
-        sender.on_pose(0.0, scene.index.grid.centers[k % len(scene.index.grid)], (1.0, 0.0, 0.0, 0.0))
-        while sender.next_message(0.0, 1e6) is not None:
+        session = Session(scene, VIEW)
+        session.on_pose(0.0, scene.index.grid.centers[k % len(scene.index.grid)], (1.0, 0.0, 0.0, 0.0))
+        while session.next_message(0.0, 1e6) is not None:
             pass
-        senders.append(sender)
+        senders.append(session)
     clients = resident()
     return {"open_seconds": seconds, "open": opened - before, "cells": cells - opened,
             "client": (clients - cells) / len(senders)}  # fmt: skip

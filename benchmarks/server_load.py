@@ -38,7 +38,7 @@ from gsvis.package import Package
 from gsvis.stream import Ack, Hello, PoseAt
 
 MBIT = 10.0
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 IDLE_S = 0.5  # a viewer that has been sent nothing for so long has all that its view asks for
 
 

@@ -28,7 +28,7 @@ from gsvis.scene.paths import HeadPath
 from gsvis.serve import Address, ClientConfig, Scenes, Server, StreamClient, open_scenes
 from gsvis.simulate import Adaptive, Link, play
 
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 TRACES = (
     "cooked_3gp/norway_bus_1",
     "cooked_3gp/norway_tram_10",

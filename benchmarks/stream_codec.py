@@ -1,6 +1,6 @@
 """What does the wire add to records, and how long do a server and a client take over a batch, on one core?
 
-A sender and a receiver without a link: every 100 ms the client, which turns and goes from cell to cell, is sent what a
+A session and a receiver without a link: every 100 ms the client, which turns and goes from cell to cell, is sent what a
 link of 1, 10 or 100 Mbit/s would carry. Bytes are counted by what they are for. Entropy coding is tried on whole
 messages: zstd at level 3, and deflate at level 1 as WebSockets have it. Encoding is what `next_message` takes besides
 planning. A batch of 50,000 Gaussians is received with nothing held, and with as much held as the link of 1 Mbit/s had
@@ -27,10 +27,10 @@ from _harness import add_arguments, need, write_result
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.predict import exponential
-from gsvis.stream import Message, Receiver, Sender, StreamedScene
+from gsvis.stream import Message, Receiver, Session, StreamedScene
 from gsvis.stream.batch import CHUNK_ROW, FIXED_BYTES, Sections
 
-VIEW = FieldOfView.of_degrees(90, 70, margin=8)
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 RATES = (1, 10, 100)
 RECORD = 16
 
@@ -46,33 +46,33 @@ def pose(scene: StreamedScene, k: int) -> tuple[np.ndarray, np.ndarray]:
 class Clock:
     """Thread seconds of calls, and of planning within them."""
 
-    def __init__(self, sender: Sender) -> None:
+    def __init__(self, session: Session) -> None:
         self.planning = 0.0
-        inner = sender.scheduler.next_batch
+        inner = session.planner.next_batch
 
-        def timed(t: float, budget: float) -> Any:
+        def timed(t: float, budget: float, rate: float) -> Any:
             start = time.thread_time()
             try:
-                return inner(t, budget)
+                return inner(t, budget, rate)
             finally:
                 self.planning += time.thread_time() - start
 
-        sender.scheduler.next_batch = timed  # type: ignore[method-assign]
+        session.planner.next_batch = timed  # type: ignore[method-assign]
 
-    def encode(self, sender: Sender, t: float, budget: float) -> tuple[Message | None, float]:
+    def encode(self, session: Session, t: float, budget: float) -> tuple[Message | None, float]:
         start, before = time.thread_time(), self.planning
-        message = sender.next_message(t, budget)
+        message = session.next_message(t, budget)
         return message, time.thread_time() - start - (self.planning - before)
 
 
 def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, Any], Receiver]:
-    sender, receiver = Sender(scene, VIEW), Receiver(scene.header)
-    clock, squeeze = Clock(sender), zstandard.ZstdCompressor(level=3)
+    session, receiver = Session(scene, VIEW), Receiver(scene.header)
+    clock, squeeze = Clock(session), zstandard.ZstdCompressor(level=3)
     bytes_of = dict.fromkeys(("records", "terms", "ids", "chunks", "axes", "fixed"), 0)
     encode, receive, ready, sizes, gaussians, terms, zstd, deflate = [], [], [], [], 0, 0, 0, 0
     for k in range(ticks):
-        sender.on_pose(k / 10, *pose(scene, k))
-        message, seconds = clock.encode(sender, k / 10, mbit * 12_500)
+        session.on_pose(k / 10, *pose(scene, k))
+        message, seconds = clock.encode(session, k / 10, mbit * 12_500)
         if message is None:
             continue
         encode.append(seconds)
@@ -113,11 +113,11 @@ def quartiles(seconds: list[float]) -> dict[str, float]:
 
 def per_gaussian(scene: StreamedScene, ticks: int) -> dict[str, float]:
     """Bytes of a Gaussian with all that it needs, terms left out: id, share of rows of chunks and of what is fixed."""
-    sender = Sender(scene, VIEW)
+    session = Session(scene, VIEW)
     sizes, zstd, count, squeeze = 0, 0, 0, zstandard.ZstdCompressor(level=3)
     for k in range(ticks):
-        sender.on_pose(k / 10, *pose(scene, k))
-        message = sender.next_message(k / 10, 125e3)
+        session.on_pose(k / 10, *pose(scene, k))
+        message = session.next_message(k / 10, 125e3)
         if message is None:
             continue
         s = Sections.parse(message.data, scene.about)
@@ -132,13 +132,13 @@ def per_gaussian(scene: StreamedScene, ticks: int) -> dict[str, float]:
 def large(scene: StreamedScene, held: Receiver | None, repeats: int) -> dict[str, Any]:
     """A batch of 50,000 Gaussians and the terms that come with them."""
     hello = None if held is None else held.hello(VIEW)
-    sender = Sender(scene, VIEW) if hello is None else Sender.greeted(scene, hello)
+    session = Session(scene, VIEW) if hello is None else Session.from_hello(scene, hello)
     for k in range(0, 1800, 7):  # somewhere there is that much to be sent
-        sender.on_pose(k / 10, *pose(scene, k))
-        message = sender.next_message(k / 10, 50_000 * 16.0 * (1.25, 1.4, 1.6, 1.9)[k % 4])
+        session.on_pose(k / 10, *pose(scene, k))
+        message = session.next_message(k / 10, 50_000 * 16.0 * (1.25, 1.4, 1.6, 1.9)[k % 4])
         if message is not None and len(message.batch.gaussians) >= 50_000:
             break
-        sender = Sender(scene, VIEW) if hello is None else Sender.greeted(scene, hello)
+        session = Session(scene, VIEW) if hello is None else Session.from_hello(scene, hello)
     else:
         return {}
     seconds, walls = [], []

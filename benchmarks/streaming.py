@@ -17,7 +17,8 @@ Settings of the scheduler were chosen on the walks of other people (TUNING), nev
 Given: packages of showroom and nika, recorded links and one of 10 Mbit/s, eight walks brought into the scenes by a
     similarity.
 Measured: PSNR, latency and QoE of a viewer for each way to deliver; by class of link, since most recorded links are too
-    slow for a whole file.
+    slow for a whole file. A view in which the full scene shows nothing is left out of all of them, of the mean curves
+    too: each step is the mean over the walks that see something then.
 Defaults chosen on: four other walks, on the same scenes and with one of the links.
 """
 
@@ -39,7 +40,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, need, realdata, write_result
 
-from gsvis.abr import BandwidthTrace, SchedulerConfig, UtilityConfig, load_trace, paired_difference
+from gsvis.abr import AbrConfig, BandwidthTrace, UtilityConfig, load_trace, paired_difference
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path
 from gsvis.package import Package
@@ -52,8 +53,8 @@ from gsvis.simulate import (
     Adaptive,
     Link,
     MortonProgressive,
-    SessionConfig,
     Stage,
+    ViewingConfig,
     WholeFile,
     morton_order,
     play,
@@ -72,6 +73,8 @@ STEADY = 10.0  # Mbit/s
 ROUND_TRIP = 0.04
 OURS, WHOLE, MORTON = "gsvis", "whole file", "Morton order"
 SEED = 7
+SEEN = ("psnr", "latency", "qoe")
+"""Curves that judge an image, so that they mean something only where the full scene shows something."""
 
 
 def main() -> None:
@@ -83,8 +86,8 @@ def main() -> None:
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
     parser.add_argument("--every", type=float, default=0.5, help="seconds between images after the first 3 s")
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--policy", default=SchedulerConfig.policy)
-    parser.add_argument("--estimator", default=SchedulerConfig.estimator)
+    parser.add_argument("--policy", default=AbrConfig.policy)
+    parser.add_argument("--estimator", default=AbrConfig.estimator)
     parser.add_argument("--peripheral", type=float, default=UtilityConfig.peripheral, help="factor of `utility`")
     parser.add_argument("--adjacent", type=float, default=UtilityConfig.adjacent, help="factor of `utility`")
     parser.add_argument("--beyond", type=float, default=UtilityConfig.beyond, help="factor of `utility`")
@@ -92,9 +95,9 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="folder where finished walks are kept: a killed run goes on")
     options = parser.parse_args()
     need(options.packages, "what `gsvis prepare` made, as NAME=PACKAGE")
-    config = SessionConfig(seconds=options.seconds, every=options.every)
+    config = ViewingConfig(seconds=options.seconds, every=options.every)
     utility = UtilityConfig(peripheral=options.peripheral, adjacent=options.adjacent, beyond=options.beyond)
-    scheduling = SchedulerConfig(policy=options.policy, estimator=options.estimator, utility=utility)
+    scheduling = AbrConfig(policy=options.policy, estimator=options.estimator, utility=utility)
     named = [word.partition("=")[::2] for word in options.packages]
     links = recorded_links(options.links)
     begun = time.perf_counter()
@@ -180,8 +183,8 @@ def walked(
     walk: int,
     visit: int,
     count: int,
-    config: SessionConfig,
-    scheduling: SchedulerConfig,
+    config: ViewingConfig,
+    scheduling: AbrConfig,
     cache: Path | None,
 ) -> list[dict[str, Any]]:
     """One walk through one scene, over all links, by all systems."""
@@ -335,14 +338,26 @@ def compared(name: str, rows: list[dict[str, Any]], details: dict[str, Any]) -> 
 
 
 def mean_curves(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Curves at 10 Mbit/s, means over the walks."""
+    """Curves at 10 Mbit/s, means over the walks at each step.
+
+    What is judged by an image (SEEN) is the mean over the walks whose view has content at that step, and None where
+    no view has: a black view of nothing says nothing of a system. What has arrived is the mean over all walks.
+    `content` becomes the number of walks whose view has content.
+    """
     out = {}
     for system in (OURS, WHOLE, MORTON):
-        some = chosen([row for row in rows if row["scene"] == name], system, True)
-        out[system] = {
-            key: np.round(np.mean([row["curves"][key] for row in some], axis=0), 5).tolist()
-            for key in some[0]["curves"]
-        }
+        some = [row["curves"] for row in chosen([row for row in rows if row["scene"] == name], system, True)]
+        content = np.array([curves["content"] for curves in some], bool)
+        counts = content.sum(axis=0)
+        out[system] = {"content": counts.tolist()}
+        for key in some[0].keys() - {"content"}:
+            curves = np.array([row[key] for row in some], np.float64)
+            if key in SEEN:
+                sums = np.where(content, curves, 0.0).sum(axis=0)
+                means = [s / n if n else None for s, n in zip(sums.tolist(), counts.tolist(), strict=True)]
+            else:
+                means = curves.mean(axis=0).tolist()
+            out[system][key] = [None if mean is None else round(mean, 5) for mean in means]
     return out
 
 

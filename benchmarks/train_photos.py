@@ -68,7 +68,7 @@ def main() -> None:
     within = [point for point in curve if point["wall_s"] <= 60.0 * MINUTES]
     reached = [point["wall_s"] for point in curve if point["psnr"] >= 27.0]
 
-    images = rasterize(g, held_out.cameras).images.numpy().clip(0, 1)
+    images = rasterize(g, held_out.cameras).images.clip(0, 1)
     targets = np.stack([held_out.image(k) for k in range(len(held_out))])
     quality = {
         "ssim": float(np.mean(ssim(images, targets))),

@@ -73,7 +73,7 @@ def main() -> None:
             "flip": float(np.mean(flip(shown, targets))),
         }
 
-    reference = rasterize(g, held_out.cameras).images.numpy()
+    reference = rasterize(g, held_out.cameras).images
     sh = judged(reference)
     print("SH", sh, flush=True)
     views = importance_from_views(g, train.cameras)
@@ -84,8 +84,8 @@ def main() -> None:
         for mean_terms in POINTS[name]:
             config = FitConfig(variant=name, mean_terms=mean_terms, max_terms=8)
             colors = fit_srbf(g, sets, config, importance=views.importance).colors
-            images = rasterize(g, held_out.cameras, colors=colors).images.numpy()
-            wire = rasterize(g, held_out.cameras, colors=quantize(colors, "wire").dequantize()).images.numpy()
+            images = rasterize(g, held_out.cameras, colors=colors).images
+            wire = rasterize(g, held_out.cameras, colors=quantize(colors, "wire").dequantize()).images
             row = {
                 "variant": name,
                 "mean_terms": float(colors.counts.mean()),

@@ -16,9 +16,9 @@ from gsvis.scene.procedural import builtin_scene
 scene = builtin_scene("two_rooms")
 camera = Cameras.look_at(scene.viewpoints[:1], (5.0, 2.0, 1.0), up=scene.up, width=320, height=240)
 
-seen = rasterize(scene.gaussians, camera)  # images (1, 240, 320, 3), alphas and depths (1, 240, 320), torch tensors
+seen = rasterize(scene.gaussians, camera)  # images (1, 240, 320, 3), alphas and depths (1, 240, 320)
 if len(sys.argv) > 1:
-    Image.fromarray((seen.images[0].clamp(0, 1) * 255).round().byte().numpy()).save(sys.argv[1])
+    Image.fromarray((seen.images[0].clip(0, 1) * 255).round().astype(np.uint8)).save(sys.argv[1])
 
 found = contributors(scene.gaussians, camera, (160, 120))  # front to back
 print(f"{len(found)} Gaussians make the middle pixel, at a depth of {seen.depths[0, 120, 160]:.2f}.")

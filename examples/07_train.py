@@ -16,7 +16,7 @@ from gsvis.train import DensifyConfig, PosedImages, TrainConfig, gaussians_from_
 rng = np.random.default_rng(0)
 rooms = two_rooms(4000, sh_degree=0)
 cameras = rooms.navigable.sample_cameras(40, rng, width=80, height=60)
-images = rasterize(rooms.gaussians, cameras).images.clamp(0, 1).numpy()
+images = rasterize(rooms.gaussians, cameras).images.clip(0, 1)
 views, held_out = PosedImages(cameras, (255 * images).round().astype(np.uint8)).split(every=8)
 
 some = rng.choice(len(rooms.gaussians), 1500, replace=False)  # what COLMAP would have found

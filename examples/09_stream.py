@@ -34,8 +34,8 @@ with tempfile.TemporaryDirectory() as folder:
         open_scenes([Path(folder) / "rooms.gsvis"]) as scenes,
         Server(scenes, address=Address(port=0)).running() as url,
     ):
-        first = fetch(url, FieldOfView.of_degrees(90, 70), look, 2.0)
-        second = fetch(url, FieldOfView.of_degrees(90, 70), look, 0.5, receiver=first.receiver)  # comes back
+        first = fetch(url, FieldOfView.from_degrees(90, 70), look, 2.0)
+        second = fetch(url, FieldOfView.from_degrees(90, 70), look, 0.5, receiver=first.receiver)  # comes back
         gaussians, colors = second.receiver.scene()
 
 print(f"{first.nbytes / 1e3:.0f} kB in two seconds; {second.nbytes / 1e3:.0f} kB more after coming back.")

@@ -20,6 +20,7 @@ __all__ = [
     "floats",
     "in_range",
     "integers",
+    "is_tensor",
     "one_of",
     "path",
     "plain",
@@ -56,6 +57,12 @@ def _reshaping(name: str, have: tuple[int, ...], shape: Shape) -> str:
         if want == 1 and _fits((*have[:axis], 1, *have[axis:]), shape):
             return f"pass {name}[{':, ' * axis}None]"
     return ""
+
+
+def is_tensor(value: Any) -> bool:
+    """Whether the value is a torch tensor; torch is not imported to find out."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
 
 
 def plain(value: Any) -> Any:

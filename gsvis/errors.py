@@ -5,6 +5,7 @@
     ├── SceneError        a scene is well formed but cannot serve the request (no free space, no Gaussian left)
     ├── ProtocolError     a message does not hold what the wire promises
     ├── BackendError      an engine or a library is missing or cannot do this; says what to install
+    │   └── MissingExtraError    an optional package is missing; names the extra (also an `ImportError`)
     └── OutputError       a file cannot be written: the disk is full, or the place is not ours (also an `OSError`)
 
 A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*.
@@ -16,7 +17,15 @@ import errno
 import os
 from os import PathLike, fspath
 
-__all__ = ["BackendError", "FormatError", "GsvisError", "OutputError", "ProtocolError", "SceneError"]
+__all__ = [
+    "BackendError",
+    "FormatError",
+    "GsvisError",
+    "MissingExtraError",
+    "OutputError",
+    "ProtocolError",
+    "SceneError",
+]
 
 _MOST_TEXT = 400
 """Characters of each part of a message."""
@@ -82,6 +91,28 @@ class ProtocolError(GsvisError):
 
 class BackendError(GsvisError):
     """An engine or a library is missing, or cannot do what was asked; the message says what to install."""
+
+
+class MissingExtraError(BackendError, ImportError):
+    """An optional package is not installed.
+
+    Args:
+        what: What needs the package.
+        package: Name of the package.
+        extra: Extra of gsvis that brings it.
+
+    Examples:
+        >>> print(MissingExtraError("gsvis train", "torch", "torch"))
+        gsvis train: expected the package torch, got none; pip install "gsvis[torch]"
+    """
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        self.what, self.package, self.extra = what, package, extra
+        super().__init__(f'{what}: expected the package {package}, got none; pip install "gsvis[{extra}]"')
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str]]:
+        """Pickled by its parts."""
+        return type(self), (self.what, self.package, self.extra)
 
 
 _ELSEWHERE = "or write to another place"

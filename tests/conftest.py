@@ -10,6 +10,12 @@ from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # workers of one machine do not spin against each other
+if "PYTEST_XDIST_WORKER" in os.environ:  # beside others, who have the same cores; what a test starts inherits it
+    os.environ.setdefault("NUMBA_NUM_THREADS", "2")
+    os.environ.setdefault("OMP_NUM_THREADS", "2")
+    from tests.one_compiler import compile_once  # here, because numba reads its threads when it is imported
+
+    compile_once()
 
 settings.register_profile(
     "gsvis",
@@ -30,3 +36,9 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip("no real data: set GSVIS_REALDATA to the folder that holds scenes/ and photos/")
     return folder
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """As many workers as cores that this process may use, or as PYTEST_XDIST_AUTO_NUM_WORKERS says."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores)

@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "gsvis"
 ROOMS = (
     "errors",
     "progress",
+    "_extras",
     "_check",
     "_kernels",
     "files",

@@ -2,7 +2,8 @@
 
 Inputs run in processes with a limit on address space; one that takes too long is ended. An input follows from the
 seed, its target and its number, so a finding can be made again: `--targets NAME --first NUMBER --inputs 1`.
-Findings go to tests/corpus with `--keep`. With coverage.py installed, a smaller run measures branch coverage.
+Findings go to tests/corpus with `--keep`. With coverage.py installed, a smaller run measures branch coverage:
+`--inputs 0 --measured 150 --out docs/results/fuzz_coverage.json`.
 
 Given: small valid files of every format and sessions of the wire, made by tests/fuzz from procedural scenes; no real
     data. The seed and the number of inputs.
@@ -42,13 +43,18 @@ ROOM = 1 << 30  # bytes of address space beyond what a process has when it is wa
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--inputs", type=int, default=100_000, help="of all targets together (default: 100000)")
+    parser.add_argument(
+        "--inputs",
+        type=int,
+        default=100_000,
+        help="of all targets together (default: 100000); 0 for the coverage alone",
+    )
     parser.add_argument("--first", type=int, default=0, help="number of the first input of each target")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) // 2), help="processes")
     parser.add_argument("--targets", nargs="*", default=[], metavar="NAME", help="some of them (default: all)")
     parser.add_argument("--keep", action="store_true", help="write one input of each finding to tests/corpus")
-    parser.add_argument("--measured", type=int, default=600, help="inputs a target for branch coverage, 0 for none")
+    parser.add_argument("--measured", type=int, default=0, help="inputs a target for branch coverage (default: none)")
     parser.add_argument("--out", type=Path, help="write the result there as JSON")
     parser.add_argument("--measure-into", type=Path, help=argparse.SUPPRESS)
     return parser.parse_args()
@@ -140,7 +146,7 @@ class Run:
 
     def _pieces(self) -> Iterator[tuple[str, int, int]]:
         weights = sum(target.weight for target in self.targets.values())
-        for name, target in self.targets.items():
+        for name, target in self.targets.items() if self.args.inputs else ():
             count = max(1, round(self.args.inputs * target.weight / weights))
             for first in range(0, count, CHUNK):
                 yield name, self.args.first + first, min(CHUNK, count - first)
@@ -279,7 +285,8 @@ def main() -> int:
         measure(args.measure_into, args.targets, args.seed, args.measured)
         return 0
     run = Run(args)
-    run.run()
+    if run.total:
+        run.run()
     seconds = time.monotonic() - run.began
     coverage = measured(args) if args.measured else {}
     report(run, seconds, coverage)
@@ -296,14 +303,14 @@ def report(run: Run, seconds: float, coverage: dict[str, Any]) -> None:
         for finding in tally.examples.values():
             faults[finding.kind] += 1
     inputs = sum(sum(tally.verdicts.values()) for tally in run.tallies.values())
-    figures = [
+    figures: list[dict[str, Any]] = [
         {"name": "fuzzing: inputs", "target": None, "reached": inputs, "unit": "inputs", "better": "higher"},
         {"name": "fuzzing: faults", "target": 0, "reached": sum(faults.values()), "unit": "faults", "better": "lower"},
         {"name": "fuzzing: most memory of one input", "target": None, "unit": "MB", "better": "lower",
          "reached": max(tally.most_bytes for tally in run.tallies.values()) / 1e6},
         {"name": "fuzzing: slowest input, processor", "target": None, "unit": "s", "better": "lower",
          "reached": max(tally.slowest for tally in run.tallies.values())},
-    ]  # fmt: skip
+    ] if run.total else []  # fmt: skip
     figures += figures_of(coverage)
     targets = {
         name: {
@@ -318,12 +325,15 @@ def report(run: Run, seconds: float, coverage: dict[str, Any]) -> None:
         }
         for name, tally in run.tallies.items()
     }
-    details = {
+    details: dict[str, Any] = {
         "seed": run.args.seed, "jobs": run.args.jobs, "seconds": round(seconds, 1), "faults_by_kind": dict(faults),
         "limits": {"address_space_mb": ROOM >> 20, "hang_s": HANG_S}, "targets": targets,
-        "readers": readers_of(coverage), "apart": apart_of(coverage), "coverage": coverage,
-    }  # fmt: skip
+    } if run.total else {"seed": run.args.seed, "inputs_a_target": run.args.measured}  # fmt: skip
+    if coverage:
+        details |= {"readers": readers_of(coverage), "apart": apart_of(coverage), "coverage": coverage}
     question = "Does damaged or hostile input end in a result or a known error, within bounds?"
+    if not run.total:
+        question = "How many branches of each reader do damaged inputs take?"
     write_result(run.args.out, question, figures, details)
 
 

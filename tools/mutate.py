@@ -18,7 +18,6 @@ import json
 import os
 import random
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -46,13 +45,38 @@ MODULES = {
     "gsvis/train/densify.py": ("tests/train/test_densify.py",),
     "gsvis/train/merge.py": ("tests/train/test_merge.py",),
     "gsvis/raycast/directions.py": ("tests/raycast/test_directions.py",),
-    "gsvis/raycast/reference.py": ("tests/raycast/test_known_scenes.py", "tests/raycast/test_tracer.py"),
-    "gsvis/pvs/store.py": ("tests/pvs/test_store.py", "tests/pvs/test_cells.py"),
-    "gsvis/pvs/codec.py": ("tests/pvs/test_codec.py", "tests/pvs/test_store.py"),
+    "gsvis/raycast/reference.py": ("tests/raycast/test_tracer.py",),
+    "gsvis/pvs/store.py": ("tests/pvs/test_store_rows.py", "tests/pvs/test_store.py"),
+    "gsvis/pvs/codec.py": ("tests/pvs/test_codec.py",),
 }
 """A module and the tests that have to notice a change in it."""
 
-GUARD_S = 900.0  # a run of tests that takes longer hangs: the change was noticed
+GUARD_S = 300.0  # a run of tests that takes longer hangs: the change was noticed
+
+WARM = """
+import os, select, signal, sys, pytest
+guard, *tests = sys.argv[1:]
+class Plugin:  # what fails need not be made small
+    def pytest_configure(self):
+        from hypothesis import Phase, settings
+        settings.register_profile("mutate", parent=settings(), phases=(Phase.explicit, Phase.generate))
+        settings.load_profile("mutate")
+pytest.main(["--collect-only", "-qq", "-p", "no:cacheprovider", *tests])  # imports numba, torch and so on
+for name in [name for name in sys.modules if name.partition(".")[0] in ("gsvis", "tests")]:
+    del sys.modules[name]
+for _ in sys.stdin:
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        os._exit(pytest.main(["-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests], [Plugin()]))
+    os.close(writing)
+    if not select.select([reading], [], [], float(guard))[0]:  # closed when the tests end
+        os.killpg(child, signal.SIGKILL)
+    os.close(reading)
+    print("\\ncode", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
 
 
 def list_mutations(path: Path) -> Iterator[tuple[str, int]]:
@@ -101,53 +125,67 @@ def meaning(source: str) -> str:
     return ast.dump(tree)
 
 
-def run_tests(tree: Path, tests: tuple[str, ...]) -> bool:
-    """Return whether the tests pass in a copy of the tree."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_NUM_THREADS": "1"}
-    with subprocess.Popen(
-        command, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    ) as process:
-        try:
-            return process.wait(GUARD_S) == 0
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            return False
+class Runner:
+    """Runs tests of a copy of the tree, each time in a new process that has imported numba, torch and so on already."""
+
+    def __init__(self, tree: Path, tests: tuple[str, ...]) -> None:
+        environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", WARM, str(GUARD_S), *tests], cwd=tree, env=environment, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def __enter__(self) -> Runner:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.stdin.close()  # type: ignore[union-attr]
+        self._process.wait()
+
+    def passes(self) -> bool:
+        """Return whether the tests pass with what the files say now."""
+        self._process.stdin.write("run\n")  # type: ignore[union-attr]
+        self._process.stdin.flush()  # type: ignore[union-attr]
+        for line in self._process.stdout:  # type: ignore[union-attr]
+            if line.startswith("code "):
+                return line == "code 0\n"
+        raise SystemExit("error: the process that runs the tests ended")
 
 
 def try_module(tree: Path, module: str, count: int, seed: int) -> list[dict[str, Any]]:
     """Return one row for each change that was tried in a module of a copy of the tree."""
-    path, tests = tree / module, MODULES[module]
+    path = tree / module
     source = path.read_text(encoding="utf-8")
-    if not run_tests(tree, tests):
-        raise SystemExit(f"error: {module}: the tests fail before anything is changed")
     candidates = list(list_mutations(path))
     random.Random(f"{seed} {module}").shuffle(candidates)
     rows: list[dict[str, Any]] = []
-    for operator, occurrence in candidates:
-        if len(rows) == count:
-            break
-        changed = apply_mutation(source, operator, occurrence)
-        if changed is None:
-            continue
-        path.write_text(changed, encoding="utf-8")
-        started = time.monotonic()
-        survived = run_tests(tree, tests)
-        path.write_text(source, encoding="utf-8")
-        line = next(
-            k for k, (a, b) in enumerate(zip(source.splitlines(), changed.splitlines(), strict=False), 1) if a != b
-        )
-        before, after = source.splitlines()[line - 1].strip(), changed.splitlines()[line - 1].strip()
-        row = {
-            "module": module, "line": line, "operator": operator.removeprefix("core/"), "survived": survived,
-            "before": before, "after": after,
-        }  # fmt: skip
-        rows.append(row)
-        if survived:
-            print(f"SURVIVED {module}:{line}: {row['before']}  ->  {row['after']}", flush=True)
-        else:
-            print(f"noticed {module}:{line} after {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
+    with Runner(tree, MODULES[module]) as runner:
+        if not runner.passes():
+            raise SystemExit(f"error: {module}: the tests fail before anything is changed")
+        for operator, occurrence in candidates:
+            if len(rows) == count:
+                break
+            changed = apply_mutation(source, operator, occurrence)
+            if changed is None:
+                continue
+            path.write_text(changed, encoding="utf-8")
+            started = time.monotonic()
+            survived = runner.passes()
+            path.write_text(source, encoding="utf-8")
+            row = {"module": module, **describe(source, changed), "operator": operator.removeprefix("core/")}
+            rows.append({**row, "survived": survived})
+            if survived:
+                print(f"SURVIVED {module}:{row['line']}: {row['before']}  ->  {row['after']}", flush=True)
+            else:
+                print(f"noticed {module}:{row['line']} after {time.monotonic() - started:.0f} s", file=sys.stderr)
     return rows
+
+
+def describe(source: str, changed: str) -> dict[str, Any]:
+    """Return the first line that differs, as it was and as it is."""
+    lines = enumerate(zip(source.splitlines(), changed.splitlines(), strict=False), 1)
+    line, before, after = next((k, a.strip(), b.strip()) for k, (a, b) in lines if a != b)
+    return {"line": line, "before": before, "after": after}
 
 
 def try_in_copy(module: str, count: int, seed: int) -> list[dict[str, Any]]:

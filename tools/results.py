@@ -1,8 +1,7 @@
-"""Write the tables of docs/results.md anew: `python tools/results.py`.
+"""Write the pages of results: `python tools/results.py`.
 
-The figures come from docs/results/*.json, what each benchmark is given and measures from its docstring.
-
-What stands below the tables, the notes on what was missed and why, is written by hand and stays.
+docs/results.md is the summary: the rows of tools/results_rows.py. Behind it, docs/results/PAGE.md has a table for each
+benchmark, from docs/results/*.json. What stands above the tables of such a page is written by hand and stays.
 """
 
 from __future__ import annotations
@@ -15,54 +14,146 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path.insert(0, str(ROOT / "tools"))
 
 from _harness import read_notes  # noqa: E402
+from results_rows import PAGES, SECTIONS, Row  # noqa: E402
 
-PAGE = ROOT / "docs" / "results.md"
-NOTES_BEGIN, NOTES_END = "<!-- notes: python tools/results.py -->", "<!-- end of notes -->"
-BEGIN, END = "<!-- table: python tools/results.py -->", "<!-- end of table -->"
-
-
-def table() -> str:
-    """All figures of all benchmarks, one row each."""
-    rows = ["| figure | target | reached | | machine | command |", "|---|---|---|---|---|---|"]
-    for path in sorted((ROOT / "docs" / "results").glob("*.json")):
-        result = json.loads(path.read_text(encoding="utf-8"))
-        for figure in result["figures"]:
-            rows.append(row(figure, result))
-    return "\n".join(rows)
+DOCS = ROOT / "docs"
+BEGIN, END = "<!-- tables: python tools/results.py -->", "<!-- end of tables -->"
+SPELLING = (("colour", "color"), ("centre", "center"), ("gone on with", "resumed"), ("went on", "resumed"))
 
 
-def row(figure: dict[str, Any], result: dict[str, Any]) -> str:
-    sign = "at most" if figure["better"] == "lower" else "at least"
-    target = "" if figure["target"] is None else f"{sign} {figure['target']:g} {figure['unit']}"
-    verdict = {True: "reached", False: "**missed**", None: ""}[figure["met"]]
+def main() -> None:
+    """Write all pages of results."""
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")
+
+
+def pages() -> dict[Path, str]:
+    """Return the text of the summary and of each page of details, by path."""
+    results = read_results()
+    written = {DOCS / "results.md": summary_page(results)}
+    for name, page in PAGES.items():
+        path = DOCS / "results" / f"{name}.md"
+        tables = [benchmark_table(stem, results[stem]) for stem in page.benchmarks if stem in results]
+        old = path.read_text(encoding="utf-8") if path.exists() else f"# {page.title}\n\n{BEGIN}\n{END}\n"
+        written[path] = replace_between(old, BEGIN, END, "\n\n".join(tables))
+    return written
+
+
+def read_results() -> dict[str, dict[str, Any]]:
+    """Return the results of all benchmarks by the name of their JSON, in American spelling.
+
+    Raises:
+        ValueError: If a result belongs to no page.
+    """
+    shown = {stem for page in PAGES.values() for stem in page.benchmarks}
+    results = {}
+    for path in sorted((DOCS / "results").glob("*.json")):
+        if path.stem not in shown:
+            raise ValueError(
+                f"{path.name}: expected a page that shows it; add {path.stem!r} to PAGES in results_rows.py"
+            )
+        text = path.read_text(encoding="utf-8")
+        for old, new in SPELLING:
+            text = text.replace(old, new)
+        results[path.stem] = json.loads(text)
+    return results
+
+
+def summary_page(results: dict[str, dict[str, Any]]) -> str:
+    """Return the summary with fresh tables: every section of it is one table with a question as its title."""
+    parts = []
+    for section in SECTIONS:
+        lines = [f"### {section.title}", "", "| question | ours | best peer | target | |", "|---|---|---|---|---|"]
+        lines += [summary_row(row, results) for row in section.rows]
+        parts.append("\n".join([*lines, "", f"Details: [{PAGES[section.page].title}](results/{section.page}.md)."]))
+    page = (DOCS / "results.md").read_text(encoding="utf-8")
+    return replace_between(page, BEGIN, END, "\n\n".join(parts))
+
+
+def summary_row(row: Row, results: dict[str, dict[str, Any]]) -> str:
+    """Return one line of the summary.
+
+    Raises:
+        ValueError: If a figure that the row names is in no JSON.
+    """
+    figures = [find_figure(name, results) for name in row.figures]
+    ours = row.ours.format(*(figure["reached"] for figure in figures))
+    if not ours:
+        ours = with_unit(figures[0]["reached"], figures[0]["unit"], ".3g")
+    target = row.target or (format_target(figures[0]) if figures else "")
+    met = [figure["met"] for figure in figures if figure["met"] is not None]
+    verdict = row.verdict or ("" if not met else "reached" if all(met) else "missed")
+    if "missed" in verdict or "behind" in verdict:
+        verdict = f"**{verdict}**"
+    return f"| {row.question} | {ours} | {row.peer} | {target} | {verdict} |"
+
+
+def find_figure(name: str, results: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the figure that "FILE: NAME" means."""
+    stem, _, wanted = name.partition(": ")
+    for figure in results.get(stem, {"figures": []})["figures"]:
+        if figure["name"] == wanted:
+            return dict(figure)
+    raise ValueError(f"{stem}.json: expected a figure {wanted!r}, got none; correct the row in tools/results_rows.py")
+
+
+def format_target(figure: dict[str, Any]) -> str:
+    """Return "≤ 10 ms", or nothing for a figure without a target."""
+    if figure["target"] is None:
+        return ""
+    if figure["target"] == 0 and figure["better"] == "lower":
+        return with_unit(0, figure["unit"])
+    sign = "≤" if figure["better"] == "lower" else "≥"
+    return f"{sign} {with_unit(figure['target'], figure['unit'])}"
+
+
+def with_unit(value: float, unit: str, style: str = ".4g") -> str:
+    """Return a number with its unit, "90%" or "10 ms"; a ratio has none."""
+    unit = "" if unit == "ratio" else unit
+    return f"{value:{style}}%" if unit == "%" else f"{value:{style}} {unit}".rstrip()
+
+
+def benchmark_table(stem: str, result: dict[str, Any]) -> str:
+    """Return the section of one benchmark: its question, machine and command once, then a row for each figure."""
     host = result["machine"]
-    machine = f"{host['cpu']}, {host['cores']} cores, load {host['load_average']}"
-    reached = f"{figure['reached']:.4g} {figure['unit']}"
-    return f"| {figure['name']} | {target} | {reached} | {verdict} | {machine} | `{result['command']}` |"
+    load = "" if host.get("load_average") is None else f", load {host['load_average']}"
+    lines = [f"### {result['question']}", "", f"`{result['command']}`", ""]
+    lines.append(f"On {host['cpu']}, {host['cores']} core{'s' * (host['cores'] != 1)}{load}.")
+    notes = read_benchmark_notes(stem)
+    if notes:
+        lines += ["", *(f"- {name}: {text}" for name, text in notes.items())]
+    lines += ["", "| figure | ours | target | |", "|---|---|---|---|"]
+    for figure in result["figures"]:
+        verdict = {True: "reached", False: "**missed**", None: ""}[figure["met"]]
+        ours = with_unit(figure["reached"], figure["unit"])
+        lines.append(f"| {figure['name']} | {ours} | {format_target(figure)} | {verdict} |")
+    return "\n".join(lines)
 
 
-def notes() -> str:
-    """What each benchmark is given, measures, and on which scenes a default was chosen, one row each."""
-    rows = ["| benchmark | given | measured | defaults chosen on |", "|---|---|---|---|"]
-    for path in sorted((ROOT / "benchmarks").glob("[!_]*.py")):
-        doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        rows.append(" | ".join([f"| `{path.stem}`", *read_notes(doc).values()]) + " |")
-    return "\n".join(rows)
+def read_benchmark_notes(stem: str) -> dict[str, str]:
+    """Return what the benchmark of a result is given and measures; nothing if its script is not in benchmarks/."""
+    scripts = [path for path in (ROOT / "benchmarks").glob("[!_]*.py") if stem.startswith(path.stem)]
+    if not scripts:
+        return {}
+    doc = ast.get_docstring(ast.parse(max(scripts, key=lambda path: len(path.stem)).read_text(encoding="utf-8")))
+    return read_notes(doc or "")
 
 
 def replace_between(page: str, begin: str, end: str, text: str) -> str:
-    """Return the page with other text between two marks."""
-    before, _, rest = page.partition(begin)
-    _, _, after = rest.partition(end)
+    """Return the page with other text between two marks.
+
+    Raises:
+        ValueError: If a mark is missing.
+    """
+    before, found, rest = page.partition(begin)
+    _, ended, after = rest.partition(end)
+    if not (found and ended):
+        raise ValueError(f"page: expected the marks {begin!r} and {end!r}; restore them")
     return f"{before}{begin}\n{text}\n{end}{after}"
 
 
-def renewed(page: str) -> str:
-    """The page with fresh tables."""
-    return replace_between(replace_between(page, BEGIN, END, table()), NOTES_BEGIN, NOTES_END, notes())
-
-
 if __name__ == "__main__":
-    PAGE.write_text(renewed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    main()

@@ -1,14 +1,12 @@
 """Adaptive streaming: which records a client gets next, from its pose, its bandwidth and what it holds already.
 
-    store = CandidateStore(index)                                   # one for a scene
-    scheduler = Scheduler(store, FieldOfView.of_degrees(90, 70, margin=8))    # one for a client
-    scheduler.on_pose(t, position, quat)
-    batch = scheduler.next_batch(t, scheduler.allowance())
-    scheduler.on_sent(t, nbytes)                                    # of the message that the batch has become
-    scheduler.on_ack(t, nbytes, seconds)
+    candidates = CandidateIndex(index)                                      # one for a scene
+    planner = Planner(candidates, FieldOfView.from_degrees(90, 70, margin=8))   # one for a client
+    planner.on_pose(t, position, quat)
+    batch = planner.next_batch(t, budget, rate)
 
-Pure functions and small state machines: no socket, no clock (time is an argument), no torch. The same objects drive the
-simulator and the server. Names are imported when first used.
+Pure functions and small state machines: no socket, no clock (time is an argument), no torch. `gsvis.stream.Session`
+measures the link and turns batches into messages. Names are imported when first used.
 """
 
 from __future__ import annotations
@@ -17,25 +15,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gsvis.abr.candidates import CandidateStore
-    from gsvis.abr.cells import StoreCells, class_weights
+    from gsvis.abr.candidates import CandidateIndex
     from gsvis.abr.classes import Classes, FieldOfView, classify
+    from gsvis.abr.config import AbrConfig
     from gsvis.abr.estimate import Ewma, HarmonicMean, RobustMpc, ThroughputEstimator, estimator
     from gsvis.abr.holdings import Holdings
-    from gsvis.abr.index import CellMembers, CellSets, SceneIndex
+    from gsvis.abr.index import ActiveSets, CellSets, SceneIndex
     from gsvis.abr.planner import Batch, Planner
     from gsvis.abr.policies import POLICIES, UtilityConfig
     from gsvis.abr.predict import KalmanPose, LastPose, LinearPose, Pose, PosePredictor, predictor
     from gsvis.abr.qoe import Difference, Qoe, QoeConfig, paired_difference, quality_of_experience
-    from gsvis.abr.scheduler import Scheduler, SchedulerConfig
     from gsvis.abr.traces import BandwidthTrace, load_trace
 
 __all__ = [
     "POLICIES",
+    "AbrConfig",
+    "ActiveSets",
     "BandwidthTrace",
     "Batch",
-    "CandidateStore",
-    "CellMembers",
+    "CandidateIndex",
     "CellSets",
     "Classes",
     "Difference",
@@ -53,12 +51,8 @@ __all__ = [
     "QoeConfig",
     "RobustMpc",
     "SceneIndex",
-    "Scheduler",
-    "SchedulerConfig",
-    "StoreCells",
     "ThroughputEstimator",
     "UtilityConfig",
-    "class_weights",
     "classify",
     "estimator",
     "load_trace",
@@ -68,17 +62,16 @@ __all__ = [
 ]
 
 _HOMES = {
-    "candidates": ("CandidateStore",),
-    "cells": ("StoreCells", "class_weights"),
+    "candidates": ("CandidateIndex",),
     "classes": ("Classes", "FieldOfView", "classify"),
+    "config": ("AbrConfig",),
     "estimate": ("Ewma", "HarmonicMean", "RobustMpc", "ThroughputEstimator", "estimator"),
     "holdings": ("Holdings",),
-    "index": ("CellMembers", "CellSets", "SceneIndex"),
+    "index": ("ActiveSets", "CellSets", "SceneIndex"),
     "planner": ("Batch", "Planner"),
     "policies": ("POLICIES", "UtilityConfig"),
     "predict": ("KalmanPose", "LastPose", "LinearPose", "Pose", "PosePredictor", "predictor"),
     "qoe": ("Difference", "Qoe", "QoeConfig", "paired_difference", "quality_of_experience"),
-    "scheduler": ("Scheduler", "SchedulerConfig"),
     "traces": ("BandwidthTrace", "load_trace"),
 }
 

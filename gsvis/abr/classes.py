@@ -62,25 +62,15 @@ class FieldOfView:
             raise ValueError(f"margin, near: expected numbers of at least 0, got {self.margin!r}, {self.near!r}")
 
     @classmethod
-    def of_degrees(cls, horizontal: float, vertical: float, *, margin: float = 0.0, near: float = 0.01) -> FieldOfView:
+    def from_degrees(
+        cls, horizontal: float, vertical: float, *, margin: float = 0.0, near: float = 0.01
+    ) -> FieldOfView:
         """A field of view around the axis; all angles in degrees."""
         for name, angle in (("horizontal", horizontal), ("vertical", vertical)):
             if not 0.0 < angle < 180.0:
                 raise ValueError(f"{name}: expected degrees in (0, 180), got {angle!r}")
         x, y = np.tan(np.radians(horizontal) / 2), np.tan(np.radians(vertical) / 2)
         return cls(float(x), float(x), float(y), float(y), float(np.radians(margin)), near)
-
-    @classmethod
-    def of_camera(
-        cls, K: ArrayLike, width: int, height: int, *, margin: float = 0.0, near: float = 0.01  # noqa: N803
-    ) -> FieldOfView:  # fmt: skip
-        """The field of view of intrinsics (3, 3) in pixels and an image size; the margin in degrees."""
-        k = _check.floats("K", K, (3, 3), np.float64)
-        if k[0, 0] <= 0 or k[1, 1] <= 0:
-            raise ValueError(f"K: expected focal lengths > 0, got {k[0, 0]:g}, {k[1, 1]:g}")
-        left, right = k[0, 2] / k[0, 0], (width - k[0, 2]) / k[0, 0]
-        top, bottom = k[1, 2] / k[1, 1], (height - k[1, 2]) / k[1, 1]
-        return cls(float(left), float(right), float(top), float(bottom), float(np.radians(margin)), near)
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
         """(5, 4) float32: unit normals that point inwards and offsets of left, right, top, bottom and near plane.
@@ -153,9 +143,9 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     rings = ring_cells(index.grid, cell)
     for ring in range(RINGS - 1, 0, -1):
         for other in rings[ring]:
-            ids = ids_of(index.cells.members(other).words)
+            ids = ids_of(index.sets.visible_words(other))
             classes[ids], distances[ids] = ADJACENT, index.grid.cell_size * np.sqrt(ring)
-    ids = ids_of(index.cells.members(cell).words)
+    ids = ids_of(index.sets.visible_words(cell))
     inside = np.zeros(len(ids), np.bool_)
     kernels.in_view(frusta, index.means[ids], index.radii[ids], inside)
     classes[ids], distances[ids] = np.where(inside, FOV, PERIPHERAL), 0.0

@@ -14,6 +14,7 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis._kernels.bits import count
+from gsvis.abr._kernels.plan import Held
 from gsvis.pvs.codec import bitmap_of, ids_of, pack, word_count
 
 __all__ = ["Holdings"]
@@ -54,9 +55,9 @@ class Holdings:
         return f"Holdings({held})"
 
     @property
-    def words(self) -> tuple[Words, Words, Words]:
-        """What the kernels take, and change."""
-        return self.sent, self.sent_terms, self.gone
+    def words(self) -> Held:
+        """The three sets, as the kernels take and change them."""
+        return Held(self.sent, self.sent_terms, self.gone)
 
     @property
     def shown(self) -> I64:

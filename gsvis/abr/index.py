@@ -1,14 +1,14 @@
-"""What a scheduler has to know of a scene: places, sizes, levels and bytes of its records, and what each cell sees.
+"""What a planner knows of a scene: places, sizes, levels and bytes of its records, and what each cell sees.
 
-Plain arrays without geometry or colors, so a package can give them from a part of its files. Scene frame and units,
-bytes as they travel. Any order of ids is served right; 64 with consecutive ids are ranked together, so records should
-stand in the order of a package (`gsvis.package.order`). This module knows no file and no client.
+Plain arrays without geometry or colors. Scene frame and units; bytes as they travel. Any order of ids works; 64
+consecutive ids are ranked together, so records should be in the order of a package (`gsvis.package.order`). This module
+knows no file and no client.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -18,91 +18,63 @@ from scipy.spatial import cKDTree
 
 from gsvis import _check
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack, word_count
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["CellMembers", "CellSets", "SceneIndex", "extents", "nearest_replacements"]
+__all__ = ["ActiveSets", "CellSets", "SceneIndex", "extents", "nearest_replacements"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
-U32 = NDArray[np.uint32]
 Words = NDArray[np.uint64]
 
 EXTENT = 3.0
-"""Standard deviations from its center at which a Gaussian ends, where it is asked whether it is in view."""
-
-
-@dataclass(frozen=True, eq=False)
-class CellMembers:
-    """The Gaussians that a cell sees.
-
-    Attributes:
-        words: (W,) uint64 packed set of N Gaussians in scene order, whole roaring containers (`CellMembers.of`).
-        classes: (V,) uint8 weight class of each member, in rising order of ids.
-    """
-
-    words: Words
-    classes: U8
-
-    @classmethod
-    def of(cls, ids: ArrayLike, count: int, classes: ArrayLike | None = None) -> CellMembers:
-        """Members from ids.
-
-        Args:
-            ids: (V,) rising, each in [0, count).
-            count: N, the Gaussians of the scene.
-            classes: (V,) weight class of each; None means 0.
-
-        Raises:
-            ValueError: If ids do not rise or are out of range, or lengths differ.
-        """
-        members = _check.integers("ids", ids, ("V",))
-        if len(members) and (members[0] < 0 or members[-1] >= count or np.any(np.diff(members) <= 0)):
-            raise ValueError(f"ids: expected rising ids in [0, {count}), got others; sort them with np.unique")
-        levels = np.zeros(len(members), np.uint8) if classes is None else classes
-        return cls(pack(members, count), _check.integers("classes", levels, (len(members),), np.uint8))
+"""Standard deviations from its center at which a Gaussian ends, for tests whether it is in view."""
 
 
 class CellSets(Protocol):
-    """Where the sets of cells come from: a store, a package, or arrays. Called from several threads at once."""
+    """What cells see; a `VisibilityStore` is one. Several threads call it at once."""
 
-    def members(self, cell: int, /) -> CellMembers:
-        """What a cell sees."""
+    def classes(self, cell: int, /) -> tuple[I64, U8]:
+        """Return the (V,) rising ids that a cell sees, and the (V,) weight class of each."""
         ...
 
-    def words(self, cell: int, /) -> Words:
-        """The words of `members` alone: of neighbors no classes are asked for."""
+    def visible_words(self, cell: int, /) -> Words:
+        """Return what a cell sees as a packed set, see `gsvis.pvs.codec.pack`."""
         ...
 
-    def terms(self, cell: int, /) -> U32:
-        """(A,) rising ids of the terms that are active in a cell, of Gaussians that it sees."""
+
+class ActiveSets(Protocol):
+    """The active terms of cells; `ActiveTerms` is one. Several threads call it at once."""
+
+    def active_ids(self, cell: int, /) -> I64:
+        """Return the (A,) rising ids of the terms that are active in a cell, of Gaussians that it sees."""
         ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SceneIndex:
-    """N Gaussians of all levels and their T terms, as records to be sent, and C cells.
+    """N Gaussians of all levels and their T terms, as records to send, and C cells.
 
     Args:
         means: (N, 3) centers.
-        radii: (N,) distance from the center at which each ends, scene units.
+        radii: (N,) distance from the center at which each Gaussian ends, scene units.
         areas: (N,) mean cross-section, scene units squared.
-        importance: (N,) >= 0, blending weight of each where it is seen, or a factor to that of its class in a cell.
-        gaussian_bytes: (N,) bytes of the record of geometry and base color, >= 1; one number for all.
-        first: (N,) uint8 lowest level that has it.
-        last: (N,) uint8 highest level that has it.
+        importance: (N,) >= 0, blending weight of each where it is seen, or a factor of the weight of its class.
+        gaussian_bytes: (N,) bytes of each record of geometry and base color, >= 1, or one number for all.
+        first: (N,) uint8 lowest level of each.
+        last: (N,) uint8 highest level of each.
         level_names: L names, lowest first.
         term_offsets: (N + 1,) terms of Gaussian i are `term_offsets[i]:term_offsets[i + 1]`.
-        term_bytes: (T,) bytes of the record of each term, > 0; one number for all.
-        replacement_offsets: (N + 1,) those that take the place of Gaussian i, which ends below the highest level, are
-            `replacement_ids[replacement_offsets[i]:replacement_offsets[i + 1]]`; they enter at the level above it.
+        term_bytes: (T,) bytes of the record of each term, > 0, or one number for all.
+        replacement_offsets: (N + 1,) Gaussian i, if it ends below the highest level, is replaced by
+            `replacement_ids[replacement_offsets[i]:replacement_offsets[i + 1]]`, which enter at the level above it.
         replacement_ids: (M,) int32.
         class_weights: (K,) weight that stands for each class of a cell.
         grid: The cells.
-        cells: What they see.
+        sets: What they see.
+        active: Their active terms; None means no terms are sent.
 
     Raises:
         ValueError: If lengths differ or a value is out of range.
@@ -122,7 +94,8 @@ class SceneIndex:
     replacement_ids: I32
     class_weights: F32
     grid: CellGrid
-    cells: CellSets
+    sets: CellSets
+    active: ActiveSets | None = None
 
     def __post_init__(self) -> None:
         means = _check.floats("means", self.means, ("N", 3))
@@ -169,35 +142,48 @@ class SceneIndex:
         cls,
         levels: Levels,
         grid: CellGrid,
-        cells: CellSets,
+        sets: CellSets,
         *,
+        active: ActiveSets | None = None,
         gaussian_bytes: ArrayLike = 16.0,
         term_offsets: ArrayLike | None = None,
         term_bytes: ArrayLike = 4.5,
         class_weights: ArrayLike | None = None,
     ) -> SceneIndex:
-        """The index of levels; what is not given follows from their Gaussians.
+        """Return the index of levels; derive what is not given from their Gaussians.
 
         Args:
             levels: The scene, its union in the order of ids.
             grid: The cells.
-            cells: What they see.
+            sets: What they see.
+            active: Their active terms; None means no terms are sent.
             gaussian_bytes: One number, or (N,).
             term_offsets: (N + 1,); None means no terms.
             term_bytes: One number, or (T,).
-            class_weights: (K,) weight that stands for each class of a cell; None where cells give no classes: the
-                opacity of a Gaussian then stands for its weight.
+            class_weights: (K,) weight that stands for each class of a cell; None means one class, in which the opacity
+                of a Gaussian stands for its weight.
         """
-        union = levels.union
-        n = len(union)
+        union, n = levels.union, len(levels.union)
+        (radii, areas), (starts, ids) = extents(union), nearest_replacements(levels)
+        plain = class_weights is None
         return cls(
-            union.means, *extents(union),  # radii and areas
-            union.opacities if class_weights is None else np.ones(n, np.float32),
-            np.asarray(gaussian_bytes, np.float32), levels.first, levels.last, levels.names,
-            np.zeros(n + 1, np.int64) if term_offsets is None else np.asarray(term_offsets),
-            np.asarray(term_bytes, np.float32), *nearest_replacements(levels),
-            np.ones(1, np.float32) if class_weights is None else np.asarray(class_weights, np.float32), grid, cells,
-        )  # fmt: skip
+            means=union.means,
+            radii=radii,
+            areas=areas,
+            importance=union.opacities if plain else np.ones(n, np.float32),
+            gaussian_bytes=np.asarray(gaussian_bytes, np.float32),
+            first=levels.first,
+            last=levels.last,
+            level_names=levels.names,
+            term_offsets=np.zeros(n + 1, np.int64) if term_offsets is None else np.asarray(term_offsets),
+            term_bytes=np.asarray(term_bytes, np.float32),
+            replacement_offsets=starts,
+            replacement_ids=ids,
+            class_weights=np.ones(1, np.float32) if plain else np.asarray(class_weights, np.float32),
+            grid=grid,
+            sets=sets,
+            active=active,
+        )
 
     def __len__(self) -> int:
         """N."""
@@ -217,21 +203,16 @@ class SceneIndex:
         """L."""
         return len(self.level_names)
 
-    @property
-    def word_count(self) -> int:
-        """Words of a packed set of Gaussians."""
-        return word_count(len(self))
-
     @cached_property
     def replaced(self) -> tuple[I64, I32]:
-        """(N + 1,) offsets and (M,) ids: those whose place each Gaussian takes."""
+        """(N + 1,) offsets and (M,) ids: what each Gaussian replaces."""
         n = len(self)
         owners = np.repeat(np.arange(n, dtype=np.int32), np.diff(self.replacement_offsets))
         order = np.argsort(self.replacement_ids, kind="stable")
         return _offsets(self.replacement_ids, n), owners[order]
 
     def cell_of(self, position: NDArray[np.float64]) -> int:
-        """The cell that serves a position (3,): the one it is in, or the one with the nearest center."""
+        """Return the cell that holds a position (3,), or else the cell with the nearest center."""
         grid = self.grid
         with np.errstate(over="ignore"):
             boxes = np.floor((position - grid.origin) / grid.cell_size).tolist()
@@ -245,12 +226,8 @@ class SceneIndex:
     def _boxes(self) -> dict[tuple[float, ...], int]:
         return {tuple(map(float, box)): cell for cell, box in enumerate(self.grid.coords.tolist())}
 
-    def with_cells(self, cells: CellSets) -> SceneIndex:
-        """The same scene with other sets."""
-        return replace(self, cells=cells)
-
     def as_dict(self) -> Mapping[str, Any]:
-        """Counts and bytes, ready for JSON."""
+        """Return counts and bytes, ready for JSON."""
         return {
             "gaussians": len(self),
             "terms": self.num_terms,
@@ -262,9 +239,9 @@ class SceneIndex:
 
 
 def extents(g: Gaussians) -> tuple[F32, F32]:
-    """Radius (N,) at which each Gaussian ends, and its mean cross-section (N,).
+    """Return the radius (N,) at which each Gaussian ends, and its mean cross-section (N,).
 
-    The cross-section is the integral of its response over a plane, the mean of the planes across its three axes.
+    The cross-section is the integral of its response over a plane, averaged over the planes across its three axes.
     """
     s = g.scales.astype(np.float64)
     pairs = s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]
@@ -274,9 +251,10 @@ def extents(g: Gaussians) -> tuple[F32, F32]:
 
 
 def nearest_replacements(levels: Levels) -> tuple[I64, I32]:
-    """Who takes the place of a Gaussian that ends below the highest level: those to which it is the nearest that ends.
+    """Return the replacements of each Gaussian that ends below the highest level.
 
-    One that is nearest to nobody is replaced by the one nearest to it, so that all are let go of in the end.
+    A Gaussian that enters a level replaces the nearest one that ends below it. One that nothing replaces in this way is
+    replaced by the nearest one that enters, so that all are dropped in the end.
 
     Returns:
         offsets: (N + 1,).

@@ -1,7 +1,8 @@
-"""The order of records for one client, kept while it is used up: ranked when the view changes, then taken from.
+"""What one client gets next: records ranked for its pose, then sent in that order until the view changes.
 
-A plan reaches as far as the bytes of the near future; when it is used up, ranking goes on behind it. Between two
-changes of the view, batches together are one order, whatever their sizes. Knows no time, no estimator and no predictor.
+A plan covers the bytes of the near future; when it is used up, ranking continues behind it. Between two changes of the
+view, all batches together are one order, whatever their sizes. The planner knows no link and no message: time and rate
+are arguments.
 """
 
 from __future__ import annotations
@@ -13,26 +14,31 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
-from gsvis.abr.candidates import Candidates, CandidateStore
+from gsvis.abr.candidates import CandidateIndex, Candidates
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.policies import UtilityConfig, table
+from gsvis.abr.policies import regime_of, table
+from gsvis.abr.predict import Pose, PosePredictor, predictor
 
 __all__ = ["Batch", "Planner"]
 
+F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
-_NOTHING = np.zeros(0, np.int32), np.zeros(0, np.uint64)
+_REACH = 0.4  # seconds of data that are ranked at a time: most views last no longer
+_NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64))
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What is sent at once.
+    """Records that are sent together.
 
     Attributes:
         gaussians: (G,) int32 ids of the records of geometry and base color, in order.
         terms: (M,) uint32 ids of the records of terms, in order; their Gaussians are in this batch or before it.
-        dropped: (D,) int32 ids of Gaussians that the client is to show no more: their replacements are all there.
-        bytes: Of the records.
+        dropped: (D,) int32 ids of Gaussians that the client stops showing: all their replacements have been sent.
+        bytes: Bytes of the records.
     """
 
     gaussians: I32
@@ -41,51 +47,105 @@ class Batch:
     bytes: float
 
     def __len__(self) -> int:
-        """Records in all."""
+        """Return the number of records."""
         return len(self.gaussians) + len(self.terms)
+
+    @classmethod
+    def empty(cls) -> Batch:
+        """Return a batch without records."""
+        return cls(np.zeros(0, np.int32), np.zeros(0, np.uint32), np.zeros(0, np.int32), 0.0)
 
 
 class Planner:
-    """The order for one client.
+    """Chooses the records of one client.
 
     Args:
-        store: Candidates of the scene, shared.
-        policy: One of `POLICIES`.
-        holdings: What the client holds; changed by `take`. None is nothing.
-        utility: Factors of the policy "utility".
+        candidates: Candidates of the scene, shared by all clients.
+        view: What the client shows; its margin should be a few degrees.
+        config: None means `AbrConfig()`.
+        holdings: What the client holds; None is nothing. `take` changes it.
+        poses: A predictor instead of the one that the config names.
+
+    Attributes:
+        candidates: As given.
+        view: As given.
+        config: As given.
+        holdings: What the client holds.
         reach: Bytes that are ranked at least at a time.
+        regime: What the bandwidth allows, one of `REGIMES`; None before the first batch.
+        cell: The cell of the viewer; -1 before the first pose.
+        plans: Number of views for which records were ranked.
+
+    Raises:
+        ValueError: If the holdings are those of another scene.
     """
 
     def __init__(
         self,
-        store: CandidateStore,
-        policy: str = "utility",
+        candidates: CandidateIndex,
+        view: FieldOfView,
+        config: AbrConfig | None = None,
         *,
         holdings: Holdings | None = None,
-        utility: UtilityConfig | None = None,
-        reach: float = 1e6,
+        poses: PosePredictor | None = None,
     ) -> None:
-        index = store.index
-        self.store, self.policy, self.utility, self.reach = store, policy, utility, reach
-        self._table, self._keys = table(policy, "high", index.num_levels, utility)  # refuses what it does not know
+        index, self.config = candidates.index, config or AbrConfig()
+        self.candidates, self.view, self.reach = candidates, view, 1e6
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
-        self._candidates: Candidates | None = None
-        self._eye, self._planes = np.zeros(3, np.float32), np.zeros((1, 5, 4), np.float32)
-        self._owed = np.zeros(0, np.uint64)
+        self.regime: str | None = None
+        self.cell, self.plans = -1, 0
+        self._poses = poses or predictor(self.config.predictor)
+        self._pose: Pose | None = None
+        self._time = -np.inf
+        self._planned: tuple[int, Pose, Pose, str] | None = None
+        self._here: Candidates | None = None
+        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 7)
+        self._view = kernels.View(*(np.zeros(0, np.float32),) * 3)
+        self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
+        self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
         self._plan, self._place = _NOTHING, 0
         self._least, self._whole, self._wanted = 0, True, 0.0
-        self._waits = np.empty((len(store.ending), 2), np.int32)
-        self._records = store.sizes, index.term_offsets, index.term_bytes
 
     @property
     def done(self) -> bool:
         """Whether all that the view asks for has been taken."""
-        return self._whole and self._place == len(self._plan[0])
+        return self._whole and self._place == len(self._plan.entries)
+
+    def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
+        """Take in the pose of the client at time t; ignore one that is older than the last.
+
+        Args:
+            t: Seconds.
+            position: (3,) scene frame.
+            quat: (4,) wxyz, world from camera, any length but 0.
+
+        Raises:
+            ValueError: If a value is not finite, or the quaternion is 0. The state is unchanged then.
+        """
+        pose = Pose.from_arrays(position, quat)
+        if not np.isfinite(t):
+            raise ValueError(f"t: expected finite seconds, got {t!r}")
+        if t <= self._time:
+            return
+        self._poses.observe(t, pose.position, pose.quat)
+        self._pose, self._time, self.cell = pose, t, self.candidates.index.cell_of(pose.position)
+
+    def next_batch(self, t: float, budget: float, rate: float) -> Batch:
+        """Return the next records, an empty batch before the first pose. They count as held from now on.
+
+        Args:
+            t: Seconds.
+            budget: Bytes of records.
+            rate: Estimated throughput, bytes of records a second.
+        """
+        if self._pose is not None:
+            self._follow(self._pose, t, rate)
+        return self.take(budget)
 
     def aim(self, cell: int, eye: ArrayLike, planes: ArrayLike, regime: str = "high") -> None:
-        """Turn to a view; the next records are ranked for it.
+        """Rank the next records for a view.
 
         Args:
             cell: The cell of the eye.
@@ -93,61 +153,88 @@ class Planner:
             planes: (F, 5, 4) frusta; what is in one of them is in view.
             regime: One of `REGIMES`.
         """
-        levels = self.store.index.num_levels
-        view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
-        self._table, self._keys = table(self.policy, regime, levels, self.utility)
-        candidates = self.store.of(cell)
-        if self._candidates is None or self._candidates.cell != cell:
-            self._enter(candidates)
-        self._candidates, self._eye, self._planes = candidates, *view
-        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+        self._aim(cell, _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4)), regime)
 
     def take(self, budget: float) -> Batch:
-        """The next records, of at most so many bytes; from now on they count as held.
+        """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
 
-        Nothing, when the next record is larger than the budget, or all has been taken.
+        The batch is empty when the next record exceeds the budget, or all have been taken.
         """
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
-        candidates = self._candidates
-        if candidates is None or self.done:
-            return Batch(np.zeros(0, np.int32), np.zeros(0, np.uint32), np.zeros(0, np.int32), 0.0)
-        counts, sizes = (self.holdings.gaussians, self.holdings.terms), self.store.least_sizes
+        if self._here is None or self.done:
+            return Batch.empty()
+        shared, held = self.candidates, self.holdings.words
+        counts, sizes = (self.holdings.gaussians, self.holdings.terms), shared.least_sizes
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._waits), np.int32)
         queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
-        cell = candidates.words, self._owed, candidates.active
         while not self.done:
-            if self._place == len(self._plan[0]):
+            if self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # a view that lasts is ranked seldom
-                self._rank(candidates, self._wanted)
-            rest = tuple(array[count:] for array, count in zip(out, taken, strict=True))
-            links = candidates.union, *self.store.links, self._waits
+                self._rank(self._here, self._wanted)
+            rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], queue)
             self._place, *found, size = kernels.take(
-                self._plan, self._place, cell, self.holdings.words, self._records, links,
-                budget - total, (*rest, queue),
-            )  # fmt: skip
+                self._plan, self._place, self._cell, held, shared.records, shared.links, budget - total, rest
+            )
             taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
-            if self._place < len(self._plan[0]):
+            if self._place < len(self._plan.entries):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
         return Batch(gaussians, terms, dropped, total)
 
-    def _enter(self, candidates: Candidates) -> None:
-        """Begin with the units of another cell."""
-        self._waits[:, 0] = kernels.UNKNOWN
-        self._owed = candidates.owing.copy()
-        if self.holdings.sent_terms.any():
-            kernels.forget_paid(
-                candidates.words, candidates.active, self.holdings.sent_terms, self.store.index.term_offsets, self._owed
-            )
+    def _follow(self, now: Pose, t: float, rate: float) -> None:
+        """Aim at a pose and the one predicted from it, if they, the cell or the regime have changed enough."""
+        config = self.config
+        then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
+        here = self._here
+        if here is None or here.cell != self.cell:
+            here = self.candidates.in_cell(self.cell)
+        self.regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
+        if self._planned is not None:
+            cell, was, was_then, regime = self._planned
+            near = self._is_near(now, was) and self._is_near(then, was_then)
+            if cell == self.cell and regime == self.regime and near:
+                return
+        poses = (now,) if config.lead <= 0 else (now, then)
+        planes = np.empty((len(poses), 5, 4), np.float32)
+        for k, pose in enumerate(poses):
+            planes[k] = self.view.planes(pose.position, pose.quat)
+        self.reach = _REACH * rate
+        self._aim(self.cell, _check.floats("position", now.position, (3,)), planes, self.regime)
+        self._planned = self.cell, now, then, self.regime
+        self.plans += 1
 
-    def _rank(self, candidates: Candidates, enough: float) -> None:
-        store, c = self.store, candidates
-        room = store.room(len(c.words), len(c), self._keys)
-        self._plan, self._least, self._whole = kernels.rank(
-            c.units, c.runs, (c.words, c.places, c.term_bytes), self._owed, self.holdings.words,
-            (self._eye, self._planes, store.bodies), self._table, (float(enough), self._least), room,
+    def _aim(self, cell: int, eye: F32, planes: F32, regime: str) -> None:
+        config = self.config
+        self._table, self._keys = table(config.policy, regime, self.candidates.index.num_levels, config.utility)
+        self._enter(cell)
+        self._view = kernels.View(eye, planes, self.candidates.bodies)
+        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+
+    def _is_near(self, a: Pose, b: Pose) -> bool:
+        still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
+        return still and a.turn_to(b) <= self.config.turn
+
+    def _enter(self, cell: int) -> None:
+        """Switch to the units of a cell."""
+        if self._here is not None and self._here.cell == cell:
+            return
+        here = self._here = self.candidates.in_cell(cell)
+        self._waits[:, 0] = kernels.UNKNOWN
+        owed, held = here.owing.copy(), self.holdings.words.terms
+        if held.any():
+            kernels.forget_paid(here.words, here.active, held, self.candidates.index.term_offsets, owed)
+        self._cell = kernels.Cell(
+            words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=here.active,
+            candidates=here.union, waits=self._waits,
         )  # fmt: skip
+
+    def _rank(self, here: Candidates, enough: float) -> None:
+        work = self.candidates.work(len(here.words), len(here), self._keys)
+        limits = kernels.Limits(float(enough), self._least)
+        self._plan, self._least, self._whole = kernels.rank(
+            here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work
+        )
         self._place = 0

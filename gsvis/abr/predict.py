@@ -30,7 +30,7 @@ class Pose:
     quat: F64
 
     @classmethod
-    def of(cls, position: ArrayLike, quat: ArrayLike) -> Pose:
+    def from_arrays(cls, position: ArrayLike, quat: ArrayLike) -> Pose:
         """A checked pose; the quaternion may have any length but 0.
 
         Raises:
@@ -74,7 +74,7 @@ class LastPose:
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take in a pose; see `PosePredictor`."""
-        pose = Pose.of(position, quat)
+        pose = Pose.from_arrays(position, quat)
         if _time(t) > self._time:
             self._time, self._pose = t, pose
 
@@ -99,7 +99,7 @@ class LinearPose:
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take in a pose; see `PosePredictor`."""
-        pose = Pose.of(position, quat)
+        pose = Pose.from_arrays(position, quat)
         if self._seen and _time(t) <= self._seen[-1][0]:
             return
         self._seen.append((t, pose))
@@ -154,7 +154,7 @@ class KalmanPose:
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take in a pose; see `PosePredictor`."""
-        pose = Pose.of(position, quat)
+        pose = Pose.from_arrays(position, quat)
         if _time(t) <= self._time:
             return
         if self._time == -np.inf:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels import units as kernels
-from gsvis.abr.candidates import RINGS, CandidateStore, ring_cells, strengths
+from gsvis.abr.candidates import RINGS, CandidateIndex, ring_cells, strengths
 from gsvis.abr.classes import FOV, classify
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
@@ -34,7 +34,7 @@ class View:
 
 
 def order_records(
-    store: CandidateStore,
+    shared: CandidateIndex,
     view: View,
     policy: str,
     holdings: Holdings,
@@ -45,22 +45,22 @@ def order_records(
     """All records that a view asks for, first to last.
 
     Args:
-        store: Only its scene and the spheres of its words are used.
+        shared: Only its scene and the spheres of its words are used.
         view: Cell, eye, frusta and regime.
         policy: One of `POLICIES`.
         holdings: What is held; not changed.
-        pixel: As in `CandidateStore`.
+        pixel: As in `CandidateIndex`.
         utility: Factors of the policy "utility".
 
     Returns:
         ("gaussian", id) and ("term", id), and ("drop", id) right after the Gaussian whose arrival lets go of it.
     """
-    index = store.index
+    index = shared.index
     units, strength = _units(index, view.cell), strengths(index, pixel)
     classes = classify(index, view.cell, view.planes).classes
     table = offsets(policy, view.regime, index.num_levels, utility)
     top = lowest_last(view.regime, index.num_levels)
-    active = set(np.asarray(index.cells.terms(view.cell)).tolist()) if index.num_terms else set()
+    active = set(np.asarray(index.active.active_ids(view.cell)).tolist()) if index.active is not None else set()
     candidates = {g for _, members in units for g in members}
     entries = []
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
@@ -69,7 +69,7 @@ def order_records(
         alike = range(64 * word, min(64 * word + 64, len(index)))  # of neighbors all that are alike in the word count
         alike_too = [g for g in alike if (index.first[g], index.last[g]) == (enters, ends)]
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
-        gain = _gain(store, word, [strength[g] for g in (alike_too if ring else members)], view.eye, weight)
+        gain = _gain(shared, word, [strength[g] for g in (alike_too if ring else members)], view.eye, weight)
         bucket = int(kernels.bucket_of(gain))
         for part in (0, 1):
             group = part if ring == 0 else 1 + ring
@@ -90,8 +90,8 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
     for ring, cells in zip(range(RINGS), ring_cells(index.grid, cell), strict=True):
         here: dict[int, int] = {}
         for other in cells:
-            members = index.cells.members(other)
-            for g, kind in zip(ids_of(members.words).tolist(), members.classes.tolist(), strict=True):
+            ids, classes = index.sets.classes(other)
+            for g, kind in zip(ids.tolist(), classes.tolist(), strict=True):
                 if g not in placed:
                     here[g] = kind if ring == 0 else 0
         placed |= set(here)
@@ -109,10 +109,10 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
     return sorted(found.items(), key=place)
 
 
-def _gain(store: CandidateStore, word: int, strength: list[F32], eye: F32, weight: np.float32) -> NDArray[np.float32]:
+def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weight: np.float32) -> NDArray[np.float32]:
     """Mean weighted solid angle, for each byte, of Gaussians of a word whose strengths are given."""
-    x, y, z = store.spheres[word, :3] - eye
-    square = x * x + y * y + z * z + store.spreads[word] + np.float32(1e-12)
+    x, y, z = shared.spheres[word, :3] - eye
+    square = x * x + y * y + z * z + shared.spreads[word] + np.float32(1e-12)
     area, pixel = (np.float32(float(weight) * sum(float(pair[k]) for pair in strength) / len(strength)) for k in (0, 1))
     return np.asarray(area / square + pixel, np.float32)
 

@@ -18,7 +18,6 @@ from gsvis.cli.source import (
     file_cameras,
     inspect_scene_of,
     is_builtin,
-    is_report,
     load_source,
     navigable_space,
 )
@@ -50,15 +49,16 @@ def run_analyze(command: Analyze) -> None:
     check_source(command.scene, command.lod)
     check_report(command.out)
     given = _given_cameras(command)
+    differs = _differs(command, 0 if given is None else len(given))  # now: the file may change before the end
     with Status() as status:
-        document = _write_report(command, given, status)
+        document = _write_report(command, given, differs, status)
     if command.json:
         print_json(document)
     else:
         show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
 
 
-def _write_report(command: Analyze, given: Cameras | None, status: Status) -> dict[str, Any]:
+def _write_report(command: Analyze, given: Cameras | None, differs: str, status: Status) -> dict[str, Any]:
     """Everything between reading the scene and a written report."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.analysis import AnalysisConfig, analyze
@@ -94,7 +94,7 @@ def _write_report(command: Analyze, given: Cameras | None, status: Status) -> di
         facts={"path": command.scene, "lod": source.lod, **facts_found},
         parameters=_parameters(command, cameras),
         seconds=dict(status.seconds),
-        differs=_differs(command, len(cameras)),
+        differs=differs,
     )
     return write_report(command.out, analysis, subject, pictures, progress=status)
 
@@ -105,9 +105,18 @@ def _differs(command: Analyze, cameras: int) -> str:
         return "this scene was made, not captured"
     if command.cameras is None:
         return "the cameras here are drawn at random where a visitor may stand, not the views of a capture"
+    if _repeats_views(command):
+        return "the cameras here are those of a report of gsvis, not the views of a capture"
     if cameras < _COMPARABLE:
         return f"{cameras:,} views are few; the paper's are all those of a capture"
     return ""
+
+
+def _repeats_views(command: Analyze) -> bool:
+    """Whether the cameras are those that gsvis wrote into a report or a rendering."""
+    from gsvis.io.cameras import holds_repeated_views
+
+    return command.cameras is not None and holds_repeated_views(command.cameras)
 
 
 def _warm_up() -> None:
@@ -127,7 +136,7 @@ def _given_cameras(command: Analyze) -> Cameras | None:
         raise ValueError(
             f"--fov: expected none with --cameras, whose file states it, got {command.fov:g}; leave it out"
         )
-    at_most = None if is_report(command.cameras) else _WIDTH  # a report's views are repeated as they were
+    at_most = None if _repeats_views(command) else _WIDTH  # a report's views are repeated as they were
     cameras = file_cameras(command.cameras, command.width, command.height, at_most=at_most)
     return cameras if command.views is None else evenly(cameras, command.views)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis._check import plain
 from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
@@ -16,7 +17,7 @@ from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_views, given_cameras, place_cameras
 from gsvis.errors import BackendError, SceneError
 from gsvis.io.report_cameras import describe_cameras
-from gsvis.render import GaussianTensors, PixelContributors, contributors, rasterize
+from gsvis.render import PixelContributors, contributors, rasterize
 from gsvis.render.cuda import is_available
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -96,21 +97,22 @@ def _render(command: Render, given: Cameras | None, target: Target | None, backe
 
 def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, status: Status) -> Iterator[Frame]:
     """What each camera sees, one at a time."""
-    import torch
+    scene: Any = g
+    if backend == "cuda":  # once, not for every frame
+        from gsvis.render import GaussianTensors
 
-    tensors = GaussianTensors.from_gaussians(g, device="cuda" if backend == "cuda" else "cpu")
+        scene = GaussianTensors.from_gaussians(g, device="cuda")
     status("rendering", 0, len(cameras))
     for i in range(len(cameras)):
-        with torch.no_grad():
-            seen = rasterize(
-                tensors,
-                cameras[i],
-                backend=backend,
-                background=command.background,
-                sh_degree=command.sh_degree,
-                antialiased=command.antialiased,
-            )
-        yield Frame(*(part[0].cpu().numpy() for part in (seen.images, seen.alphas, seen.depths)))
+        seen = rasterize(
+            scene,
+            cameras[i],
+            backend=backend,
+            background=command.background,
+            sh_degree=command.sh_degree,
+            antialiased=command.antialiased,
+        )
+        yield Frame(*(plain(part[0]) for part in (seen.images, seen.alphas, seen.depths)))
         status("rendering", i + 1, len(cameras))
 
 

@@ -26,7 +26,7 @@ from gsvis.scene.paths import HeadPath
 if TYPE_CHECKING:
     from gsvis.abr import BandwidthTrace
     from gsvis.report.session_document import Visit
-    from gsvis.simulate import Delivery, Link, SessionConfig
+    from gsvis.simulate import Delivery, Link, ViewingConfig
     from gsvis.stream import StreamedScene
 
 __all__ = ["run_simulate"]
@@ -107,10 +107,10 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
     from contextlib import ExitStack
 
     from gsvis.report.session_document import Simulation, write_session_report
-    from gsvis.simulate import Link, SessionConfig
+    from gsvis.simulate import Link, ViewingConfig
 
     link = Link(trace, command.round_trip / 1000.0)
-    config = SessionConfig(
+    config = ViewingConfig(
         seconds=command.seconds, fine=min(3.0, command.seconds), every=min(command.every, command.seconds),
         width=command.width, height=command.height, fov=command.fov,
     )  # fmt: skip
@@ -196,18 +196,18 @@ def _cut_walk(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> t
 
 
 def _simulate_visit(
-    command: Simulate, place: _Place, path: HeadPath, told: dict[str, Any], link: Link, config: SessionConfig,
+    command: Simulate, place: _Place, path: HeadPath, told: dict[str, Any], link: Link, config: ViewingConfig,
     status: Status,
 ) -> Visit:  # fmt: skip
     """One scene, sent in three ways."""
-    from gsvis.abr import SchedulerConfig
+    from gsvis.abr import AbrConfig
     from gsvis.report.session_document import Visit
     from gsvis.simulate import Adaptive, MortonProgressive, Stage, WholeFile, play, watch
 
     contents = place.scene.contents
     stage = Stage(contents, place.reference)
     deliveries: tuple[Delivery, ...] = (
-        Adaptive(place.scene, config.view, SchedulerConfig(policy=command.policy)),
+        Adaptive(place.scene, config.view, AbrConfig(policy=command.policy)),
         WholeFile(contents, *place.whole_file),
         MortonProgressive(contents),
     )
@@ -224,7 +224,7 @@ def _simulate_visit(
     )  # fmt: skip
 
 
-def _pictures(stage: Any, sessions: Any, path: HeadPath, config: SessionConfig) -> Any:
+def _pictures(stage: Any, sessions: Any, path: HeadPath, config: ViewingConfig) -> Any:
     """What was shown now and then, beside the full scene; black where there was no image."""
     from gsvis.simulate import show_at
 

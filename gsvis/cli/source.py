@@ -39,7 +39,6 @@ __all__ = [
     "inspect_scene_of",
     "is_builtin",
     "is_levels",
-    "is_report",
     "levels_spelled",
     "load_source",
     "navigable_space",
@@ -266,14 +265,6 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
 def is_builtin(scene: str) -> bool:
     """Whether a scene is named that gsvis makes itself."""
     return scene.startswith(BUILTIN)
-
-
-def is_report(path: str) -> bool:
-    """Whether a file holds cameras as gsvis writes them."""
-    from gsvis.io.report_cameras import holds_own_cameras
-    from gsvis.io.views import read_json
-
-    return Path(path).suffix == ".json" and Path(path).is_file() and holds_own_cameras(read_json(path))
 
 
 def evenly(cameras: Cameras, count: int) -> Cameras:

@@ -12,14 +12,9 @@ from typing import Any
 import numpy as np
 
 from gsvis import _check
+from gsvis._check import is_tensor
 
 __all__ = ["channels", "is_tensor", "numbers"]
-
-
-def is_tensor(value: Any) -> bool:
-    """Whether the value is a torch tensor."""
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(value, torch.Tensor)
 
 
 def numbers(name: str, value: Any) -> tuple[Any, Any]:

@@ -52,6 +52,7 @@ def write_arrow(
     batches: Iterable[pa.RecordBatch],
     *,
     seal: Seal = "whole",
+    sweep: bool = True,
 ) -> None:
     """Write batches as they come, compressed with zstd, whole or not at all.
 
@@ -61,13 +62,14 @@ def write_arrow(
         header: What JSON can say; holds `format` and `version`.
         batches: Kept in memory one at a time.
         seal: What the checksum covers: "whole" file, or the "header" alone where each row has a checksum of its own.
+        sweep: As in `atomic_path`.
     """
     separators = (",", ":") if seal == "whole" else None
     text = json.dumps(dict(header), separators=separators, sort_keys=True, allow_nan=False).encode()
     mark = {_CHECKSUM: _MARK + b"0" * _DIGITS + b'"}'} if seal == "whole" else {_HEADER_CHECKSUM: _crc_text(text)}
     schema = pa.schema(fields, metadata={_HEADER: text, **mark})
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
-    with atomic_path(path) as partial:
+    with atomic_path(path, sweep=sweep) as partial:
         with pa.OSFile(os.fspath(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
             for batch in batches:
                 writer.write_batch(batch.replace_schema_metadata(schema.metadata))
@@ -164,17 +166,17 @@ class ArrowFile:
             ValueError: If the file was closed.
         """
         where = where or f"batch {number}"
-        message = self._checked(where, "an Arrow message", lambda: self._message(number))
+        message = self._guard(where, "an Arrow message", lambda: self._message(number))
         if message.type != "record batch":
             raise FormatError(self.path, where, "a record batch", f"a {message.type} message", DAMAGED)
-        budget.claim(self._checked(where, "a record batch", lambda: _uncompressed_bytes(message)), where)
+        budget.claim(self._guard(where, "a record batch", lambda: _count_uncompressed_bytes(message)), where)
 
         def read() -> pa.RecordBatch:
             found = pa.ipc.read_record_batch(message, self.schema)
             found.validate(full=True)
             return found
 
-        batch = self._checked(where, "a valid record batch", read)
+        batch = self._guard(where, "a valid record batch", read)
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
             if _has_nulls(column):
                 raise FormatError(self.path, f"{where}, column {name!r}", "a value in every row", "none in some")
@@ -186,7 +188,7 @@ class ArrowFile:
         data = memoryview(self._opened())
         start, end = _footer_start(self.path, data), len(data) - _TAIL
         footer = bytes(data[start:end])
-        blocks: NDArray[Any] = self._checked("footer", "a list of batches", lambda: _listed_blocks(footer))
+        blocks: NDArray[Any] = self._guard("footer", "a list of batches", lambda: _listed_blocks(footer))
         at, length = blocks["offset"], blocks["metadata"].astype(np.int64)
         good = (at >= 8) & (at % 8 == 0) & (at <= start) & (length >= 8) & (blocks["body"] >= 0)
         good &= (blocks["body"] <= start) & (at + length + np.minimum(blocks["body"], start) <= start)
@@ -210,7 +212,7 @@ class ArrowFile:
             _ = found.names  # those that are not UTF-8 raise here, not where an error lists them
             return found
 
-        schema = self._checked("byte 8", "an Arrow schema", read)
+        schema = self._guard("byte 8", "an Arrow schema", read)
         metadata = schema.metadata or {}
         text = metadata.get(_HEADER)
         if text is None or (seal == "header" and _HEADER_CHECKSUM not in metadata):
@@ -225,7 +227,7 @@ class ArrowFile:
             raise FormatError(self.path, "version", f"at most {version}", f"{found}", "update gsvis")
         return header, schema.remove_metadata()
 
-    def _checked(self, where: str, expected: str, read: Callable[[], _Read]) -> _Read:
+    def _guard(self, where: str, expected: str, read: Callable[[], _Read]) -> _Read:
         """Return what `read` gives; what Arrow raises at damaged bytes becomes a FormatError."""
         self._opened()
         try:
@@ -313,7 +315,7 @@ def _listed_blocks(footer: bytes) -> NDArray[Any]:
     return np.frombuffer(footer, _BLOCK, count, vector + 4)
 
 
-def _uncompressed_bytes(message: pa.Message) -> int:
+def _count_uncompressed_bytes(message: pa.Message) -> int:
     """Return what the buffers of a record batch need in memory, as the first eight bytes of each say.
 
     Raises:

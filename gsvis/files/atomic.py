@@ -67,7 +67,7 @@ def atomic_path(path: str | os.PathLike[str], *, sweep: bool = True) -> Iterator
 
 
 @contextmanager
-def atomic_folder(path: str | os.PathLike[str], *, last: str = "") -> Iterator[Path]:
+def atomic_folder(path: str | os.PathLike[str], *, last: tuple[str, ...] = ()) -> Iterator[Path]:
     """A temporary folder whose files move into `path` when the block ends well.
 
     Files of the same name are replaced one by one; other files already in `path` stay: nothing a user made is lost.
@@ -75,7 +75,7 @@ def atomic_folder(path: str | os.PathLike[str], *, last: str = "") -> Iterator[P
 
     Args:
         path: The folder to fill; made if it is missing.
-        last: Name of the file that moves after all others, for one that says that the folder is whole.
+        last: Names of the files that move after all others, in this order, for those that say that the folder is whole.
 
     Yields:
         The folder to write to.
@@ -140,9 +140,10 @@ def find_interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
     return {name for partial in _partials(target, "[0-9a-f]{4}") for name in _find_moved(partial, target)}
 
 
-def _move(partial: Path, target: Path, last: str) -> None:
+def _move(partial: Path, target: Path, last: tuple[str, ...]) -> None:
     """Move all files of a folder into another, with a note beside them from before the first to after the last."""
-    sources = sorted(partial.rglob("*"), key=lambda source: (source.name == last, source))
+    places = {name: place for place, name in enumerate(last, 1)}
+    sources = sorted(partial.rglob("*"), key=lambda source: (places.get(source.name, 0), source))
     _check_destinations(partial, target, sources)
     _write_note(partial, target, [source for source in sources if not source.is_dir()])
     for source in sources:

@@ -33,6 +33,11 @@ class Cache(Generic[_Value]):
     def __len__(self) -> int:
         return len(self._values)
 
+    @property
+    def fill(self) -> float:
+        """Share of `max_bytes` in use; 0 without a bound."""
+        return self.nbytes / max(1, self.max_bytes) if self.max_bytes is not None else 0.0
+
     def find(self, key: Hashable) -> _Value | None:
         """Return the value kept under a key, or None."""
         with self._lock:

@@ -122,11 +122,12 @@ class KeptWork:
         with atomic_path(self.folder / name, sweep=False) as partial:  # to list all entries for each takes too long
             partial.write_bytes(seal(data))
 
-    def read(self, name: str) -> bytes | None:
-        """Return the bytes of an entry; None if there is none that is whole."""
+    def read(self, name: str, *, at_most: int | None = None) -> bytes | None:
+        """Return the bytes of an entry; None if there is none that is whole, or it has more bytes than `at_most`."""
+        most = None if at_most is None else _HEAD.size + at_most
         try:
-            return unseal(read_whole(self.folder / name))
-        except (FileNotFoundError, NotADirectoryError, FormatError):
+            return unseal(read_whole(self.folder / name, most))
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError, FormatError):
             return None
 
     def keep_arrays(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -21,7 +21,7 @@ from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 from gsvis.scene.cameras import Cameras
 
-__all__ = ["load_cameras"]
+__all__ = ["holds_repeated_views", "load_cameras"]
 
 _KNOWN = "a COLMAP model (cameras and images, .bin or .txt), transforms.json, cameras.json or report.json"
 
@@ -50,23 +50,45 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
     return _views(_check.path("path", path), size).cameras(size)
 
 
-def _views(path: Path, size: tuple[int, int] | None) -> Views:
+def holds_repeated_views(path: str | PathLike[str]) -> bool:
+    """Whether the cameras at a path are those that gsvis itself wrote, so that views are repeated, not captured.
+
+    Args:
+        path: As for `load_cameras`.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        FormatError: If there are no cameras.
+    """
+    found = _file_of(_check.path("path", path))
+    return not found.is_dir() and holds_own_cameras(read_json(found))
+
+
+def _file_of(path: Path) -> Path:
+    """The JSON file that a path means, or the folder of a COLMAP model."""
     if path.is_dir():
         folder = find_colmap(path)
         if folder is not None:
-            return read_colmap(folder)
+            return folder
         for name in ("transforms.json", "cameras.json"):
             if (path / name).is_file():
-                return _views(path / name, size)
+                return _file_of(path / name)
         raise FormatError(path, "", _KNOWN, "a folder without any of them", cameras_remedy(path))
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no camera file or folder here", str(path))
     if path.suffix in (".bin", ".txt"):
-        return read_colmap(path.parent)
+        return path.parent
     with open_regular(path) as stream:
         start = stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
     if path.suffix.lower() != ".json" and start[:1] not in (b"{", b"["):
         raise FormatError(path, "", _KNOWN, f"a file beginning {start[:8]!r} named {path.name!r}")
+    return path
+
+
+def _views(path: Path, size: tuple[int, int] | None) -> Views:
+    path = _file_of(path)
+    if path.is_dir():
+        return read_colmap(path)
     content = read_json(path)
     if holds_own_cameras(content):
         return read_own_cameras(path, content)

@@ -4,11 +4,17 @@ levels = in_package_order(levels)          # before visible sets, colors and act
 write_package("scene.gsvis", levels, quantize(colors), visibility="scene.pvs", active_terms="scene.terms.arrow")
 with Package.open("scene.gsvis") as package:
     some = package.contents.gaussians([4, 8, 15])
+
+What draws is imported when first used: a server reads packages and needs no torch.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from gsvis.package.codec import ChunkTable, Geometry, build_chunks, chunk_starts, decode_records, encode_records
 from gsvis.package.contents import Contents, base_rgb
-from gsvis.package.cost import measure_cost
 from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.manifest import Cost, Manifest, PackageInfo
 from gsvis.package.order import PackageOrder, in_package_order
@@ -16,6 +22,9 @@ from gsvis.package.package import Package, Verified
 from gsvis.package.terms import Terms, decode_terms, encode_terms
 from gsvis.package.unpack import unpack_levels, unpack_package
 from gsvis.package.writer import write_package
+
+if TYPE_CHECKING:
+    from gsvis.package.cost import measure_cost
 
 __all__ = [
     "RECORD_BYTES",
@@ -44,6 +53,13 @@ __all__ = [
     "unpack_package",
     "write_package",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "measure_cost":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = import_module(f"{__name__}.cost").measure_cost
+    return value
 
 
 def __dir__() -> list[str]:

@@ -53,7 +53,7 @@ def measure_cost(
     for c in range(len(cameras)):
         camera, eye = cameras[c], cameras[c].viewpoints[0]
         images = [
-            np.clip(rasterize(g, camera, colors=e.colors(g.means, eye)).images[0].numpy(), 0.0, 1.0)
+            np.clip(rasterize(g, camera, colors=e.colors(g.means, eye)).images[0], 0.0, 1.0)
             for g, e in zip(scenes, evaluators, strict=True)
         ]
         found.append(min(_CAP, float(psnr(images[1], images[0]))))

@@ -26,7 +26,7 @@ from gsvis.package.parts import Part
 
 __all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
 
-FORMAT, VERSION = "gsvis-package", 1
+FORMAT, VERSION = "gsvis-package", 2
 MANIFEST = "manifest.json"
 _MOST_BYTES = 1 << 30
 _MOST = (1 << 31) - 1

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
 from gsvis.files.arrow import ArrowFile, write_arrow
+from gsvis.files.atomic import remove_all_partials
 from gsvis.files.fields import Fields
 from gsvis.files.limits import DAMAGED, Budget, check_regular, digest_of, read_whole
 from gsvis.files.output import output_errors
@@ -86,6 +87,7 @@ class PartFolder:
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         self.written = 0
+        self._swept = False
 
     def write_columns(self, kind: str, columns: dict[str, NDArray[Any]]) -> Part:
         """Write columns of one length as an Arrow file.
@@ -98,7 +100,7 @@ class PartFolder:
         arrays = [pa.array(np.ascontiguousarray(values)) for values in columns.values()]
         batch = pa.record_batch(arrays, schema=pa.schema(fields))
         header = {"format": FORMAT, "version": VERSION, "kind": kind, "rows": batch.num_rows}
-        return self._write("arrow", lambda path: write_arrow(path, fields, header, [batch]))
+        return self._write("arrow", lambda path: write_arrow(path, fields, header, [batch], sweep=False))
 
     def write_bytes(self, data: bytes) -> Part:
         """Write bytes as they are."""
@@ -125,6 +127,8 @@ class PartFolder:
                 digest = digest_of(path)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise FormatError(path, "", "a part of the package", "no such file", "prepare the package again") from error
+        except IsADirectoryError as error:
+            raise FormatError(path, "", "a part of the package", "a folder", "prepare the package again") from error
         if size != part.nbytes:
             raise FormatError(path, "", f"{part.nbytes:,} bytes", f"{size:,}", DAMAGED)
         if digest != part.digest:
@@ -186,6 +190,9 @@ class PartFolder:
         partial = self.folder / f".part-{secrets.token_hex(6)}.{suffix}"
         with output_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
+            if not self._swept:  # once: to list the folder for each of its many parts takes too long
+                remove_all_partials(self.folder)
+                self._swept = True
             try:
                 write(partial)
                 part = Part(digest_of(partial), partial.stat().st_size, suffix)

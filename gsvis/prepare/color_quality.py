@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from gsvis import _check
 from gsvis.color.activation import Activation
@@ -22,7 +21,6 @@ from gsvis.errors import BackendError
 from gsvis.progress import Progress, silent
 from gsvis.pvs.quality import PSNR_CAP
 from gsvis.render import flip, psnr, rasterize, ssim
-from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -173,7 +171,7 @@ def measure_colors(
         raise ValueError("cameras: expected at least one, got none")
     most = int(colors.counts.max(initial=0))
     counts = np.array(sorted({0, most, *(k for k in config.counts if k < most)}), np.int64)
-    ranks, tensors, evaluator = colors.ranks, GaussianTensors.from_gaussians(g), Evaluator(colors)
+    ranks, evaluator = colors.ranks, Evaluator(colors)
     activation = Activation(colors, g.means, 0.0)
     measured: dict[str, list[Any]] = {name: [] for name in ("all", "base", "count", "share", "active")}
     progress("colors", 0, len(cameras))
@@ -181,9 +179,9 @@ def measure_colors(
         camera, eye = cameras[c], cameras[c].viewpoints[0]
 
         def shown(active: NDArray[np.bool_] | None, camera: Cameras = camera, eye: F64 = eye) -> F32:
-            return _image(tensors, camera, evaluator.colors(g.means, eye, active=active))
+            return _image(g, camera, evaluator.colors(g.means, eye, active=active))
 
-        exact, fitted = _image(tensors, camera, None), shown(None)
+        exact, fitted = _image(g, camera, None), shown(None)
         firsts = {int(k): shown(ranks < k) for k in counts[:-1]} | {most: fitted}
         measured["all"].append(_likeness(fitted, exact, config.flip))
         measured["base"].append(_likeness(firsts[0], exact, config.flip))
@@ -201,10 +199,9 @@ def measure_colors(
     )  # fmt: skip
 
 
-def _image(tensors: GaussianTensors, camera: Cameras, colors: F32 | Tensor | None) -> F32:
+def _image(g: Gaussians, camera: Cameras, colors: F32 | None) -> F32:
     """(H, W, 3) what a display shows."""
-    drawn = rasterize(tensors, camera, backend="cpu", colors=colors).images[0]
-    return np.asarray(np.clip(drawn.numpy(), 0.0, 1.0), np.float32)
+    return np.asarray(np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0], 0.0, 1.0), np.float32)
 
 
 def _psnr(image: F32, target: F32) -> float:

@@ -101,7 +101,7 @@ def prepare_colors(
         config: How; None means `ColorConfig()`.
         sets: (N, 10) uint8 direction sets that are known, such as `VisibilityStore.direction_sets`; None traces them.
         keep: The file that will be made of this. What was found is kept beside it until `find_kept` is removed, so
-            that a run that is killed and started again traces nothing twice. None keeps nothing.
+            that a run which is killed and started again traces nothing twice. None keeps nothing.
         progress: Called with stages "directions", "importance", "price" and "fit".
 
     Raises:

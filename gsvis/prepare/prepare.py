@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gsvis import _check
+from gsvis._extras import has, missing
 from gsvis.color import quantize
 from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package, PackageInfo, write_package
@@ -152,6 +153,7 @@ def stages_of(
         FormatError: If the target holds something else.
         ValueError: If the scene is too small for its levels, or the working folder is not free.
         FileNotFoundError: If there are no photographs.
+        BackendError: If levels have to be trained and torch is missing.
     """
     config = config or PrepareConfig()
     check_scene(scene, config)
@@ -160,7 +162,10 @@ def stages_of(
         raise FileNotFoundError(2, "no such file or folder", os.fspath(photos))
     work = WorkFolder(out)
     work.check()
-    return Stages(scene, space, config, photos, work, progress, [], [])
+    stages = Stages(scene, space, config, photos, work, progress, [], [])
+    if stages.trains and not has("torch") and stages.reuse_levels() is None:
+        raise missing("levels: training them", "torch")
+    return stages
 
 
 def check_scene(scene: Gaussians | Levels, config: PrepareConfig) -> None:

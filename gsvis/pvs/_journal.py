@@ -7,14 +7,16 @@ import struct
 import numpy as np
 import zstandard
 
-from gsvis.files.limits import MAX_EXPANSION, MIN_BUDGET
 from gsvis.files.resume import KeptWork
 from gsvis.pvs.codec import CodecError, decompress
 from gsvis.pvs.config import CellView
 
-__all__ = ["entry_of", "kept_cells", "kept_view", "pack_view", "unpack_view"]
+__all__ = ["find_kept_cells", "name_entry", "pack_view", "read_view", "unpack_view"]
 
 _HEAD = struct.Struct("<IIf")
+_BYTES = 15  # a Gaussian: what changes from the id before, its class and the directions that it is seen from
+_MOST_PACKED = _BYTES + 1  # bytes a Gaussian that an entry may have: zstd adds little to what it cannot compress
+_FREE = 1 << 12
 
 
 def pack_view(view: CellView) -> bytes:
@@ -25,38 +27,43 @@ def pack_view(view: CellView) -> bytes:
     return _HEAD.pack(len(view.ids), view.viewpoints, view.growth) + packed
 
 
-def unpack_view(data: bytes) -> CellView | None:
-    """Return what was packed; None if the bytes are none of a view."""
+def unpack_view(data: bytes, gaussians: int) -> CellView | None:
+    """Return what was packed; None if the bytes are no view.
+
+    Args:
+        data: Of `pack_view`.
+        gaussians: Of the scene. A view of more of them, or of one that is not among them, is damaged; so memory is
+            bounded by the size of the scene, and a cell may see all of it.
+    """
     if len(data) < _HEAD.size:
         return None
     count, viewpoints, growth = _HEAD.unpack_from(data)
-    packed = data[_HEAD.size :]
+    if count > gaussians:
+        return None
     try:
-        if 15 * count > MIN_BUDGET + MAX_EXPANSION * len(data):  # promises more than such a file can hold
-            return None
-        body = np.frombuffer(decompress(packed, 15 * count), np.uint8)
+        body = np.frombuffer(decompress(data[_HEAD.size :], _BYTES * count), np.uint8)
     except CodecError:
         return None
     deltas = np.ascontiguousarray(body[: 4 * count].reshape(4, count).T).view("<i4")[:, 0]
     directions = np.ascontiguousarray(body[5 * count :].reshape(10, count).T)
     ids = np.cumsum(deltas, dtype=np.int64)
-    if count and (ids[0] < 0 or ids[-1] >= 1 << 31 or (deltas[1:] <= 0).any()):
+    if count and (ids[0] < 0 or ids[-1] >= gaussians or (deltas[1:] <= 0).any()):
         return None
     return CellView(ids.astype(np.int32), body[4 * count : 5 * count].copy(), directions, viewpoints, growth)
 
 
-def entry_of(cell: int) -> str:
+def name_entry(cell: int) -> str:
     """Return the name under which the view of a cell is kept."""
     return f"cell-{cell:06d}.bin"
 
 
-def kept_view(work: KeptWork, cell: int) -> CellView | None:
-    """Return the view of a cell, if it was kept and is whole."""
-    data = work.read(entry_of(cell))
-    return None if data is None else unpack_view(data)
+def read_view(work: KeptWork, cell: int, gaussians: int) -> CellView | None:
+    """Return the view of a cell of a scene of N Gaussians, if it was kept and is whole."""
+    data = work.read(name_entry(cell), at_most=_HEAD.size + _MOST_PACKED * gaussians + _FREE)
+    return None if data is None else unpack_view(data, gaussians)
 
 
-def kept_cells(work: KeptWork, count: int) -> list[int]:
+def find_kept_cells(work: KeptWork, count: int, gaussians: int) -> list[int]:
     """Return those of the first `count` cells that were kept and are whole."""
     names = work.names()
-    return [cell for cell in range(count) if entry_of(cell) in names and kept_view(work, cell) is not None]
+    return [cell for cell in range(count) if name_entry(cell) in names and read_view(work, cell, gaussians) is not None]

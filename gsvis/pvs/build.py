@@ -25,7 +25,7 @@ from gsvis.errors import OutputError, SceneError
 from gsvis.files.output import output_errors
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
-from gsvis.pvs._journal import entry_of, kept_cells, kept_view, pack_view
+from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
 from gsvis.pvs._work import (
     Result,
     SceneArrays,
@@ -153,14 +153,14 @@ def build_pvs(
     work = KeptWork.beside(target, plan)
     try:
         with work.opened():
-            finished = kept_cells(work, len(grid))
+            finished = find_kept_cells(work, len(grid), len(levels.union))
             progress("cells", len(finished), len(grid))
             left = sorted(set(range(len(grid))) - set(finished))
             tasks = [Task(cell, viewpoints.spread(cell, config.max_viewpoints)) for cell in left]
             scene = SceneArrays.of(_key(plan), levels, config)
             with closing(_results(scene, tasks, workers, count, work)) as results:
                 for done, (cell, data) in enumerate(results, len(finished) + 1):
-                    work.keep(entry_of(cell), data)
+                    work.keep(name_entry(cell), data)
                     progress("cells", done, len(grid))
             _write(work, grid, target, plan, config, progress)
             store = VisibilityStore.open(target)  # before the journal goes: what cannot be read is not lost
@@ -169,7 +169,7 @@ def build_pvs(
         work.remove()
         raise
     except OSError as error:
-        raise _explain(error, work, len(grid), target) from error
+        raise _explain(error, work, plan, len(grid), target) from error
     return store
 
 
@@ -206,7 +206,7 @@ def estimate_pvs(
     viewpoints = CellViewpoints(grid, space)
     _check.positive_int("sample", sample)
     plan = _plan(levels, grid, space, config)
-    finished = len(kept_cells(KeptWork.beside(path, plan), len(grid)))
+    finished = len(find_kept_cells(KeptWork.beside(path, plan), len(grid), len(levels.union)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
     scene = SceneArrays.of(_key(plan), levels, config)
     scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
@@ -251,10 +251,10 @@ def _check_levels(g: Gaussians | Levels) -> Levels:
     return levels
 
 
-def _explain(error: OSError, work: KeptWork, cells: int, target: Path) -> OSError:
-    """The error with a word on what is kept and what helps."""
-    kept = len(kept_cells(work, cells))
-    held = f"{kept} of {cells} cells are kept in {work.folder.name}" if kept else "no cell was finished"
+def _explain(error: OSError, work: KeptWork, plan: dict[str, Any], count: int, target: Path) -> OSError:
+    """Return the error with what is kept and what helps."""
+    kept = len(find_kept_cells(work, count, plan["gaussians"]))
+    held = f"{kept} of {count} cells are kept in {work.folder.name}" if kept else "no cell was finished"
     try:
         with output_errors(target, work.folder):
             raise error
@@ -313,7 +313,7 @@ def _write(
     looked = 0
     with StoreWriter(path, grid, info) as writer:
         for cell in range(len(grid)):
-            view = kept_view(work, cell)
+            view = read_view(work, cell, count)
             if view is None:
                 raise OSError(5, f"the journal of cell {cell} was damaged while the store was written")
             directions[view.ids] |= view.directions

@@ -32,6 +32,7 @@ __all__ = [
     "encode_set",
     "ids_of",
     "pack",
+    "portable",
     "word_count",
 ]
 
@@ -76,7 +77,12 @@ def ids_of(words: Words) -> NDArray[np.int64]:
 
 
 def bitmap_of(words: Words) -> BitMap:
-    """The set as a roaring bitmap, by way of roaring's portable format.
+    """The set as a roaring bitmap."""
+    return BitMap.deserialize(portable(words))
+
+
+def portable(words: Words) -> bytes:
+    """Return the set in the portable format of roaring bitmaps, without run containers.
 
     References:
         Roaring bitmap format specification, https://github.com/RoaringBitmap/RoaringFormatSpec.
@@ -90,8 +96,8 @@ def bitmap_of(words: Words) -> BitMap:
     offsets = 8 + 8 * found + np.cumsum(sizes) - sizes
     head = np.array([_COOKIE, found], "<u4").tobytes()
     described = np.stack([keys, cards - 1], axis=1).astype("<u2").tobytes()
-    data = head + described + offsets.astype("<u4").tobytes() + content[:end].astype("<u2", copy=False).tobytes()
-    return BitMap.deserialize(data)
+    body: bytes = offsets.astype("<u4").tobytes() + content[:end].astype("<u2", copy=False).tobytes()
+    return head + described + body
 
 
 def compress(data: bytes, level: int = LEVEL) -> bytes:

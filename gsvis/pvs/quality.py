@@ -284,7 +284,7 @@ def _share(part: float, whole: float) -> float:
 
 def _image(g: Gaussians, camera: Cameras) -> F32:
     """(H, W, 3) what a display shows: values are clipped to [0, 1]."""
-    return np.asarray(np.clip(rasterize(g, camera, backend="cpu").images[0].numpy(), 0.0, 1.0), np.float32)
+    return np.asarray(np.clip(rasterize(g, camera, backend="cpu").images[0], 0.0, 1.0), np.float32)
 
 
 def _psnr(g: Gaussians, camera: Cameras, full: F32) -> float:

@@ -48,12 +48,13 @@ class VisibilityStore:
         path: The file.
         grid: Its C cells.
         info: What it holds besides: number of Gaussians, scene, tau, classes, how it was built.
+        cache: Where decoded cells are kept; assign another `Cache` to share it.
     """
 
     def __init__(self, path: str | PathLike[str], *, max_cache: int = 256 << 20) -> None:
         """Open a file without a look at its scene; see `open`."""
         self.path = _check.path("path", path)
-        self._cache: Cache[NDArray[Any]] = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
+        self.cache: Cache[Any] = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
         self._file = SectionFile(path, FILE_KIND)
         try:
@@ -381,7 +382,7 @@ class VisibilityStore:
 
     def _words(self, cell: int) -> Words:
         """What a cell sees, stored order; not to be changed."""
-        held = self._cache.find(("set", cell))
+        held: Words | None = self.cache.find(("set", cell))
         if held is None:
             row = self._rows[cell]
             place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
@@ -390,12 +391,12 @@ class VisibilityStore:
                 held = _codec.decode_set(data, self.gaussians, int(row["visible"]))
             except _codec.CodecError as error:
                 raise self._undecodable(f"set of cell {cell}", error) from error
-            self._cache.keep(("set", cell), held)
+            self.cache.keep(("set", cell), held)
         return held
 
     def _levels(self, cell: int) -> U8:
         """(N,) class plus 1 of what a cell sees, stored order; not to be changed."""
-        held = self._cache.find(("classes", cell))
+        held: U8 | None = self.cache.find(("classes", cell))
         if held is None:
             row = self._rows[cell]
             above = self._levels(int(row["parent"])) if row["parent"] >= 0 else None
@@ -406,7 +407,7 @@ class VisibilityStore:
                 held = _codec.decode_classes(data, self._words(cell), *shape)
             except _codec.CodecError as error:
                 raise self._undecodable(f"classes of cell {cell}", error) from error
-            self._cache.keep(("classes", cell), held)
+            self.cache.keep(("classes", cell), held)
         return held
 
     def _check_class(self, name: str, level: int) -> int:

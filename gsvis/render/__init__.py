@@ -1,16 +1,22 @@
 """Rendering: images, weights and gradients of Gaussians, colored by SH, RGB or SRBF, on the CPU and elsewhere."""
 
+from typing import TYPE_CHECKING, Any
+
 from gsvis.render.metrics import flip, lpips, psnr, ssim
 from gsvis.render.rasterizer import Rendering, rasterize
 from gsvis.render.removal import RemovalEffects, removal_effects
-from gsvis.render.tensors import GaussianTensors
 from gsvis.render.weights import PixelContributors, ViewWeights, contributors, view_weights
+
+if TYPE_CHECKING:
+    from gsvis.render.rasterizer_torch import RenderingTensors
+    from gsvis.render.tensors import GaussianTensors
 
 __all__ = [
     "GaussianTensors",
     "PixelContributors",
     "RemovalEffects",
     "Rendering",
+    "RenderingTensors",
     "ViewWeights",
     "contributors",
     "flip",
@@ -21,6 +27,22 @@ __all__ = [
     "ssim",
     "view_weights",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the torch faces when they are asked for."""
+    if name in ("GaussianTensors", "RenderingTensors"):
+        from gsvis._extras import require
+
+        require(f"gsvis.render.{name}", "torch")
+        if name == "GaussianTensors":
+            from gsvis.render.tensors import GaussianTensors
+
+            return GaussianTensors
+        from gsvis.render.rasterizer_torch import RenderingTensors
+
+        return RenderingTensors
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -1,94 +1,61 @@
 """Colors that stand in for SH in `rasterize`: one for all cameras, one for each, or SRBF colors seen from each.
 
-SRBF colors are evaluated when their camera is drawn, never for all cameras at once.
+SRBF colors are evaluated when their camera is drawn, never for all cameras at once. `gsvis.render.colors_torch` does
+the same for tensors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sized
 
 import numpy as np
-import torch
-from numpy.typing import ArrayLike
-from torch import Tensor
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color.evaluate import Evaluator
-from gsvis.color.evaluate_torch import SrbfTensors, evaluate_torch
 from gsvis.color.srbf import SrbfColors
-from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 
-__all__ = ["CameraColors", "Colors", "camera_colors"]
+__all__ = ["Colors", "camera_colors", "check_color_shape", "check_count"]
 
-Colors = Tensor | ArrayLike | SrbfColors | SrbfTensors | Evaluator | None
-
-
-@dataclass(frozen=True, eq=False)
-class CameraColors:
-    """Where the colors of each camera come from.
-
-    Attributes:
-        of: Number of a camera -> (N, 3) RGB of the Gaussians' type; None where SH colors them.
-        requires_grad: Whether the colors have gradients of their own.
-    """
-
-    of: Callable[[int], Tensor | None]
-    requires_grad: bool
+F32 = NDArray[np.float32]
+Colors = ArrayLike | SrbfColors | Evaluator | None
 
 
-def camera_colors(colors: Colors, tensors: GaussianTensors, cameras: Cameras, backend: str) -> CameraColors:
-    """Check the colors that `rasterize` was given, and say how to make those of one camera.
+def camera_colors(colors: Colors, means: F32, cameras: Cameras) -> Callable[[int], F32 | None]:
+    """Check the colors that `rasterize` was given, and return what makes those of one camera.
 
     Args:
         colors: As `rasterize` takes them.
-        tensors: The N Gaussians.
+        means: (N, 3) centers of the Gaussians, world frame.
         cameras: The C cameras.
-        backend: Name of the backend that draws; "cpu" evaluates SRBF by kernels, unless gradients are taken.
+
+    Returns:
+        Number of a camera -> (N, 3) RGB; None where SH colors the Gaussians.
 
     Raises:
         ValueError: If there is not one color for each Gaussian, or a value is not finite.
     """
     if colors is None:
-        return CameraColors(lambda c: None, False)
-    if not isinstance(colors, SrbfColors | SrbfTensors | Evaluator):
-        given = _given(colors, len(tensors), len(cameras)).to(tensors.means)
-        return CameraColors(lambda c: given[c if len(given) > 1 else 0], given.requires_grad)
-    if len(colors) != len(tensors):
-        raise ValueError(
-            f"colors: expected those of {len(tensors)} Gaussians, got {len(colors)}; fit them to this scene"
-        )
-    eyes = cameras.viewpoints
-    training = torch.is_grad_enabled() and any(t.requires_grad for t in vars(tensors).values())
-    if backend == "cpu" and not training and not isinstance(colors, SrbfTensors):
-        evaluator = colors if isinstance(colors, Evaluator) else Evaluator(colors)
-        means = tensors.means.detach().cpu().numpy()
-        return CameraColors(lambda c: torch.from_numpy(evaluator.colors(means, eyes[c])).to(tensors.means), False)
-    if not isinstance(colors, SrbfTensors):
-        source = colors.source if isinstance(colors, Evaluator) else colors
-        colors = SrbfTensors.from_colors(source, tensors.means.dtype, tensors.means.device)
-    terms = colors
-
-    def seen(c: int) -> Tensor:
-        found = evaluate_torch(terms, tensors.means, eyes[c]).to(tensors.means)
-        return found if training or found.requires_grad else _finite(found)  # a training step checks shapes alone
-
-    return CameraColors(seen, terms.requires_grad)
+        return lambda c: None
+    if not isinstance(colors, SrbfColors | Evaluator):
+        n = len(means)
+        given: F32 = _check.floats("colors", colors, np.shape(colors))
+        check_color_shape(given.shape, n, len(cameras))
+        each = given if given.ndim == 3 else given[None]
+        return lambda c: each[c if len(each) > 1 else 0]
+    check_count(colors, len(means))
+    evaluator, eyes = colors if isinstance(colors, Evaluator) else Evaluator(colors), cameras.viewpoints
+    return lambda c: evaluator.colors(means, eyes[c])
 
 
-def _given(colors: Tensor | ArrayLike, n: int, cameras: int) -> Tensor:
-    """(1 or C, N, 3)."""
-    if isinstance(colors, Tensor):
-        given = colors
-    else:
-        given = torch.from_numpy(np.require(_check.floats("colors", colors, np.shape(colors)), requirements="W"))
-    if tuple(given.shape) not in ((n, 3), (cameras, n, 3)):
-        raise ValueError(f"colors: expected shape ({n}, 3) or ({cameras}, {n}, 3), got {tuple(given.shape)}")
-    return _finite(given).reshape(-1, n, 3)
+def check_color_shape(shape: tuple[int, ...], n: int, cameras: int) -> None:
+    """Raise unless colors are (N, 3) or (C, N, 3)."""
+    if tuple(shape) not in ((n, 3), (cameras, n, 3)):
+        raise ValueError(f"colors: expected shape ({n}, 3) or ({cameras}, {n}, 3), got {tuple(shape)}")
 
 
-def _finite(colors: Tensor) -> Tensor:
-    if not bool(torch.isfinite(colors.detach()).all()):
-        raise ValueError("colors: expected finite values, got NaN or infinity")
-    return colors
+def check_count(colors: Sized, n: int) -> None:
+    """Raise unless SRBF colors are those of N Gaussians."""
+    if len(colors) != n:
+        raise ValueError(f"colors: expected those of {n} Gaussians, got {len(colors)}; fit them to this scene")

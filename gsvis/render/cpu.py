@@ -1,4 +1,4 @@
-"""The CPU rasterizer: numba kernels behind one differentiable torch function, one camera at a time.
+"""The CPU rasterizer with gradients: numba kernels behind one differentiable torch function, one camera at a time.
 
 Conventions are DESIGN decision 10 (docs/conventions.md). Nothing depends on the order of the Gaussians in the scene or
 on the number of threads.
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gsvis import _check
-from gsvis.color.sh import write_sh_colors, write_sh_gradients
+from gsvis.color.sh import write_sh_gradients
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
-from gsvis.render.splats import View, blend, project
+from gsvis.render.splats import View, blend, color_splats, project
 
 __all__ = ["rasterize_cpu"]
 
@@ -49,13 +49,7 @@ class _Rasterize(torch.autograd.Function):
         arrays = [None if t is None else _array(t) for t in tensors]
         scene, colors = _Scene(*arrays[:6]), arrays[6]  # type: ignore[arg-type]
         projected = project(scene, view, antialiased=antialiased, pairs=with_gradient)
-        features = np.empty((len(projected.ids), 4), np.float32)
-        features[:, 3] = projected.depths
-        if colors is None:
-            coefficients = (scene.means, scene.sh0, scene.shN)
-            write_sh_colors(projected.ids, coefficients, degree, view.eye, features)
-        else:
-            features[:, :3] = colors[projected.ids]
+        features = color_splats(scene, projected, view, degree, colors)
         image, transmittance, depth, median, stop_at = blend(projected, view, features, background)
         ctx.saved = (view, options, scene, colors, projected, features, transmittance, depth, stop_at)
         ctx.dtypes = [None if t is None else t.dtype for t in tensors]

@@ -5,27 +5,34 @@ gsplat's classic conventions are ours (DESIGN decision 10); median depth is the 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from gsvis.render.tensors import GaussianTensors
+from gsvis._extras import remedy_of
 from gsvis.scene.cameras import Cameras
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from gsvis.render.tensors import GaussianTensors
 
 __all__ = ["is_available", "rasterize_cuda"]
 
 
 def is_available() -> str:
-    """Why the backend cannot run here, with what to install; empty if it can."""
+    """Return why the backend cannot run here, with what to install; empty if it can."""
+    try:
+        import torch
+    except ImportError:
+        return f"backend 'cuda': expected the package torch, got none; {remedy_of('torch')}"
     if not torch.cuda.is_available():
         return "backend 'cuda': expected a CUDA GPU and a torch build for it, got neither; use backend='cpu'"
     try:
         import gsplat  # noqa: F401
     except ImportError as error:
-        return f"backend 'cuda': expected an importable gsplat, got '{error}'; pip install 'gsvis[cuda]'"
+        return f"backend 'cuda': expected an importable gsplat, got '{error}'; {remedy_of('gsplat')}"
     return ""
 
 
@@ -45,6 +52,7 @@ def rasterize_cuda(
         image (H, W, 3), alpha (H, W), expected depth (H, W), and NaN for the median depth (H, W).
     """
     import gsplat
+    import torch
 
     device = tensors.means.device
 
@@ -68,6 +76,7 @@ def rasterize_cuda(
 
 def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:
     """Let the gradient that reaches gsplat's projected centers also reach the probe."""
+    import torch
 
     def add(gradient: Tensor) -> Any:
         torch.autograd.backward(probe, gradient.reshape(probe.shape).detach())

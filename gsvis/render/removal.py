@@ -11,16 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color.sh import write_sh_colors
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import removal as _kernels_removal
-from gsvis.render.colors import CameraColors, Colors, camera_colors
-from gsvis.render.splats import Projected, View, blend, project
-from gsvis.render.tensors import GaussianTensors
+from gsvis.render.colors import Colors, camera_colors
+from gsvis.render.splats import Projected, View, blend, color_splats, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -70,7 +67,7 @@ def removal_effects(
         cameras: C cameras.
         images: (C, H, W, 3) targets, photographs or renders of a fuller scene; uint8 where 255 is white, or floats
             where 1 is white. None for the scene's own images.
-        colors: As in `rasterize`, in place of SH.
+        colors: In place of SH, as `rasterize` takes them for arrays.
         background: (3,) RGB behind everything.
         presence: (N,) in [0, 1], the share of its alpha with which each Gaussian is there while others are looked at:
             0 for one that is absent, between for one that may or may not stay. Effects are always those of none of a
@@ -97,14 +94,13 @@ def removal_effects(
     if presence is not None:
         there = _check.floats("presence", presence, (len(gaussians),))
         _check.in_range("presence", there, 0.0, 1.0)
-    tensors = None if colors is None else GaussianTensors.from_gaussians(gaussians)
-    per_camera = None if tensors is None else camera_colors(colors, tensors, cameras, "cpu")
+    color_of = camera_colors(colors, gaussians.means, cameras)
     sums = np.zeros((len(gaussians), 3))
     progress("removal", 0, len(cameras))
     for c in range(len(cameras)):
         view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
         projected = project(gaussians, view, antialiased=False, pairs=True)
-        features = _features(gaussians, view, projected, per_camera, c)
+        features = color_splats(gaussians, projected, view, gaussians.sh_degree, color_of(c))
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
         if images is not None:
@@ -123,17 +119,6 @@ def removal_effects(
     sums /= 3.0
     absolute, squared, error_change = (np.ascontiguousarray(column) for column in sums.T)
     return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.height * cameras.width)
-
-
-def _features(g: Gaussians, view: View, projected: Projected, per_camera: CameraColors | None, c: int) -> F32:
-    """(M, 4) color of each splat, and 1."""
-    features = np.ones((len(projected.ids), 4), np.float32)
-    given = None if per_camera is None else per_camera.of(c)
-    if given is None:
-        write_sh_colors(projected.ids, (g.means, g.sh0, g.shN), g.sh_degree, view.eye, features)
-    else:
-        features[:, :3] = given.detach().to(torch.float32).numpy()[projected.ids]
-    return features
 
 
 def _blend(view: View, projected: Projected, features: F32, background: F32) -> F32:

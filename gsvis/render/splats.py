@@ -14,10 +14,11 @@ from numba import get_num_threads
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.color.sh import write_sh_colors
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
 
-__all__ = ["Projected", "View", "blend", "project"]
+__all__ = ["Projected", "View", "blend", "color_splats", "draw", "project"]
 
 _BLOCK = 2048
 F32 = NDArray[np.float32]
@@ -149,3 +150,44 @@ def blend(
     offsets, members = (projected.offsets, projected.members) if tiles is None else tiles
     _kernels_tiles.blend_tiles(projected.splats, features, offsets, members, view.tiles[0], background, image, *planes)
     return image, planes[0], planes[1], planes[2], planes[3]
+
+
+def color_splats(scene: Any, projected: Projected, view: View, sh_degree: int, colors: F32 | None) -> F32:
+    """Return the (M, 4) features of splats that `blend` draws: their colors and depths.
+
+    Args:
+        scene: Has means, sh0 and shN as arrays.
+        projected: The M splats of the view.
+        view: The camera.
+        sh_degree: Degree to evaluate, at most that of the scene.
+        colors: (N, 3) RGB instead of SH.
+    """
+    features = np.empty((len(projected.ids), 4), np.float32)
+    features[:, 3] = projected.depths
+    if colors is None:
+        write_sh_colors(projected.ids, (scene.means, scene.sh0, scene.shN), sh_degree, view.eye, features)
+    else:
+        features[:, :3] = colors[projected.ids]
+    return features
+
+
+def draw(
+    scene: Any, view: View, *, background: F32, sh_degree: int, antialiased: bool = False, colors: F32 | None = None
+) -> tuple[F32, F32, F32, F32]:
+    """Draw one view, without gradients.
+
+    Args:
+        scene: Has means, quats, scales, opacities, sh0 and shN as arrays.
+        view: The camera.
+        background: (3,) RGB behind everything.
+        sh_degree: Degree to evaluate, at most that of the scene.
+        antialiased: Make opacity pay for the dilation.
+        colors: (N, 3) RGB instead of SH.
+
+    Returns:
+        image (H, W, 3), alpha (H, W), expected depth (H, W), median depth (H, W).
+    """
+    projected = project(scene, view, antialiased=antialiased, pairs=False)
+    features = color_splats(scene, projected, view, sh_degree, colors)
+    image, transmittance, depth, median, _ = blend(projected, view, features, background)
+    return image, np.float32(1.0) - transmittance, depth, median

@@ -17,7 +17,6 @@ from gsvis.color.srbf import SrbfColors
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import flip_map
 from gsvis.render.rasterizer import rasterize
-from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -46,7 +45,7 @@ class Approximations:
             raise ValueError(f"colors: expected those of {len(g)} Gaussians, got {len(colors)}")
         if len(cameras) == 0:
             raise ValueError("cameras: expected at least one, got none")
-        self._means, self._tensors, self._cameras = g.means, GaussianTensors.from_gaussians(g), cameras
+        self._gaussians, self._cameras = g, cameras
         self._evaluator = Evaluator(colors)
         activation = Activation(colors, g.means, 0.0)
         self._eyes = cameras.viewpoints
@@ -79,8 +78,8 @@ class Approximations:
 
     def _draw(self, view: int, epsilon: float | None) -> F32:
         active = None if epsilon is None else self._contributions[view] > np.float32(epsilon)
-        colors = self._evaluator.colors(self._means, self._eyes[view], active=active)
-        image: F32 = rasterize(self._tensors, self._cameras[view], colors=colors).images[0].numpy()
+        colors = self._evaluator.colors(self._gaussians.means, self._eyes[view], active=active)
+        image: F32 = rasterize(self._gaussians, self._cameras[view], colors=colors).images[0]
         return image
 
 

@@ -19,7 +19,7 @@ from gsvis.report.color_page import DIFFERENCE, color_page
 from gsvis.report.color_plots import draw_active, draw_active_psnr, draw_bytes, draw_first_terms, draw_term_counts
 from gsvis.report.color_spheres import draw_spheres, fit_spheres
 from gsvis.report.document import Subject
-from gsvis.report.files import write_files
+from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.theme import DARK, LIGHT, drawn
@@ -80,7 +80,7 @@ def write_color_report(
     document = color_document(fitted, subject)
     figures = _figures(fitted, progress)
     folder = _check.path("folder", folder)
-    with atomic_folder(folder) as partial_folder:
+    with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(partial_folder, figures.values(), document, color_page(fitted, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
         (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
@@ -133,7 +133,7 @@ def _pictures(fitted: FittedColors, quality: ColorQuality, view: int) -> dict[st
     """One view: by SH, by all terms, by base colors, and what differs between the first two."""
     camera, (g, fit) = quality.cameras[view], fitted.drawn
     images = {
-        name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0].numpy(), 0.0, 1.0)
+        name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0], 0.0, 1.0)
         for name, colors in (("sh", None), ("srbf", fit), ("base", fit.first(0)))
     }
     return {**images, "difference": DIFFERENCE * np.abs(images["sh"] - images["srbf"])}

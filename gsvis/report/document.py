@@ -14,7 +14,7 @@ from gsvis.files.atomic import atomic_folder
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.raycast.analysis import FACE_LIMITS, PAPER, Analysis
-from gsvis.report.files import write_files
+from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
 from gsvis.report.page import page
@@ -108,7 +108,7 @@ def write_report(
     figures = _figures(analysis, subject, pictures, progress)
     document = report_document(analysis, subject)
     folder = _check.path("folder", folder)
-    with atomic_folder(folder) as partial_folder:
+    with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(partial_folder, figures.values(), document, page(analysis, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
         (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one

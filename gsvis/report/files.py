@@ -12,10 +12,13 @@ from typing import Any
 
 from gsvis.report.html import Figure
 
-__all__ = ["TIMINGS", "write_files"]
+__all__ = ["LAST", "TIMINGS", "write_files"]
 
 TIMINGS = "timings.json"
 """The file that differs between two runs."""
+
+LAST = ("report.html", "report.json")
+"""Files that move into place after all others: where `report.json` is new, all of the report is."""
 
 
 def write_files(

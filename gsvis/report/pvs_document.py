@@ -16,7 +16,7 @@ from gsvis.pvs.quality import Quality
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render import rasterize
 from gsvis.report.document import Subject
-from gsvis.report.files import write_files
+from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.maps import CellMap, Ground, draw_cells
 from gsvis.report.pictures import png_of
@@ -119,7 +119,7 @@ def write_pvs_report(
     """
     document = pvs_document(quality, store, subject)
     figures = _figures(quality, store, subject, document["store"]["ever_visible_share"], progress)
-    with atomic_folder(folder) as partial_folder:
+    with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(partial_folder, figures.values(), document, pvs_page(quality, document, figures), subject.seconds)
     return document
 
@@ -173,5 +173,5 @@ def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict
     held = np.zeros(store.gaussians, bool)
     held[store.visible_ids(int(quality.cells[m]))] = True
     kept = g[held if quality.shown is None else held[quality.shown]]
-    full, culled = (np.clip(rasterize(some, camera, backend="cpu").images[0].numpy(), 0.0, 1.0) for some in (g, kept))
+    full, culled = (np.clip(rasterize(some, camera, backend="cpu").images[0], 0.0, 1.0) for some in (g, kept))
     return {"worst_full": full, "worst_set": culled, "worst_difference": _BRIGHTER * np.abs(full - culled)}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
-from gsvis.report.files import write_files
+from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.session_page import session_page
@@ -29,7 +29,7 @@ from gsvis.report.session_plots import (
 from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
-from gsvis.simulate.session import Session
+from gsvis.simulate.viewing import Viewing
 
 __all__ = ["Simulation", "Visit", "session_document", "write_session_report"]
 
@@ -50,7 +50,7 @@ class Visit:
     """
 
     title: str
-    sessions: tuple[Session, ...]
+    sessions: tuple[Viewing, ...]
     compared_with: str
     path: dict[str, Any] = field(default_factory=dict)
     scene: dict[str, Any] = field(default_factory=dict)
@@ -142,7 +142,7 @@ def write_session_report(
     document = session_document(simulation)
     figures = _figures(simulation, progress)
     folder = _check.path("folder", folder)
-    with atomic_folder(folder) as partial_folder:
+    with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(
             partial_folder, figures.values(), document, session_page(simulation, document, figures), simulation.seconds
         )

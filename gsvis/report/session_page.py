@@ -9,7 +9,7 @@ from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
 from gsvis.report.session_plots import PAPER_SENT
 from gsvis.simulate.frames import CONTENT_DB
-from gsvis.simulate.session import GOOD_DB
+from gsvis.simulate.viewing import GOOD_DB
 
 if TYPE_CHECKING:
     from gsvis.report.session_document import Simulation, Visit

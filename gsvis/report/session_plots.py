@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.abr.traces import BYTES, BandwidthTrace
 from gsvis.report.theme import Theme
-from gsvis.simulate.session import GOOD_DB, Session
+from gsvis.simulate.viewing import GOOD_DB, Viewing
 
 __all__ = [
     "PAPER_SENT",
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 F64 = NDArray[np.float64]
-Visits = Sequence[Sequence[Session]]
+Visits = Sequence[Sequence[Viewing]]
 
 PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
 """SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
@@ -149,7 +149,7 @@ def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
     axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
 
 
-def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Session], F64]) -> None:
+def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewing], F64]) -> None:
     """A value of each step of all systems, scene after scene."""
     start = 0.0
     for k, sessions in enumerate(visits):
@@ -168,7 +168,7 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Sessio
     axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
 
 
-def _with_content(session: Session, values: F64) -> F64:
+def _with_content(session: Viewing, values: F64) -> F64:
     """(S,) values of the steps, NaN where there was nothing to see: a gap in the curve."""
     return np.where(session.content, values, np.nan)
 

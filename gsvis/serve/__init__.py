@@ -1,7 +1,7 @@
 """A server of packages and a client over real sockets: the scheduler of the simulator behind WebSockets.
 
     with open_scenes(["scene.gsvis"]) as scenes, Server(scenes).running() as url:
-        client = fetch(url, FieldOfView.of_degrees(90, 70), path.at, seconds=5.0)
+        client = fetch(url, FieldOfView.from_degrees(90, 70), path.at, seconds=5.0)
     gaussians, colors = client.receiver.scene()
 
 Needs the extra 'serve'. docs/serving.md tells how to operate it.

@@ -124,6 +124,7 @@ class Door:
                 self._means.metrics.cut.add(of="no TLS")
                 self._log("cut", logging.INFO, reason="no TLS", peer=str(guard), why=type(error).__name__)
             guard.end()
+            error.__traceback__ = None  # a frame of asyncio in it refers to the error, and to the buffers of TLS
         except asyncio.CancelledError:
             guard.end()
             raise

@@ -26,6 +26,10 @@ _NEVER = 1e6  # seconds; the guard has a deadline for it
 class Plain(H11Protocol):
     """Plain requests."""
 
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self.cycle = None  # type: ignore[assignment]  # it refers to this object
+
     def on_response_complete(self) -> None:
         super().on_response_complete()
         self._unset_keepalive_if_required()  # the guard has the deadline; this one outlives a reset connection
@@ -48,6 +52,13 @@ class Socket(WebSocketsSansIOProtocol):
         super().data_received(data)
         if getattr(self.conn, "handshake_exc", None) is not None and not self.handshake_complete:
             self._refuse_handshake()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self.conn.parser.close()  # a generator that refers to its parser, with all that it has read
+        for name in ("parser_exc", "handshake_exc"):  # the latter in newer versions only
+            if (error := getattr(self.conn, name, None)) is not None:
+                error.__traceback__ = None  # its frames do so, too
 
     def _refuse_handshake(self) -> None:
         """Answer a request that the WebSocket parser does not take; the guard should have done so before."""

@@ -31,7 +31,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gsvis.abr.scheduler import SchedulerConfig
+from gsvis.abr.config import AbrConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve._addresses import Proxies, is_known_host, owner_of
 from gsvis.serve._log import LOGGER, EventLog
@@ -61,7 +61,7 @@ class AppConfig:
         origins: Origins of pages that may open streams, such as "https://example.org"; "*" is every one. Pages of the
             server's own address may always.
         limits: Bounds.
-        scheduler: Of every client.
+        abr: How streams adapt.
         hosts: Names by which the server may be asked, as in the Host header, without port; ".example.org" is all below
             it, "*" is every one. Addresses and localhost are always good; `Server` adds the name that it listens on.
         proxies: Addresses or networks of proxies whose X-Forwarded-For is believed, such as "127.0.0.1".
@@ -73,7 +73,7 @@ class AppConfig:
     token: str | None = field(default=None, repr=False)
     origins: tuple[str, ...] = ()
     limits: Limits = field(default_factory=Limits)
-    scheduler: SchedulerConfig = field(default_factory=SchedulerConfig)
+    abr: AbrConfig = field(default_factory=AbrConfig)
     hosts: tuple[str, ...] = ()
     proxies: tuple[str, ...] = ()
 
@@ -366,9 +366,7 @@ def build_app(
         clock: Where deadlines come from; None means `Clock()`.
     """
     config, metrics, log = config or AppConfig(), metrics or Metrics(), log or EventLog()
-    setting = Setting(
-        config.limits, metrics, log, config.scheduler, clock or Clock(), planners=planners, pace=pace or Pace()
-    )
+    setting = Setting(config.limits, metrics, log, config.abr, clock or Clock(), planners=planners, pace=pace or Pace())
     app = _App(scenes, config, metrics, log, setting)
     found = Starlette(
         routes=[

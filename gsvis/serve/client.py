@@ -1,6 +1,6 @@
 """A client in Python: says where it is, takes what comes, and comes back with what it holds when the connection breaks.
 
-    client = StreamClient("ws://127.0.0.1:8765/stream", FieldOfView.of_degrees(90, 70))
+    client = StreamClient("ws://127.0.0.1:8765/stream", FieldOfView.from_degrees(90, 70))
     await client.run(path.at, seconds=5.0)
     gaussians, colors = client.receiver.scene()
 

@@ -63,6 +63,7 @@ class Clock:
                 task.cancel()
                 with suppress(asyncio.CancelledError, Exception):
                     await task
+            del task, late  # an error refers to this frame, and the task to its error
 
 
 class ManualClock(Clock):

@@ -1,9 +1,9 @@
-"""One client of the server: two loops over its socket around one `Sender`, which decides what goes out.
+"""One client of the server: two loops over its socket around one `Session`, which decides what goes out.
 
-One loop listens and keeps what it hears in a short list; the other takes it from there, plans and sends, so a sender is
-never used by two at once. Nothing here grows with what a client does: what is under way is bounded by the sender's
-allowance, what waits to be looked at by counts. Deadlines come from the clock of the server; links are measured, and
-batches paced, by real time. Seconds, bytes of messages.
+One loop receives into a short list; the other takes from it, plans and sends, so no two tasks use a session at once.
+Memory does not grow with what a client does: the allowance of the session bounds the bytes in flight, and a count
+bounds the list. Deadlines come from the clock of the server; links are measured, and batches paced, by real time.
+Seconds, bytes of messages.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol, TypeVar
 
-from gsvis.abr.scheduler import SchedulerConfig
+from gsvis.abr.config import AbrConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve._log import EventLog
 from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits, Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Sender, parse_client
+from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Session, parse_client
 from gsvis.stream.wire import FAULTS, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
@@ -80,7 +80,7 @@ class Setting:
     limits: Limits
     metrics: Metrics
     log: EventLog
-    config: SchedulerConfig
+    config: AbrConfig
     clock: Clock = field(default_factory=Clock)
     measure: Callable[[], float] = time.monotonic
     planners: Executor | None = None
@@ -127,7 +127,7 @@ class Connection:
         seat: Called once HELLO is understood; returns why this client may not stream, or "". None lets it.
 
     Attributes:
-        sender: What decides; None before HELLO.
+        session: What decides; None before HELLO.
         reason: Why it ended: "left", "lost", or a limit or fault.
     """
 
@@ -135,7 +135,7 @@ class Connection:
         self, peer: Peer, served: ServedScene, setting: Setting, number: int, seat: Callable[[], str] | None = None
     ) -> None:
         self._peer, self._served, self._setting, self.number, self._seat = peer, served, setting, number, seat
-        self.sender: Sender | None = None
+        self.session: Session | None = None
         self.reason = ""
         self._heard: list[tuple[float, PoseAt | Ack]] = []
         self._bell: asyncio.Future[None] | None = None
@@ -166,10 +166,9 @@ class Connection:
             await self._greet()
             loops = [asyncio.create_task(loop) for loop in (self._listen(), self._talk(), self._leave_seat())]
             done, _ = await asyncio.wait(loops, return_when=asyncio.FIRST_COMPLETED)
-            for task in sorted(done, key=loops.index):
-                task.result()
-        except GoneError as gone:
-            self.reason = str(gone) or "lost"
+            # Not raised again: the error would refer to this frame, and so to the task that holds the error.
+            ended = next(task.exception() for task in loops if task in done)
+            fault = self._judge(ended) if isinstance(ended, Exception) else None
         except Exception as error:
             fault = self._judge(error)
         finally:
@@ -178,6 +177,7 @@ class Connection:
             if self._alarm is not None:
                 self._alarm.cancel()
             await asyncio.gather(*loops, return_exceptions=True)
+            self._seat = None  # it refers to this object
             self._account(began)
         if self.reason not in ("left", "lost", "ending"):
             await self._farewell(fault)
@@ -196,14 +196,16 @@ class Connection:
         if self._seat is not None and (why := self._seat()):
             raise ProtocolError(f"no seat ({why}); try again later", FAULTS["too-many"])
         try:
-            self.sender = await self._apart(partial(Sender.greeted, self._served.scene, said, self._setting.config))
+            self.session = await self._apart(
+                partial(Session.from_hello, self._served.scene, said, self._setting.config)
+            )
         except ValueError as error:
             raise ProtocolError(f"HELLO: {error}") from error
         self._alive = self._moved = clock.now()
-        await self._peer.send(self.sender.welcome(self._setting.measure()).data)
+        await self._peer.send(self.session.welcome(self._setting.measure()).data)
         self._setting.metrics.opened.add(of=self._served.name)
         self._setting.log(
-            "opened", client=self.number, scene=self._served.name, held=len(self.sender.holdings.received) or None
+            "opened", client=self.number, scene=self._served.name, held=len(self.session.holdings.received) or None
         )
 
     async def _listen(self) -> None:
@@ -257,12 +259,12 @@ class Connection:
 
     def _idle_for(self, now: float) -> float:
         """Seconds until it is time for a batch, if nothing happens before; 0 for now."""
-        sender, tick = self._sender, self._setting.limits.tick_s
-        if not self._has_pose or (sender.done and not self._fresh):
+        session, tick = self._session, self._setting.limits.tick_s
+        if not self._has_pose or (session.done and not self._fresh):
             return _ROUND
         if self._dry:
             return max(self._planned + tick - now, 0.0)
-        return 0.0 if sender.room(self._piece_s) > 0.0 else _ROUND  # an acknowledgement rings the bell
+        return 0.0 if session.room(self._piece_s) > 0.0 else _ROUND  # an acknowledgement rings the bell
 
     @property
     def _piece_s(self) -> float:
@@ -271,9 +273,9 @@ class Connection:
 
     def _plan(self) -> tuple[Message | None, float]:
         """The next batch, and how long it took; perhaps in another thread."""
-        sender, began = self._sender, self._setting.measure()
-        budget = min(sender.room(self._piece_s), float(self._setting.limits.batch_bytes))
-        message = sender.next_message(began, budget)
+        session, began = self._session, self._setting.measure()
+        budget = min(session.room(self._piece_s), float(self._setting.limits.batch_bytes))
+        message = session.next_message(began, budget)
         return message, self._setting.measure() - began
 
     def _count(self, message: Message) -> None:
@@ -284,17 +286,17 @@ class Connection:
         metrics.terms.add(len(message.batch.terms))
 
     def _take_in(self) -> None:
-        """Give the sender what has been heard."""
-        heard, self._heard, sender = self._heard, [], self._sender
+        """Give the session what has been heard."""
+        heard, self._heard, session = self._heard, [], self._session
         for t, said in heard:
             try:
                 if isinstance(said, Ack):
-                    before = sender.outstanding
-                    sender.on_ack(t, said.sequence)
-                    if sender.outstanding < before:
+                    before = session.outstanding
+                    session.on_ack(t, said.sequence)
+                    if session.outstanding < before:
                         self._moved = self._setting.clock.now()
                 else:
-                    sender.on_pose(self._pose_clock.at(t, said.time_ms), self._served.within(said.position), said.quat)
+                    session.on_pose(self._pose_clock.at(t, said.time_ms), self._served.within(said.position), said.quat)
                     self._has_pose = self._fresh = True
             except ValueError as error:
                 raise ProtocolError(f"{type(said).__name__}: {error}") from error
@@ -304,7 +306,7 @@ class Connection:
         limits, now = self._setting.limits, self._setting.clock.now()
         if now - self._alive >= limits.idle_s - _SLACK:
             raise ProtocolError(f"no message within {limits.idle_s:g} s; closing", FAULTS["late"])
-        if self._sender.outstanding == 0:
+        if self._session.outstanding == 0:
             self._moved = now
         if now - self._moved >= limits.stall_s - _SLACK:
             raise ProtocolError(f"no ACK within {limits.stall_s:g} s; closing", FAULTS["late"])
@@ -336,13 +338,16 @@ class Connection:
             self._bell.set_result(None)
 
     @property
-    def _sender(self) -> Sender:
-        assert self.sender is not None
-        return self.sender
+    def _session(self) -> Session:
+        assert self.session is not None
+        return self.session
 
-    def _judge(self, error: Exception) -> ServerFault:
-        """What to tell the client and the log of an error."""
-        fault = ServerFault.of(error)
+    def _judge(self, error: Exception) -> ServerFault | None:
+        """Return what to tell the client of an error, and log it; None if the client has gone."""
+        if isinstance(error, GoneError):
+            self.reason = str(error) or "lost"
+            return None
+        fault = ServerFault.from_error(error)
         if isinstance(error, ProtocolError):
             self.reason = next((name for name, code in FAULTS.items() if code == error.code), "malformed")
             self._setting.log("refused", logging.WARNING, client=self.number, reason=self.reason, why=str(error))
@@ -359,13 +364,13 @@ class Connection:
         return fault
 
     def _account(self, began: float) -> None:
-        if self.sender is None:
+        if self.session is None:
             self._setting.metrics.refused.add(of=self.reason or "ending")
             return
         self._setting.metrics.closed.add(of=self.reason or "ending")
         self._setting.log(
             "closed", client=self.number, reason=self.reason or "ending", seconds=self._setting.measure() - began,
-            sent_bytes=self.sender.wire_bytes, unacknowledged=self.sender.outstanding, rate=self.sender.rate,
+            sent_bytes=self.session.wire_bytes, unacknowledged=self.session.outstanding, rate=self.session.rate,
         )  # fmt: skip
 
     async def _farewell(self, fault: ServerFault | None) -> None:

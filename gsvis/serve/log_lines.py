@@ -68,6 +68,6 @@ def _json(value: object) -> object:
         return value
     if isinstance(value, Integral):
         return int(value)
-    if isinstance(value, Real) and math.isfinite(value):
-        return float(f"{float(value):.4g}")
+    if isinstance(value, Real) and math.isfinite(rounded := float(f"{float(value):.4g}")):
+        return rounded
     return str(value)

@@ -18,7 +18,7 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.errors import GsvisError
 from gsvis.package import Package
 from gsvis.serve._log import LOGGER, EventLog
-from gsvis.stream import Hello, Sender, StreamedScene
+from gsvis.stream import Hello, Session, StreamedScene
 
 __all__ = ["Scenes", "ServedScene", "open_scenes"]
 
@@ -73,19 +73,19 @@ class ServedScene:
             FormatError: If a part that is read for it is damaged.
         """
         scene, grid = self.scene, self.scene.index.grid
-        view, holdings = FieldOfView.of_degrees(90.0, 70.0, margin=8.0), b""
+        view, holdings = FieldOfView.from_degrees(90.0, 70.0, margin=8.0), b""
         for _ in range(2):  # a viewer that comes, and one that comes back
-            sender = Sender.greeted(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
-            sender.welcome(0.0)
+            session = Session.from_hello(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
+            session.welcome(0.0)
             for k, center in enumerate(grid.centers[:_WALK]):
-                sender.on_pose(0.1 * k, center, (1.0, 0.1 * k, 0.0, 0.0))
-                message = sender.next_message(0.1 * k + 0.02, _PIECE)
-                sender.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
-            holdings = sender.holdings.to_bytes()
+                session.on_pose(0.1 * k, center, (1.0, 0.1 * k, 0.0, 0.0))
+                message = session.next_message(0.1 * k + 0.02, _PIECE)
+                session.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
+            holdings = session.holdings.to_bytes()
         for cell in range(len(grid)):
-            if scene.store.nbytes > 0.9 * scene.store.max_bytes:
+            if scene.candidates.cache.fill > 0.9:
                 break
-            scene.store.of(cell)
+            scene.candidates.in_cell(cell)
 
     def refuse(self, line: str) -> None:
         """Serve it to nobody else from now on."""

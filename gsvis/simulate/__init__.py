@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gsvis.simulate.frames import Frame, Stage
     from gsvis.simulate.link import Link, Pipe
     from gsvis.simulate.playback import Playback, play
-    from gsvis.simulate.session import Session, SessionConfig, show_at, watch
+    from gsvis.simulate.viewing import Viewing, ViewingConfig, show_at, watch
 
 __all__ = [
     "Adaptive",
@@ -30,9 +30,9 @@ __all__ = [
     "Parcel",
     "Pipe",
     "Playback",
-    "Session",
-    "SessionConfig",
     "Stage",
+    "Viewing",
+    "ViewingConfig",
     "WholeFile",
     "morton_order",
     "play",
@@ -46,7 +46,7 @@ _HOMES = {
     "frames": ("Frame", "Stage"),
     "link": ("Link", "Pipe"),
     "playback": ("Playback", "play"),
-    "session": ("Session", "SessionConfig", "show_at", "watch"),
+    "viewing": ("Viewing", "ViewingConfig", "show_at", "watch"),
 }
 
 

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.abr.classes import FieldOfView
-from gsvis.abr.scheduler import SchedulerConfig
+from gsvis.abr.config import AbrConfig
 from gsvis.stream.scene import StreamedScene
-from gsvis.stream.sender import Sender
+from gsvis.stream.session import Session
 
 __all__ = ["Adaptive", "Delivery", "Parcel"]
 
@@ -68,16 +68,16 @@ class Delivery(Protocol):
 
 
 class Adaptive:
-    """What gsvis serves: the sender of `gsvis.stream`, with the bytes of its messages.
+    """What gsvis serves: the session of `gsvis.stream`, with the bytes of its messages.
 
     Args:
         scene: What all clients share.
         view: What the client shows.
-        config: How the scheduler decides; None means `SchedulerConfig()`.
+        config: How the scheduler decides; None means `AbrConfig()`.
         name: What reports call it.
 
     Attributes:
-        sender: The sender.
+        session: The session.
     """
 
     exact = False
@@ -86,25 +86,25 @@ class Adaptive:
         self,
         scene: StreamedScene,
         view: FieldOfView,
-        config: SchedulerConfig | None = None,
+        config: AbrConfig | None = None,
         *,
         name: str = "gsvis",
     ) -> None:
-        self.name, self.config = name, config or SchedulerConfig()
-        self.sender = Sender(scene, view, self.config)
+        self.name, self.config = name, config or AbrConfig()
+        self.session = Session(scene, view, self.config)
         self._greeted = False
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """See `Delivery`."""
-        self.sender.on_pose(t, position, quat)
+        self.session.on_pose(t, position, quat)
 
     def on_ack(self, t: float, sequence: int) -> None:
         """See `Delivery`."""
-        self.sender.on_ack(t, sequence)
+        self.session.on_ack(t, sequence)
 
     def next(self, t: float) -> Parcel | None:
         """See `Delivery`; the first parcel is WELCOME, which nothing can be drawn from."""
-        message = self.sender.next_message(t) if self._greeted else self.sender.welcome(t)
+        message = self.session.next_message(t) if self._greeted else self.session.welcome(t)
         self._greeted = True
         if message is None:
             return None

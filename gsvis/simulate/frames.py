@@ -97,7 +97,7 @@ class Frame:
         self._kept: dict[bytes, float] = {}
         self.drawings = 0
         if stage.reference is not None:
-            self.reference: F32 = np.clip(rasterize(stage.reference, camera, backend="cpu").images[0].numpy(), 0.0, 1.0)
+            self.reference: F32 = np.clip(rasterize(stage.reference, camera, backend="cpu").images[0], 0.0, 1.0)
         else:
             self.reference = self.image(stage.highest[self.ids], np.ones(stage.size[1], bool))
 

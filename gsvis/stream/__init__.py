@@ -1,12 +1,12 @@
 """A scene as messages, exact to the byte, and back: what a server sends and a client draws, without sockets or clocks.
 
     scene = StreamedScene.open("scene.gsvis")                        # one for all clients
-    sender = Sender(scene, FieldOfView.of_degrees(90, 70))           # one for a client
+    session = Session(scene, FieldOfView.from_degrees(90, 70))           # one for a client
     receiver = Receiver(scene.header)                                # at the client
-    sender.on_pose(t, position, quat)
-    message = sender.next_message(t)
+    session.on_pose(t, position, quat)
+    message = session.next_message(t)
     received = receiver.receive(message.data)
-    sender.on_ack(t, received.sequence)
+    session.on_ack(t, received.sequence)
     gaussians, colors = receiver.scene()
 
 Time, in seconds, is an argument. Scene frame and units; bytes are those of messages, as a WebSocket would carry them.
@@ -15,7 +15,7 @@ docs/streaming.md describes them.
 
 from gsvis.stream.receiver import Received, Receiver
 from gsvis.stream.scene import StreamedScene
-from gsvis.stream.sender import Message, Sender
+from gsvis.stream.session import Message, Session
 from gsvis.stream.wire import PROTOCOL, Ack, Bye, Hello, PoseAt, parse_client
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
     "PoseAt",
     "Received",
     "Receiver",
-    "Sender",
+    "Session",
     "StreamedScene",
     "parse_client",
 ]

@@ -66,7 +66,7 @@ class SceneHeader:
     identity: str
 
     @classmethod
-    def of(cls, manifest: Manifest) -> SceneHeader:
+    def from_manifest(cls, manifest: Manifest) -> SceneHeader:
         """What the manifest of a package says.
 
         Raises:

@@ -1,39 +1,42 @@
-"""A package as a server needs it: everything that all its clients share, decoded once. Safe to share by threads."""
+"""A package as a server needs it: all that its sessions share, decoded once. Threads may share it."""
 
 from __future__ import annotations
 
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.abr.candidates import CandidateStore
-from gsvis.abr.cells import StoreCells, class_weights
-from gsvis.abr.index import CellMembers, CellSets, SceneIndex
+from gsvis.abr.candidates import CandidateIndex
+from gsvis.abr.index import SceneIndex
+from gsvis.files.cache import Cache
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
 from gsvis.package.package import Package
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.codec import pack
+from gsvis.pvs.store import VisibilityStore
 from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.header import SceneHeader
 
-__all__ = ["StreamedScene"]
+__all__ = ["StreamedScene", "class_weights"]
 
 
 class StreamedScene:
-    """A package, ready to be sent; `StreamedScene.open` makes one.
+    """A package, ready to send; `StreamedScene.open` makes one.
 
     Attributes:
         package: As opened.
         contents: Its records.
         about: What WELCOME says.
         header: WELCOME, for every client.
-        index: What a scheduler knows of it.
-        store: Candidates of its cells, shared by all schedulers.
+        index: What planners know of it.
+        candidates: Candidates of its cells, shared by all planners.
         owners: (T,) int32, the Gaussian of each term.
         chunk_rows: (C,) rows of chunks as they travel.
-        ending: Gaussians that are replaced by others.
+        ending: Number of Gaussians that are replaced by others.
     """
 
     def __init__(self, package: Package, *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3) -> None:
@@ -41,27 +44,28 @@ class StreamedScene:
         self.package, self.contents = package, package.contents
         counts = self.contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        self.chunk_rows = _rows_of(self.contents)
-        self.about = SceneHeader.of(package.manifest)
+        self.chunk_rows = _chunk_rows(self.contents)
+        self.about = SceneHeader.from_manifest(package.manifest)
         self.header = self.about.to_message()
-        self.index = _index_of(package, max_cache_bytes // 2)
+        cache: Cache[Any] = Cache(max_cache_bytes)
+        self.index = _scene_index(package, cache)
         self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
-        self.store = CandidateStore(self.index, pixel=pixel, max_bytes=max_cache_bytes - max_cache_bytes // 2)
+        self.candidates = CandidateIndex(self.index, pixel=pixel, cache=cache)
 
     @classmethod
     def open(
         cls, package: Package | str | PathLike[str], *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3
     ) -> StreamedScene:
-        """Read a package, all records and the visible sets of none of its cells.
+        """Open a package: read all its records, and no visible set yet.
 
         Args:
-            package: An open one, which stays the caller's to close, or its folder. One without visible sets is served
-                as one cell that sees everything.
-            max_cache_bytes: Most bytes of what is decoded for cells.
+            package: An open package, which the caller closes, or its folder. A package without visible sets becomes one
+                cell that sees everything.
+            max_cache_bytes: Most bytes of decoded sets and candidates of cells.
             pixel: Angle of a pixel of the clients, radians.
 
         Raises:
-            FormatError: If it is no package, or damaged.
+            FormatError: If it is no package, or is damaged.
             OSError: If it cannot be opened.
         """
         _check.positive_int("max_cache_bytes", max_cache_bytes, at_least=0)
@@ -77,13 +81,13 @@ class StreamedScene:
 
     @property
     def most_hello(self) -> int:
-        """Bytes that a HELLO can have at most: holdings are three bitmaps."""
+        """Most bytes that a HELLO can have; holdings are three bitmaps."""
         bits = 2 * len(self.contents) + len(self.contents.term_records)
         return 4096 + bits // 8 + bits // 64
 
 
 class EveryCell:
-    """One cell that sees all Gaussians and has all terms active.
+    """The sets of one cell that sees all Gaussians and has all terms active.
 
     Args:
         gaussians: N.
@@ -91,23 +95,28 @@ class EveryCell:
     """
 
     def __init__(self, gaussians: int, terms: int) -> None:
-        self._members = CellMembers.of(np.arange(gaussians), gaussians)
-        self._terms = np.arange(terms, dtype=np.uint32)
+        self._gaussians, self._terms = gaussians, terms
 
-    def members(self, cell: int) -> CellMembers:
-        """All."""
-        return self._members
+    def classes(self, cell: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+        """Return all Gaussians, in class 0."""
+        return np.arange(self._gaussians), np.zeros(self._gaussians, np.uint8)
 
-    def words(self, cell: int) -> NDArray[np.uint64]:
-        """All."""
-        return self._members.words
+    def visible_words(self, cell: int) -> NDArray[np.uint64]:
+        """Return all Gaussians."""
+        return pack(np.arange(self._gaussians), self._gaussians)
 
-    def terms(self, cell: int) -> NDArray[np.uint32]:
-        """All."""
-        return self._terms
+    def active_ids(self, cell: int) -> NDArray[np.int64]:
+        """Return all terms."""
+        return np.arange(self._terms)
 
 
-def _rows_of(contents: Contents) -> NDArray[np.void]:
+def class_weights(sets: VisibilityStore) -> NDArray[np.float32]:
+    """Return the (K,) weight that stands for each class of a store: the geometric mean of its ends."""
+    ends = [sets.class_interval(k) for k in range(len(sets.info.class_edges))]
+    return np.array([np.sqrt(low * min(high, 1.0)) for low, high in ends], np.float32)
+
+
+def _chunk_rows(contents: Contents) -> NDArray[np.void]:
     table, rows = contents.table, np.zeros(len(contents.table), CHUNK_ROW)
     for name, values in (
         ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
@@ -118,25 +127,23 @@ def _rows_of(contents: Contents) -> NDArray[np.void]:
     return rows
 
 
-def _index_of(package: Package, max_bytes: int) -> SceneIndex:
+def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
+    """Return what planners know of a package, whose visible sets are kept in a cache."""
     contents, manifest = package.contents, package.manifest
-    grid, cells, weights = _cells_of(package, contents, max_bytes)
-    return SceneIndex.from_levels(
-        contents.levels(), grid, cells, gaussian_bytes=float(RECORD_BYTES), term_offsets=contents.term_offsets,
-        term_bytes=float(SceneHeader.of(manifest).term_bytes), class_weights=weights,
-    )  # fmt: skip
-
-
-def _cells_of(
-    package: Package, contents: Contents, max_bytes: int
-) -> tuple[CellGrid, CellSets, NDArray[np.float32] | None]:
-    manifest = package.manifest
+    sizes: dict[str, Any] = {
+        "gaussian_bytes": float(RECORD_BYTES),
+        "term_offsets": contents.term_offsets,
+        "term_bytes": float(SceneHeader.from_manifest(manifest).term_bytes),
+    }
     if manifest.visibility is not None:
         sets = package.visibility
+        sets.cache = cache
         active = None if manifest.active_terms is None else package.active_terms
-        return sets.grid, StoreCells(sets, active, max_bytes=max_bytes), class_weights(sets)
+        weights = class_weights(sets)
+        return SceneIndex.from_levels(contents.levels(), sets.grid, sets, active=active, class_weights=weights, **sizes)
     low, high = contents.gaussians().bounds(1.0) if len(contents) else (np.zeros(3), np.ones(3))
     side = max(float((high - low).max()), 1e-6)
     up = np.array(manifest.info.up)
     grid = CellGrid((low + high) / 2 - side / 2, side, (1, 1, 1), np.zeros((1, 3), np.int32), up)
-    return grid, EveryCell(len(contents), len(contents.term_records)), None
+    every = EveryCell(len(contents), len(contents.term_records))
+    return SceneIndex.from_levels(contents.levels(), grid, every, active=every, **sizes)

@@ -16,7 +16,7 @@ from gsvis.errors import ProtocolError
 
 __all__ = ["FAULTS", "MOST_HELLO", "PROTOCOL", "Ack", "Bye", "Hello", "PoseAt", "ServerFault", "parse_client"]
 
-PROTOCOL = 1
+PROTOCOL = 2
 """Version of the messages."""
 
 MOST_HELLO = 16 << 20
@@ -134,7 +134,7 @@ class ServerFault:
         return _ERROR.pack(ERROR, self.code, len(text)) + text
 
     @classmethod
-    def of(cls, error: Exception) -> ServerFault:
+    def from_error(cls, error: Exception) -> ServerFault:
         """What to say of an error; nothing of the server's own faults but that there was one."""
         if isinstance(error, ProtocolError):
             return cls(error.code, str(error))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from gsvis.train.densify import DensifyConfig
+from typing import TYPE_CHECKING, Any
+
+from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.importance import importance, most_important, prune
@@ -12,7 +14,9 @@ from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 from gsvis.train.likeness import ViewLikeness, measure_views
 from gsvis.train.merge import merged
 from gsvis.train.photos import Photos, load_photos
-from gsvis.train.trainer import TrainConfig, Trainer, TrainResult, train
+
+if TYPE_CHECKING:
+    from gsvis.train.trainer import Trainer, TrainResult, train
 
 __all__ = [
     "DensifyConfig",
@@ -39,6 +43,18 @@ __all__ = [
     "train",
     "train_levels",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs torch when it is asked for."""
+    if name in ("TrainResult", "Trainer", "train"):
+        from gsvis._extras import require
+
+        require(f"gsvis.train.{name}", "torch")
+        from gsvis.train import trainer
+
+        return getattr(trainer, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

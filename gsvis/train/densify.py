@@ -11,64 +11,18 @@ References:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from gsvis.render.tensors import rotations_from_quats
+from gsvis.train.config import DensifyConfig
 from gsvis.train.parameters import Parameters
 
 __all__ = ["Densifier", "DensifyConfig"]
 
 _FAINT = math.log(0.05 / 0.95)  # logit at which the clone of a frozen one begins, as that one cannot make room for it
 _SMALLER = 1.6  # a split Gaussian is this much larger than its two parts
-
-
-@dataclass(frozen=True)
-class DensifyConfig:
-    """When and what to add and to take away.
-
-    Attributes:
-        start: Step of the first change, without it.
-        stop: Step of the last.
-        every: Steps from one to the next.
-        threshold: Mean gradient by projected centers, in half image sizes, above which a Gaussian is cloned or split.
-        small: Largest scale of what is cloned, as a share of the extent; larger ones are split.
-        split: Whether large ones are split in two; else they are cloned as well.
-        most_share: Of all Gaussians, how many may be added at a time; those of largest gradient are.
-        most_count: Gaussians beyond which none is added.
-        least_opacity: Below it a Gaussian is pruned.
-        largest: Scale above which one is pruned, as a share of the extent, after the first reset.
-        reset_every: Steps between resets of opacities; 0 for none.
-    """
-
-    start: int = 500
-    stop: int = 15_000
-    every: int = 100
-    threshold: float = 2e-4
-    small: float = 0.01
-    split: bool = True
-    most_share: float = 1.0
-    most_count: int = 5_000_000
-    least_opacity: float = 0.005
-    largest: float = 0.1
-    reset_every: int = 3_000
-
-    def __post_init__(self) -> None:
-        for name in ("every", "most_count"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        for name in ("start", "stop", "reset_every"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name}: expected at least 0, got {getattr(self, name)}")
-        for name in ("threshold", "small", "largest"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)}")
-        if not 0.0 < self.most_share <= 1.0:
-            raise ValueError(f"most_share: expected a share in (0, 1], got {self.most_share}")
-        if not 0.0 <= self.least_opacity < 1.0:
-            raise ValueError(f"least_opacity: expected a value in [0, 1), got {self.least_opacity}")
 
 
 class Densifier:

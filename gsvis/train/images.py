@@ -6,7 +6,7 @@ Images are sRGB as displayed, in one frame with the scene; OpenCV cameras of one
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,10 @@ from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["PosedImages", "render_views"]
+if TYPE_CHECKING:
+    from gsvis.render.tensors import GaussianTensors
+
+__all__ = ["PosedImages", "display_image", "render_views"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,6 +102,14 @@ def render_views(
     images = np.empty((len(cameras), cameras.height, cameras.width, 3), np.float32)
     progress("views", 0, len(cameras))
     for c in range(len(cameras)):
-        images[c] = rasterize(gaussians, cameras[c], backend=backend, background=background).images[0].numpy(force=True)
+        images[c] = rasterize(gaussians, cameras[c], backend=backend, background=background).images[0]
         progress("views", c + 1, len(cameras))
     return PosedImages(cameras, images)
+
+
+def display_image(
+    gaussians: Gaussians | GaussianTensors, camera: Cameras, backend: str = "auto"
+) -> NDArray[np.float32]:
+    """Return the (H, W, 3) image of one camera as a display shows it: clipped to [0, 1]."""
+    image = _check.plain(rasterize(gaussians, camera, backend=backend).images[0])
+    return np.asarray(np.clip(image, 0.0, 1.0), np.float32)

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._extras import require
 from gsvis.progress import Progress, silent
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.removal import removal_effects
-from gsvis.render.tensors import GaussianTensors
 from gsvis.render.weights import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -89,6 +88,11 @@ def importance(
 
 def _gradients(g: Gaussians, views: PosedImages, background: ArrayLike, progress: Progress) -> NDArray[np.float64]:
     """(N,) sum over views of |dE_i / d log scales|, E_i the absolute error, summed over pixels, mean of channels."""
+    require("method 'gradient'", "torch")
+    import torch
+
+    from gsvis.render.tensors import GaussianTensors
+
     tensors = GaussianTensors.from_gaussians(g)
     tensors.scales.requires_grad_(True)
     total = torch.zeros(len(g), dtype=torch.float64)

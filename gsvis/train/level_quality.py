@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import psnr
-from gsvis.render.rasterizer import rasterize
 from gsvis.scene.levels import Levels
-from gsvis.train.images import PosedImages
+from gsvis.train.images import PosedImages, display_image
 
 __all__ = ["LevelQuality", "measure_levels"]
 
@@ -68,12 +66,11 @@ def measure_levels(
     for c in range(count):
         images = []
         for k, gaussians in enumerate(stands):
-            with torch.no_grad():
-                drawn = rasterize(gaussians, views.cameras[c], backend=backend).images[0].clamp(0.0, 1.0).cpu()
+            drawn = display_image(gaussians, views.cameras[c], backend)
             images.append(drawn)
-            brightness[k] += float(drawn.double().mean()) / count
+            brightness[k] += float(drawn.mean(dtype=np.float64)) / count
             progress("measure", c * len(levels) + k + 1, count * len(levels))
-        taken = torch.from_numpy(views.image(c)).clamp(0.0, 1.0)
+        taken = np.clip(views.image(c), 0.0, 1.0)
         for k, drawn in enumerate(images):
             scene[k, c] = min(float(psnr(drawn, images[top])), _MOST_PSNR)
             if photo is not None:

@@ -17,8 +17,8 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.images import PosedImages, render_views
+from gsvis.train.likeness import mean_psnr
 from gsvis.train.photos import load_photos
-from gsvis.train.trainer import mean_psnr
 
 __all__ = ["LevelViews", "draw_views", "load_photograph_views"]
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis._extras import require
 from gsvis.errors import FormatError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
@@ -26,12 +27,11 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from gsvis.train.densify import DensifyConfig
+from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import prune
 from gsvis.train.merge import merged
-from gsvis.train.trainer import TrainConfig, train
 
 __all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "train_levels"]
 
@@ -192,7 +192,11 @@ def train_levels(
     Raises:
         ValueError: If a level would be empty, there are no views, or `work` is of another run.
         FormatError: If a file in `work` is damaged.
+        BackendError: If torch is missing.
     """
+    require("training of levels", "torch")
+    from gsvis.train.trainer import train
+
     config = config or LevelsConfig()
     if len(views) == 0:
         raise ValueError("views: expected at least one image to train on, got none")

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import psnr, ssim
-from gsvis.render.rasterizer import rasterize
-from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train.images import PosedImages
+from gsvis.train.images import PosedImages, display_image
 
-__all__ = ["ViewLikeness", "measure_views"]
+if TYPE_CHECKING:
+    from gsvis.render.tensors import GaussianTensors
+
+__all__ = ["ViewLikeness", "mean_psnr", "measure_views"]
 
 _MOST_PSNR = 100.0  # of images that are the same, dB
 
@@ -64,13 +64,22 @@ def measure_views(
     """
     if len(views) == 0:
         raise ValueError("views: expected at least one to compare with, got none")
-    tensors = GaussianTensors.from_gaussians(gaussians, device=device)
+    scene: Any = gaussians
+    if device != "cpu":
+        from gsvis.render.tensors import GaussianTensors
+
+        scene = GaussianTensors.from_gaussians(gaussians, device=device)
     found = np.empty((2, len(views)))
     progress("measure", 0, len(views))
     for index in range(len(views)):
-        with torch.no_grad():
-            drawn = rasterize(tensors, views.cameras[index]).images[0].clamp(0.0, 1.0)
-            target = torch.from_numpy(views.image(index)).to(drawn).clamp(0.0, 1.0)
-            found[:, index] = min(float(psnr(drawn, target)), _MOST_PSNR), float(ssim(drawn, target))
+        drawn, target = display_image(scene, views.cameras[index]), np.clip(views.image(index), 0.0, 1.0)
+        found[:, index] = min(float(psnr(drawn, target)), _MOST_PSNR), float(ssim(drawn, target))
         progress("measure", index + 1, len(views))
     return ViewLikeness(views.cameras.names, *found)
+
+
+def mean_psnr(gaussians: Gaussians | GaussianTensors, views: PosedImages, backend: str = "auto") -> float:
+    """Return the mean PSNR over views in dB, of images clipped to [0, 1] as a display does."""
+    drawn = (display_image(gaussians, views.cameras[index], backend) for index in range(len(views)))
+    targets = (np.clip(views.image(index), 0.0, 1.0) for index in range(len(views)))
+    return float(np.mean([psnr(image, target) for image, target in zip(drawn, targets, strict=True)]))

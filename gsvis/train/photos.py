@@ -158,6 +158,8 @@ def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
         size = max(1, round(least[0] / (downscale or 1.0))), max(1, round(least[1] / (downscale or 1.0)))
         if min(size) < _LEAST_SIDE:
             told = f"{size[0]} x {size[1]}"
+            if min(least) < _LEAST_SIDE:
+                raise FormatError(views.path, "", f"images of at least {_LEAST_SIDE} pixels a side", told)
             raise ValueError(f"downscale: expected images of at least {_LEAST_SIDE} pixels a side, got {told}")
     if size[0] > least[0] or size[1] > least[1]:
         name = next(

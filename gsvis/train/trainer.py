@@ -10,7 +10,7 @@ import logging
 import math
 import os
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,16 +18,17 @@ import torch
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
-from gsvis.render.metrics import psnr
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.checkpoint import load_checkpoint, run_key, save_checkpoint
-from gsvis.train.densify import Densifier, DensifyConfig
+from gsvis.train.config import TrainConfig
+from gsvis.train.densify import Densifier
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
+from gsvis.train.likeness import mean_psnr
 from gsvis.train.loss import photometric_loss
 from gsvis.train.parameters import Parameters
 
@@ -35,54 +36,6 @@ __all__ = ["Record", "TrainConfig", "TrainResult", "Trainer", "extent_of", "trai
 
 _clock = time.monotonic  # tests set another
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """How a scene is trained; the rates and rules of 3DGS unless told otherwise.
-
-    Attributes:
-        iterations: Steps, one view each.
-        sh_degree: Highest degree of color, 0 to 3.
-        sh_every: Steps after which the degree rises by one, from 0; 0 starts at the highest.
-        ssim_weight: Share of SSIM in the loss.
-        means_rate: Learning rate of centers at the start, over the extent of the scene; falls exponentially.
-        means_rate_end: The same at the last step.
-        scales_rate, quats_rate, opacities_rate, sh0_rate, shN_rate: Learning rates of the other raw values.
-        densify: When Gaussians come and go; None for never.
-        evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
-        seed: Of the order of views and of where parts of split Gaussians lie.
-        backend: Of the rasterizer.
-    """
-
-    iterations: int = 7_000
-    sh_degree: int = 3
-    sh_every: int = 1_000
-    ssim_weight: float = 0.2
-    means_rate: float = 1.6e-4
-    means_rate_end: float = 1.6e-6
-    scales_rate: float = 5e-3
-    quats_rate: float = 1e-3
-    opacities_rate: float = 5e-2
-    sh0_rate: float = 2.5e-3
-    shN_rate: float = 1.25e-4  # noqa: N815  the field's own name
-    densify: DensifyConfig | None = field(default_factory=DensifyConfig)
-    evaluate_every: int = 1_000
-    seed: int = 0
-    backend: str = "auto"
-
-    def __post_init__(self) -> None:
-        _check.positive_int("iterations", self.iterations)
-        for name in ("sh_degree", "sh_every", "evaluate_every", "seed"):
-            _check.positive_int(name, getattr(self, name), at_least=0)
-        if self.sh_degree > 3:
-            raise ValueError(f"sh_degree: expected 0 to 3, got {self.sh_degree}")
-        if not 0.0 <= self.ssim_weight <= 1.0:
-            raise ValueError(f"ssim_weight: expected a share in [0, 1], got {self.ssim_weight}")
-        for name in ("means", "means_end", "scales", "quats", "opacities", "sh0", "shN"):
-            name = name.replace("means_end", "means_rate_end") if name == "means_end" else f"{name}_rate"
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,20 +250,9 @@ def extent_of(cameras: Cameras) -> float:
     return 1.1 * float(away.max()) or 1.0
 
 
-def mean_psnr(gaussians: Gaussians | GaussianTensors, views: PosedImages, backend: str = "auto") -> float:
-    """Mean PSNR over views in dB, of images clipped to [0, 1] as a display does."""
-    with torch.no_grad():
-        values = []
-        for index in range(len(views)):
-            drawn = rasterize(gaussians, views.cameras[index], backend=backend).images[0].clamp(0.0, 1.0)
-            target = torch.from_numpy(views.image(index)).to(drawn).clamp(0.0, 1.0)
-            values.append(float(psnr(drawn, target)))
-    return float(np.mean(values))
-
-
 def hash_of(seed: int, step: int) -> int:
     """A seed for torch from the run's own and a step."""
-    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1)
+    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0]) >> 1
 
 
 def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:

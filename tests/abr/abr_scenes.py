@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis.abr.index import CellMembers, SceneIndex, nearest_replacements
+from gsvis.abr.index import SceneIndex, nearest_replacements
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.codec import pack
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
@@ -14,16 +15,16 @@ from gsvis.scene.levels import Levels
 class ArrayCells:
     """Cells from lists."""
 
-    def __init__(self, members: list[CellMembers], terms: list[np.ndarray]) -> None:
-        self._members, self._terms = members, terms
+    def __init__(self, count: int, members: list[tuple[np.ndarray, np.ndarray]], terms: list[np.ndarray]) -> None:
+        self._count, self._members, self._terms = count, members, terms
 
-    def members(self, cell: int) -> CellMembers:
+    def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         return self._members[cell]
 
-    def words(self, cell: int) -> np.ndarray:
-        return self._members[cell].words
+    def visible_words(self, cell: int) -> np.ndarray:
+        return pack(self._members[cell][0], self._count)
 
-    def terms(self, cell: int) -> np.ndarray:
+    def active_ids(self, cell: int) -> np.ndarray:
         return self._terms[cell]
 
 
@@ -65,13 +66,15 @@ def random_index(
     members, terms = [], []
     for _ in range(len(grid)):
         ids = np.flatnonzero(rng.random(count) < share)
-        members.append(CellMembers.of(ids, count, rng.integers(0, classes, len(ids)).astype(np.uint8)))
+        members.append((ids, rng.integers(0, classes, len(ids)).astype(np.uint8)))
         owners = np.repeat(np.arange(count), np.diff(offsets))
-        terms.append(np.flatnonzero(np.isin(owners, ids) & (rng.random(len(owners)) < 0.4)).astype(np.uint32))
+        terms.append(np.flatnonzero(np.isin(owners, ids) & (rng.random(len(owners)) < 0.4)))
+    cells = ArrayCells(count, members, terms)
     return SceneIndex.from_levels(
         made,
         grid,
-        ArrayCells(members, terms),
+        cells,
+        active=cells,
         gaussian_bytes=rng.integers(10, 20, count),
         term_offsets=offsets,
         term_bytes=rng.uniform(3, 6, int(offsets[-1])),

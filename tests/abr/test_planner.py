@@ -7,16 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsvis.abr.candidates import CandidateStore
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import ADJACENT, FOV, NONE, PERIPHERAL, FieldOfView, classify
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch, Planner
 from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig
+from gsvis.abr.predict import exponential
 from gsvis.abr.reference import View, order_records
+from gsvis.files.cache import Cache
 from gsvis.pvs.codec import ids_of
 from gsvis.scene.gaussians import rotations_from_quats
 from tests.abr import abr_scenes as scenes
 
+VIEW = FieldOfView.from_degrees(80, 60, margin=5)
 FEW = settings(max_examples=15)
 
 
@@ -24,13 +28,15 @@ def some_view(index, seed: int, regime: str = "high") -> View:
     rng = np.random.default_rng(seed)
     eye = rng.uniform(-3, 3, 3).astype(np.float32)
     cell = int(rng.integers(len(index.grid)))
-    fov = FieldOfView.of_degrees(80, 60, margin=5)
-    planes = np.stack([fov.planes(eye, rng.normal(size=4)) for _ in range(int(rng.integers(1, 3)))])
+    planes = np.stack([VIEW.planes(eye, rng.normal(size=4)) for _ in range(int(rng.integers(1, 3)))])
     return View(cell, eye, planes, regime)
 
 
-def aimed(store: CandidateStore, view: View, policy: str, holdings: Holdings | None = None, **more) -> Planner:
-    planner = Planner(store, policy, holdings=holdings, **more)
+def aimed(
+    store: CandidateIndex, view: View, policy: str, holdings: Holdings | None = None, reach: float = 1e6
+) -> Planner:
+    planner = Planner(store, VIEW, AbrConfig(policy=policy), holdings=holdings)
+    planner.reach = reach
     planner.aim(view.cell, view.eye, view.planes, view.regime)
     return planner
 
@@ -53,7 +59,7 @@ def joined(batches: list[Batch], name: str) -> list[int]:
 @given(st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.integers(1, 3), st.booleans())
 def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, regime, levels, ordered) -> None:
     index = scenes.random_index(seed, count=200, levels=levels, ordered=ordered)
-    store = CandidateStore(index)
+    store = CandidateIndex(index)
     view = some_view(index, seed, regime)
     rng = np.random.default_rng(seed)
     held = Holdings(len(index), index.num_terms)
@@ -74,7 +80,7 @@ def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, reg
 )
 def test_batches_together_are_one_order_whatever_their_sizes(seed, policy, budgets, reach) -> None:
     index = scenes.random_index(seed, count=300)
-    store, view = CandidateStore(index), some_view(index, seed)
+    store, view = CandidateIndex(index), some_view(index, seed)
     whole = taken(aimed(store, view, policy), [1e12])
     parts = taken(aimed(store, view, policy, reach=reach), budgets)
     for name in ("gaussians", "terms", "dropped"):
@@ -89,8 +95,8 @@ def test_batches_together_are_one_order_whatever_their_sizes(seed, policy, budge
 @given(st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.floats(50, 3e4))
 def test_what_is_beyond_reach_follows_in_the_same_order(seed, policy, regime, reach) -> None:
     index = scenes.random_index(seed, count=6000, shape=(2, 2, 1), share=0.7)
-    store, view = CandidateStore(index), some_view(index, seed, regime)
-    assert len(store.of(view.cell).run_slots) > 90  # enough for a sample of them
+    store, view = CandidateIndex(index), some_view(index, seed, regime)
+    assert len(store.in_cell(view.cell).runs.slots) > 90  # enough for a sample of them
     whole = taken(aimed(store, view, policy, reach=1e12), [1e12])
     parts = taken(aimed(store, view, policy, reach=reach), [4000.0])
     for name in ("gaussians", "terms", "dropped"):
@@ -99,7 +105,7 @@ def test_what_is_beyond_reach_follows_in_the_same_order(seed, policy, regime, re
 
 def test_cells_that_see_nothing_have_nothing_to_send() -> None:
     index = scenes.random_index(8, count=100, share=0.0)
-    planner = aimed(CandidateStore(index), some_view(index, 8), "utility")
+    planner = aimed(CandidateIndex(index), some_view(index, 8), "utility")
     assert len(planner.take(1e6)) == 0
     assert planner.done
 
@@ -117,8 +123,8 @@ def test_the_cell_of_a_position_is_the_one_it_is_in_or_the_nearest(seed, x, y, z
 @given(st.integers(0, 10_000), st.sampled_from(POLICIES))
 def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, policy) -> None:
     index = scenes.random_index(seed)
-    store = CandidateStore(index)
-    planner, client = Planner(store, policy), Holdings(len(index), index.num_terms)
+    store = CandidateIndex(index)
+    planner, client = Planner(store, VIEW, AbrConfig(policy=policy)), Holdings(len(index), index.num_terms)
     rng = np.random.default_rng(seed)
     for step in range(6):
         view = some_view(index, seed + step, str(rng.choice(REGIMES)))
@@ -128,10 +134,10 @@ def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, po
             owners = np.searchsorted(index.term_offsets, batch.terms, side="right") - 1
             client.add(batch.gaussians, batch.terms, batch.dropped)  # refuses what it has
             assert np.isin(owners, client.received).all()
-        members = ids_of(index.cells.members(view.cell).words)
+        members = ids_of(index.sets.visible_words(view.cell))
         wanted = members[index.last[members] == index.num_levels - 1]
         assert np.isin(wanted, client.received).all()
-        active = index.cells.terms(view.cell)
+        active = index.active.active_ids(view.cell)
         owners = np.searchsorted(index.term_offsets, active, side="right") - 1
         assert np.isin(active[np.isin(owners, wanted)], client.received_terms).all()
     assert all(np.array_equal(a, b) for a, b in zip(client.words[:2], planner.holdings.words[:2], strict=True))
@@ -142,9 +148,9 @@ def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, po
 @given(st.integers(0, 10_000), st.sampled_from(("medium", "low")))
 def test_those_of_a_level_alone_go_when_all_that_replaces_them_is_there(seed, regime) -> None:
     index = scenes.random_index(seed)
-    store, view = CandidateStore(index), some_view(index, seed, regime)
+    store, view = CandidateIndex(index), some_view(index, seed, regime)
     planner = aimed(store, view, "fov-first")
-    candidates = ids_of(store.of(view.cell).union)
+    candidates = ids_of(store.in_cell(view.cell).union)
     while not planner.done:
         batch = planner.take(400.0)
         received = planner.holdings.received
@@ -162,10 +168,10 @@ def test_those_of_a_level_alone_go_when_all_that_replaces_them_is_there(seed, re
 @given(st.integers(0, 10_000))
 def test_under_high_bandwidth_nothing_is_sent_that_the_highest_level_has_not(seed) -> None:
     index = scenes.random_index(seed)
-    store, view = CandidateStore(index), some_view(index, seed)
+    store, view = CandidateIndex(index), some_view(index, seed)
     found = joined(taken(aimed(store, view, "utility"), [1e9]), "gaussians")
     assert (index.last[found] == index.num_levels - 1).all()
-    candidates = ids_of(store.of(view.cell).union)
+    candidates = ids_of(store.in_cell(view.cell).union)
     assert sorted(found) == candidates[index.last[candidates] == index.num_levels - 1].tolist()
 
 
@@ -173,7 +179,7 @@ def test_under_high_bandwidth_nothing_is_sent_that_the_highest_level_has_not(see
 @given(st.integers(0, 10_000))
 def test_the_orders_of_the_paper(seed) -> None:
     index = scenes.random_index(seed, most_terms=0)
-    store, view = CandidateStore(index), some_view(index, seed, "low")
+    store, view = CandidateIndex(index), some_view(index, seed, "low")
     found = classify(index, view.cell, view.planes)
     for policy, head in (
         ("fov-first", [(FOV, 0), (FOV, 1), (PERIPHERAL, 0)]),
@@ -218,7 +224,7 @@ def test_a_wider_margin_only_adds() -> None:
     index = scenes.random_index(3)
     before = None
     for margin in (0.0, 5.0, 20.0, 60.0):
-        planes = FieldOfView.of_degrees(60, 40, margin=margin).planes([0, 0, 0], [1, 0.2, 0.1, 0])
+        planes = FieldOfView.from_degrees(60, 40, margin=margin).planes([0, 0, 0], [1, 0.2, 0.1, 0])
         inside = classify(index, 0, planes).classes == FOV
         assert before is None or not (before & ~inside).any()
         before = inside
@@ -226,7 +232,7 @@ def test_a_wider_margin_only_adds() -> None:
 
 def test_utility_prefers_what_is_near_large_and_in_view() -> None:
     index = scenes.random_index(5, count=3000, levels=1, most_terms=0, share=1.0)
-    store = CandidateStore(index)
+    store = CandidateIndex(index)
     view = some_view(index, 5)
     ids = np.array(joined(taken(aimed(store, view, "utility"), [1e9]), "gaussians"), np.int64)
     apart = np.maximum(np.linalg.norm(index.means[ids] - view.eye, axis=1), 0.3)
@@ -239,7 +245,7 @@ def test_utility_prefers_what_is_near_large_and_in_view() -> None:
 
 def test_budgets_that_fit_nothing_give_nothing() -> None:
     index = scenes.random_index(1)
-    planner = Planner(CandidateStore(index))
+    planner = Planner(CandidateIndex(index), VIEW)
     assert len(planner.take(1e6)) == 0  # no view yet
     view = some_view(index, 1)
     planner.aim(view.cell, view.eye, view.planes)
@@ -250,28 +256,45 @@ def test_budgets_that_fit_nothing_give_nothing() -> None:
 
 def test_candidates_of_cells_are_kept_within_bounds() -> None:
     index = scenes.random_index(2)
-    store = CandidateStore(index, max_bytes=1)
+    largest = max(CandidateIndex(index).in_cell(cell).nbytes for cell in range(len(index.grid)))
+    store = CandidateIndex(index, cache=Cache(2 * largest))
     for cell in range(len(index.grid)):
-        made, again = store.of(cell), store.of(cell)
-        assert made is again
-    assert len(store._kept) == 1
+        assert store.in_cell(cell) is store.in_cell(cell)
+        assert store.cache.nbytes <= 2 * largest
+    assert store.cache.find(("candidates", 0)) is None
+
+
+def test_a_planner_keeps_the_candidates_of_its_cell_when_no_cache_has_room() -> None:
+    index, built = scenes.random_index(2), []
+    store = CandidateIndex(index, cache=Cache(0))
+    planner, plain = Planner(store, VIEW), Planner(CandidateIndex(index), VIEW)
+    build = store.build
+    store.build = lambda cell: built.append(cell) or build(cell)
+    for k in range(6):
+        for client in (planner, plain):
+            client.on_pose(k / 10, index.grid.centers[0], [1, 0.3 * k, 0, 0])
+        a, b = planner.next_batch(k / 10, 500.0, 1e5), plain.next_batch(k / 10, 500.0, 1e5)
+        assert a.gaussians.tolist() == b.gaussians.tolist()
+        assert a.terms.tolist() == b.terms.tolist()
+    assert planner.plans > 1
+    assert len(built) <= 2 * len(set(built)) == 2
 
 
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda i: Planner(CandidateStore(i), "best"), "policy"),
-        (lambda i: Planner(CandidateStore(i), holdings=Holdings(1)), "holdings"),
-        (lambda i: Planner(CandidateStore(i)).take(np.nan), "budget"),
-        (lambda i: CandidateStore(i, pixel=np.nan), "pixel"),
-        (lambda i: CandidateStore(i).of(10_000), "cell"),
+        (lambda i: AbrConfig(policy="best"), "policy"),
+        (lambda i: Planner(CandidateIndex(i), VIEW, holdings=Holdings(1)), "holdings"),
+        (lambda i: Planner(CandidateIndex(i), VIEW).take(np.nan), "budget"),
+        (lambda i: CandidateIndex(i, pixel=np.nan), "pixel"),
+        (lambda i: CandidateIndex(i).in_cell(10_000), "cell"),
         (lambda i: UtilityConfig(peripheral=0.0), "peripheral"),
         (lambda i: UtilityConfig(beyond=1.01), "beyond"),
         (lambda i: UtilityConfig(medium=0.99), "medium"),
         (lambda i: UtilityConfig(medium=4.01), "medium"),
         (lambda i: UtilityConfig(low=0.99), "low"),
         (lambda i: UtilityConfig(low=4.01), "low"),
-        (lambda i: FieldOfView.of_degrees(190, 20), "horizontal"),
+        (lambda i: FieldOfView.from_degrees(190, 20), "horizontal"),
         (lambda i: FieldOfView(1, 1, 1, 1, margin=np.nan), "margin"),
     ],
 )
@@ -284,3 +307,31 @@ def test_wrong_arguments_are_named(make, told) -> None:
 def test_powers_may_be_at_the_ends_of_their_range(power: float) -> None:
     config = UtilityConfig(medium=power, low=power, peripheral=1e-6, adjacent=1.0)
     assert (config.medium, config.low) == (power, power)
+
+
+def test_records_are_ranked_anew_only_when_the_view_has_changed() -> None:
+    index = scenes.random_index(4)
+    planner = Planner(CandidateIndex(index), VIEW, AbrConfig(lead=0.0))
+    for k in range(20):
+        planner.on_pose(k / 10, [0.2, 0.2, 0.2], exponential(np.array([0, 1e-3 * k, 0])))
+        planner.next_batch(k / 10, 300.0, 1e5)
+    assert planner.plans == 1
+    planner.on_pose(3.0, [0.2, 0.2, 0.2], exponential(np.array([0, 0.5, 0])))
+    planner.next_batch(3.0, 300.0, 1e5)
+    assert planner.plans == 2
+
+
+def test_poses_of_every_kind() -> None:
+    index = scenes.random_index(6)
+    planner = Planner(CandidateIndex(index), VIEW)
+    assert len(planner.next_batch(0.0, 1e6, 1e5)) == 0
+    for position, quat in (([np.nan] * 3, [1, 0, 0, 0]), ([0, 0, 0], [np.inf, 0, 0, 0]), ([0, 0, 0], [0, 0, 0, 0])):
+        with pytest.raises(ValueError, match="expected"):
+            planner.on_pose(0.0, position, quat)
+    assert planner.cell == -1
+    planner.on_pose(1.0, [1e8, -1e8, 0], [1, 0, 0, 0])  # far outside of all cells: the nearest serves
+    assert 0 <= planner.cell < len(index.grid)
+    assert len(planner.next_batch(1.0, 1e6, 1e5)) > 0
+    cell = planner.cell
+    planner.on_pose(0.5, index.grid.centers[0], [1, 0, 0, 0])  # late
+    assert planner.cell == cell

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks._honest import Checker, Visit
+from benchmarks._honest import Checker, Checks, Visit
 from gsvis.abr.classes import FieldOfView
-from gsvis.stream import Receiver, Sender, StreamedScene
+from gsvis.stream import Receiver, Session, StreamedScene
 from gsvis.stream.batch import Sections
 from tests.stream.worlds import package_of
 
@@ -25,13 +28,13 @@ def visited(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def visit_of(scene: StreamedScene) -> Visit:
     """What a viewer who walks receives."""
-    sender, visit = Sender(scene, FieldOfView.of_degrees(80, 60, margin=8)), Visit(scene.header)
+    session, visit = Session(scene, FieldOfView.from_degrees(80, 60, margin=8)), Visit(scene.header)
     for k in range(40):
-        sender.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
-        message = sender.next_message(k / 10, 3000.0)
+        session.on_pose(k / 10, (0.1 * k, 0.0, 0.0), (1.0, 0.1 * k, 0.0, 0.0))
+        message = session.next_message(k / 10, 3000.0)
         if message is not None:
             visit.batches.append(message.data)
-            sender.on_ack(k / 10 + 0.05, len(visit.batches))
+            session.on_ack(k / 10 + 0.05, len(visit.batches))
     return visit
 
 
@@ -67,9 +70,33 @@ def test_what_is_missing_or_comes_twice_is_refused(visited: tuple[Checker, Visit
     checker, visit = visited
     for batches in (visit.batches[1:], [visit.batches[0], *visit.batches], [visit.batches[0][:-8], *visit.batches[1:]]):
         assert checker.check(Visit(visit.welcome, list(batches)))["refused"] == 1
-    other = visit.welcome.replace(b'"gaussians":1500', b'"gaussians":1499')
-    assert other != visit.welcome
-    assert checker.check(Visit(other, visit.batches))["wrong"] + checker.check(Visit(other, visit.batches))["refused"]
+
+
+@pytest.mark.parametrize(
+    ("said", "other"),
+    [
+        (b'"gaussians":1500', b'"gaussians":1499'), (b'"chunks":', b'"chunkz":'), (b'"protocol":1', b'"protocol":2'),
+        (b'"up":[', b'"vp":['), (b'"name":"', b'"nome":"'), (b'"meters_per_unit":', b'"meters_per_unit":1'),
+    ],
+)  # fmt: skip
+def test_a_welcome_that_says_something_else_is_wrong(
+    visited: tuple[Checker, Visit], said: bytes, other: bytes
+) -> None:  # fmt: skip
+    checker, visit = visited
+    assert checker.check(visit)["wrong"] == 0
+    changed = visit.welcome.replace(said, other, 1)
+    assert changed != visit.welcome
+    found = checker.check(Visit(changed, visit.batches))
+    assert found["wrong"] or found["refused"]
+
+
+def test_an_identity_that_changes_is_wrong(visited: tuple[Checker, Visit]) -> None:
+    checker, visit = visited
+    assert checker.check(visit)["wrong"] == 0
+    place = visit.welcome.index(b'"identity":"') + 12
+    digit = b"0" if visit.welcome[place : place + 1] != b"0" else b"1"
+    changed = visit.welcome[:place] + digit + visit.welcome[place + 1 :]
+    assert checker.check(Visit(changed, visit.batches))["wrong"] == len(visit.welcome)
 
 
 @pytest.mark.parametrize("kind", ["owners", "rows"])
@@ -92,3 +119,45 @@ def test_what_the_server_builds_wrong_is_counted(
     with package_of(tmp_path / "s.gsvis", 1500, "rgb", stores=False) as package:
         visit = visit_of(StreamedScene.open(package))
     assert Checker(tmp_path / "s.gsvis").check(visit)["wrong"] > 0
+
+
+def test_viewers_wait_where_checks_are_behind() -> None:
+    release = threading.Event()
+
+    def job(visit: Visit) -> dict[str, int]:
+        release.wait()
+        return {"bytes": len(visit.welcome), "wrong": 0}
+
+    async def run() -> Checks:
+        with ThreadPoolExecutor(1) as executor:
+            checks = Checks(executor, 3, job)
+            for _ in range(2):
+                checks.put(Visit(b"12"))
+            await checks.wait_for_room()  # there is some
+            checks.put(Visit(b"12"))
+            waiting = [asyncio.create_task(checks.wait_for_room()) for _ in range(2)]
+            for _ in range(20):
+                await asyncio.sleep(0)
+            assert not any(task.done() for task in waiting)
+            release.set()
+            await asyncio.wait_for(asyncio.gather(*waiting), 60.0)
+            await checks.finish()
+            return checks
+
+    checks = asyncio.run(run())
+    assert (checks.found["bytes"], checks.longest) == (6, 3)
+    assert checks.waited_s > 0.0
+
+
+def test_a_check_that_fails_is_not_passed_over() -> None:
+    def job(_: Visit) -> dict[str, int]:
+        raise RuntimeError("out of memory")
+
+    async def run() -> None:
+        with ThreadPoolExecutor(1) as executor:
+            checks = Checks(executor, 3, job)
+            checks.put(Visit(b""))
+            await checks.finish()
+
+    with pytest.raises(RuntimeError, match="out of memory"):
+        asyncio.run(run())

@@ -142,18 +142,51 @@ def test_the_paper_stands_beside_what_compares_with_it(ply: Path, tmp_path: Path
     assert 0.0 <= document["directions"]["solid_angle"]["mean"] <= 1.0
     html = (tmp_path / "a" / "report.html").read_text(encoding="utf-8")
     assert "39.4%" not in html
-    rooms = Cameras.look_at(
-        np.linspace([0.6, 0.6, 1.2], [3, 3, 1.6], 50), (4.0, 2.0, 1.0), up=(0, 0, 1), width=8, height=6
-    )
-    views = {"format": "gsvis-report", "cameras": describe_cameras(rooms)}
-    (tmp_path / "views.json").write_text(json.dumps(views))
-    words = ["analyze", str(ply), "-o", str(tmp_path / "b"), "--cameras", str(tmp_path / "views.json")]
+    (tmp_path / "cameras.json").write_text(json.dumps(captured(fifty_views())))
+    words = ["analyze", str(ply), "-o", str(tmp_path / "b"), "--cameras", str(tmp_path / "cameras.json")]
     assert main([*words, "--traced-sample", "50", "--rays-per-face", "1"]) == 0
     text = capsys.readouterr().out
     assert "39.4%" in text
     assert "does not compare" not in text
     assert json.loads((tmp_path / "b" / "report.json").read_text())["paper"]["comparable"] is True
     assert "39.4%" in (tmp_path / "b" / "report.html").read_text(encoding="utf-8")
+
+
+def fifty_views() -> Cameras:
+    eyes = np.linspace([0.6, 0.6, 1.2], [3, 3, 1.6], 50)
+    return Cameras.look_at(eyes, (4.0, 2.0, 1.0), up=(0, 0, 1), width=8, height=6)
+
+
+def captured(cameras: Cameras) -> list[dict[str, object]]:
+    """The cameras as a reconstruction of photographs lists them."""
+    worlds = np.linalg.inv(cameras.viewmats)
+    return [
+        {"img_name": name, "width": cameras.width, "height": cameras.height, "fx": float(k[0, 0]), "fy": float(k[1, 1]),
+         "position": world[:3, 3].tolist(), "rotation": world[:3, :3].tolist()}
+        for name, world, k in zip(cameras.names, worlds, cameras.Ks, strict=True)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [
+        ("report.json", "gsvis-report"),
+        ("REPORT.JSON", "gsvis-rendering"),
+        ("views.txt2", "gsvis-report"),
+        ("folder/transforms.json", "gsvis-report"),
+    ],
+)
+def test_many_views_of_a_report_do_not_compare_with_the_paper(ply: Path, tmp_path: Path, name: str, made: str) -> None:
+    views = tmp_path / name
+    views.parent.mkdir(exist_ok=True)
+    views.write_text(json.dumps({"format": made, "cameras": describe_cameras(fifty_views())}))
+    given = views.parent if "/" in name else views
+    words = ["analyze", str(ply), "-o", str(tmp_path / "out"), "--cameras", str(given)]
+    assert main([*words, "--traced-sample", "0"]) == 0
+    paper = json.loads((tmp_path / "out" / "report.json").read_text())["paper"]
+    assert paper["comparable"] is False
+    assert paper["differs"] == "the cameras here are those of a report of gsvis, not the views of a capture"
+    assert len(json.loads((tmp_path / "out" / "report.json").read_text())["cameras"]) == 50
 
 
 def test_convert_asks_before_it_replaces(ply: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import re
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
 from unittest import mock
+
+import pytest
 
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
 MARKED = re.compile(r"<!-- help: (gsvis[a-z -]*?) -->\n(.*?)<!-- /help -->", re.DOTALL)
@@ -37,7 +40,17 @@ def boxed(command: str) -> str:
     return f"<!-- help: {command} -->\n```text\n{help_of(command)}```\n<!-- /help -->"
 
 
+def test_the_docs_name_every_option() -> None:
+    pattern = re.compile(r"(?<![\w-])--?[a-z][\w-]*")
+    for found in MARKED.finditer(PAGE.read_text(encoding="utf-8")):
+        assert set(pattern.findall(found.group(0))) == set(pattern.findall(boxed(found.group(1)))), found.group(1)
+
+
 def test_the_help_in_the_docs_is_what_the_commands_print() -> None:
+    pinned = re.search(r"^tyro==(\S+)", (PAGE.parents[1] / "constraints.txt").read_text(encoding="utf-8"), re.MULTILINE)
+    assert pinned is not None
+    if version("tyro") != pinned[1]:
+        pytest.skip(f"docs/cli.md is laid out by tyro {pinned[1]}, here is {version('tyro')}")
     text = PAGE.read_text(encoding="utf-8")
     told = "docs/cli.md is stale; if the change is meant: python tests/cli/test_docs.py --write"
     for found in MARKED.finditer(text):

@@ -45,7 +45,7 @@ def photos(ply: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "images").mkdir()
     eyes = [(0.6 + 0.1 * k, 0.5 + 0.35 * k, 1.5) for k in range(9)]
     cameras = Cameras.look_at(eyes, (4.0, 2.0, 1.0), up=(0, 0, 1), fov=80, width=24, height=20)
-    images = rasterize(load_scene(ply), cameras).images.numpy().clip(0.0, 1.0)
+    images = rasterize(load_scene(ply), cameras).images.clip(0.0, 1.0)
     frames = []
     flip = np.diag([1.0, -1.0, -1.0, 1.0])  # transforms.json looks along -z
     for k in range(len(cameras)):
@@ -296,8 +296,8 @@ def test_stopped_before_anything_was_found_it_leaves_nothing(
 
 
 def test_views_read_by_the_fixture_are_those_of_the_scene(ply: Path, photos: Path) -> None:
+    from gsvis.train.likeness import mean_psnr
     from gsvis.train.photos import load_photos
-    from gsvis.train.trainer import mean_psnr
 
     views = load_photos(photos).views
     assert isinstance(views, PosedImages)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 import os
@@ -21,7 +22,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from gsvis.cli import main
-from gsvis.serve import ClientConfig, ManualClock, StreamClient
+from gsvis.serve import ClientConfig, ManualClock, Server, StreamClient
 from gsvis.stream import Hello
 from tests.serve.certificates import certificate
 from tests.serve.servers import PATIENCE, VIEW, give_up, has_all, patient, slow_link, still
@@ -193,3 +194,17 @@ def test_tls(package: Path, tmp_path: Path) -> None:
         running.send_signal(signal.SIGINT)
         running.communicate(timeout=PATIENCE)
     assert running.returncode == 0
+
+
+def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frozen = []
+
+    def run(server: Server) -> None:
+        frozen.append(gc.get_freeze_count())
+        server._socket.close()
+
+    monkeypatch.setattr("gsvis.cli.serve._log_to_stderr", lambda *_, **__: None)
+    monkeypatch.setattr(Server, "run", run)
+    assert main(["serve", str(package), "--port", "0"]) == 0
+    assert frozen[0] > 10_000
+    assert gc.get_freeze_count() == 0

@@ -15,8 +15,9 @@ from gsvis.cli import main
 from gsvis.io import load_scene
 from gsvis.scene.points import PointCloud
 from gsvis.train.densify import DensifyConfig
+from gsvis.train.likeness import mean_psnr
 from gsvis.train.photos import load_photos
-from gsvis.train.trainer import TrainConfig, Trainer, mean_psnr
+from gsvis.train.trainer import TrainConfig, Trainer
 from tests.io.colmap_files import write_points
 from tests.io.scene_files import ply_bytes
 from tests.train.photo_files import cloud, write_photos

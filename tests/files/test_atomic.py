@@ -246,7 +246,7 @@ def test_a_file_that_another_sweeps_up_before_it_is_locked_is_made_again(
 def test_files_that_a_kill_left_moved_are_known_until_the_next_run_is_done(tmp_path: Path) -> None:
     code = "import os, signal, sys; from gsvis.files import atomic\nmoved = []\nmove = os.replace\n"
     code += "def replace(a, b):\n    moved.append(a)\n    len(moved) > 2 and os.kill(os.getpid(), signal.SIGKILL)\n"
-    code += "    move(a, b)\natomic.os.replace = replace\nwith atomic.atomic_folder(sys.argv[1], last='map') as f:\n"
+    code += "    move(a, b)\natomic.os.replace = replace\nwith atomic.atomic_folder(sys.argv[1], last=('map',)) as f:\n"
     code += "    for name in ('map', 'p', 'q', 'r'):\n        (f / name).write_text(name)\n"
     target = tmp_path / "out"
     assert subprocess.run([sys.executable, "-c", code, target], check=False).returncode == -signal.SIGKILL

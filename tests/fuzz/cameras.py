@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gzip
 import json
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 
 from gsvis.abr.traces import load_trace
 from gsvis.errors import FormatError
@@ -58,6 +60,8 @@ def in_model(folder: Path, case: Case) -> None:
         check_cameras(load_cameras(folder))
     except FormatError as error:
         refused = error
+    with pytest.raises(FileNotFoundError):
+        load_points(folder / "none")
     cloud = load_points(folder)
     assert np.isfinite(cloud.means).all()
     if refused is not None:
@@ -99,6 +103,14 @@ def inria() -> list[Case]:
 
 
 def in_cameras(folder: Path, case: Case) -> None:
+    """Read cameras by the folder and by each file; what a caller gives wrong is refused."""
+    with pytest.raises(FileNotFoundError):
+        load_cameras(folder / "none")
+    with pytest.raises(ValueError, match="size"):
+        load_cameras(folder, size=(3,))  # type: ignore[arg-type]
+    for name in case:
+        with suppress(FormatError, FileNotFoundError):
+            check_cameras(load_cameras(folder / name))
     check_cameras(load_cameras(folder, size=(32, 24)))
     check_cameras(load_cameras(folder))
 
@@ -130,9 +142,12 @@ def recordings() -> list[Case]:
     )
     settings = b'Scene_Name,Quaternion,Scale\nroom,"0,0,0,1",2\ntruck,"0.707,0,0,0.707",0.76\n'
     text = (header + rows).encode()
+    paused = text.replace(b",140\n", b",90140\n").replace(b",144\n", b",90144\n")
+    assert paused != text
     alone = (header + "".join(rows.splitlines(keepends=True)[:-1])).encode()
     return [
         {"user1_room.csv": text, "scene_setting.csv": settings},
+        {"user1_room.csv": paused, "scene_setting.csv": settings},
         {"truck/user1_truck.csv.gz": gzip.compress(alone, mtime=0), "scene_setting.csv": settings},
     ]
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import zstandard
 
 from gsvis.errors import FormatError
 from gsvis.files import arrow as _arrow
-from gsvis.files.resume import seal
 from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.package.active_terms import _CRC
 from gsvis.pvs._writer import CELL_ROW, FILE_KIND
@@ -322,15 +322,35 @@ def change_manifest(rng: Random, data: bytes) -> bytes:
 
 
 def change_journal(rng: Random, data: bytes) -> bytes:
-    """One change of the packed view of a cell, mostly under a right checksum."""
+    """One change of the packed view of a cell, mostly under a right checksum: its numbers, its ids, or its bytes."""
     if len(data) < 20 or rng.random() < 0.2:
         return change_bytes(rng, data)
     head, packed = bytearray(data[:20]), data[20:]
-    if rng.random() < 0.3:
-        struct.pack_into("<I", head, 8, rng.choice((0, 1, 255, 1 << 20, (1 << 28) + 1, (1 << 32) - 1)))
-    else:
+    way = rng.randrange(5)
+    if way < 2:
+        place, code = rng.choice(((8, "I"), (8, "I"), (12, "I"), (16, "f")))
+        numbers = (0, 1, 19, 40, 41, 255, 1 << 20, (1 << 28) + 1, (1 << 32) - 1)
+        struct.pack_into(f"<{code}", head, place, rng.choice(numbers))
+    elif way == 2:
         packed = change_zstd(rng, packed)
-    return seal(bytes(head[8:]) + packed)
+    else:  # other ids of as many Gaussians
+        (count,) = struct.unpack_from("<I", head, 8)
+        try:
+            body = bytearray(zstandard.ZstdDecompressor().decompress(packed, max_output_size=1 << 22))
+        except zstandard.ZstdError:
+            return change_bytes(rng, data)
+        deltas = np.frombuffer(bytes(body[: 4 * count]), np.uint8).reshape(4, -1).T.copy().view("<i4")
+        if not count or len(deltas) != count:
+            return change_bytes(rng, data)
+        deltas[rng.randrange(count)] = rng.choice((0, -1, -40, 40, (1 << 31) - 1))
+        body[: 4 * count] = deltas.view(np.uint8).T.tobytes()
+        packed = zstandard.ZstdCompressor(level=1).compress(bytes(body))
+    return sealed_journal(bytes(head) + packed)
+
+
+def sealed_journal(data: bytes) -> bytes:
+    """The packed view of a cell with the checksum that it ought to have."""
+    return data[:4] + struct.pack("<I", zlib.crc32(data[8:])) + data[8:]
 
 
 KINDS.update(

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from tests.fuzz import cameras, packages, scenes, stores, training, wire
+from dataclasses import replace
+
+from tests.fuzz import cameras, damage, damage_stores, damage_wire, packages, scenes, stores, training, wire
 from tests.fuzz.targets import Target
 
 __all__ = ["TARGETS"]
 
+_DAMAGE = damage.DAMAGE | damage_stores.DAMAGE | damage_wire.DAMAGE
+
 TARGETS: dict[str, Target] = {
-    target.name: target for family in (scenes, cameras, stores, training, wire, packages) for target in family.TARGETS
+    target.name: replace(target, damage=_DAMAGE.get(target.name, dict))
+    for family in (scenes, cameras, stores, training, wire, packages)
+    for target in family.TARGETS
 }

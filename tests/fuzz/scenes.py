@@ -6,11 +6,15 @@ import struct
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
+import pytest
+import torch
 
 from gsvis.errors import FormatError
 from gsvis.io import load_scene
+from gsvis.io.checkpoint import load_checkpoint
 from gsvis.io.points import load_points
 from gsvis.scene.gaussians import Gaussians
 from tests.fuzz.targets import Case, Target
@@ -61,6 +65,8 @@ def by_other_names(folder: Path, case: Case) -> None:
 def in_sog_folder(folder: Path, case: Case) -> None:
     if len(case) % 2 and "meta.json" in case:
         read_scene(folder / "meta.json")
+    with pytest.raises(FileNotFoundError):
+        load_scene(folder / "none")
     read_scene(folder)
 
 
@@ -122,6 +128,10 @@ def streams() -> list[Case]:
 
 
 def in_streams(folder: Path, case: Case) -> None:
+    for name in case:
+        if name.count("/") == 0 and name.endswith(".json"):
+            with suppress(FormatError):
+                read_scene(folder / name)
     read_scene(folder)
     for lod in (0, 1):
         with suppress(FormatError):
@@ -129,13 +139,29 @@ def in_streams(folder: Path, case: Case) -> None:
 
 
 def trained() -> list[Case]:
-    raw = raw_splats(6, 1)
+    """Both layouts, of every degree and precision, the values alone, and a file of two ranks."""
+    raw, flat = raw_splats(6, 1), raw_splats(6, 0)
+    state = {name: value.detach() for name, value in raw.items()}
+    small = {name: value.bfloat16() for name, value in state.items()}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.pt"
-        return [
-            {"a.pt": gsplat_file(path, raw).read_bytes()},
-            {"a.pt": nerfstudio_file(path, nerfstudio_state(raw)).read_bytes()},
-        ]
+
+        def saved(content: Any) -> bytes:
+            torch.save(content, path)
+            return path.read_bytes()
+
+        whole = gsplat_file(path, raw).read_bytes()
+        made = [whole, gsplat_file(path, flat).read_bytes(), saved(state), saved({"splats": small})]
+        made += [nerfstudio_file(path, nerfstudio_state(values)).read_bytes() for values in (raw, flat)]
+    return [*({"a.pt": data} for data in made), {"a_rank0.pt": whole, "a_rank1.pt": whole}]
+
+
+def in_trained(folder: Path, case: Case) -> None:
+    """Read a checkpoint as a scene, and by its own reader, which says more of what is no checkpoint."""
+    name = min(case)
+    with suppress(FormatError):
+        load_checkpoint(folder / name)
+    read_scene(folder / name)
 
 
 def point_files() -> list[Case]:
@@ -176,6 +202,12 @@ TARGETS = [
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
     Target("sog-folder", sog_folders, in_sog_folder, modules=_SOG),
     Target("streamed-sog", streams, in_streams, (FormatError, FileNotFoundError), modules=(IO + "streamed_sog", *_SOG)),
-    Target("trained", trained, in_one_file, kinds={"a.pt": "zip"}, modules=(IO + "checkpoint",)),
+    Target(
+        "trained",
+        trained,
+        in_trained,
+        kinds=dict.fromkeys(("a.pt", "a_rank0.pt", "a_rank1.pt"), "zip"),
+        modules=(IO + "checkpoint",),
+    ),
     Target("points", point_files, in_points, (FormatError, FileNotFoundError), modules=(IO + "points",)),
 ]

@@ -8,13 +8,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
 from gsvis.files.resume import KeptWork, seal
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.pvs._journal import entry_of, kept_cells, kept_view, pack_view
+from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
 from gsvis.pvs.config import CellView
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report import load_staircase_result
@@ -32,6 +33,8 @@ from tests.train.photo_files import cameras, cloud, pictures
 __all__ = ["TARGETS"]
 
 N, CELLS = 70, 6
+SEEN = 40
+"""Gaussians of the scene of a journal."""
 
 
 def level_folders() -> list[Case]:
@@ -95,7 +98,13 @@ def in_visibility(folder: Path, case: Case) -> None:
         assert store.direction_sets.shape == (store.gaussians, 10)
         store.ever_visible()
         store.sizes()
-        store.distance_to_visibility(0)
+        near = store.distance_to_visibility(0, within=0.0)
+        assert (store.distance_to_visibility(0) <= near).all()
+        assert np.isin(near, (0.0, np.inf)).all()
+        with pytest.raises(ValueError, match="within"):
+            store.distance_to_visibility(0, within=-1.0)
+    with pytest.raises(ValueError, match="closed"):
+        store.verify()
 
 
 def in_terms(folder: Path, case: Case) -> None:
@@ -105,6 +114,10 @@ def in_terms(folder: Path, case: Case) -> None:
         ids = store.active_ids(0)
         assert not len(ids) or ids[-1] < store.info.terms
         store.share(0)
+        with pytest.raises(ValueError, match="cell"):
+            store.share(len(store))
+    with pytest.raises(ValueError, match="closed"):
+        store.active_ids(1)
 
 
 def kept_files() -> list[Case]:
@@ -128,17 +141,17 @@ def in_kept(folder: Path, case: Case) -> None:
 def journals() -> list[Case]:
     rng, found = np.random.default_rng(0), {}
     for k in range(3):
-        ids = np.flatnonzero(rng.random(40) < 0.5).astype(np.int32)
+        ids = np.flatnonzero(rng.random(SEEN) < 0.5).astype(np.int32)
         view = CellView(ids, (ids % 3).astype(np.uint8), rng.integers(0, 256, (len(ids), 10)).astype(np.uint8), 4, 0.5)
-        found[entry_of(k)] = seal(pack_view(view))
+        found[name_entry(k)] = seal(pack_view(view))
     return [{**found, "plan.json": b"{}\n"}]
 
 
 def in_journal(folder: Path, case: Case) -> None:
     work = KeptWork(folder, {})
     with work.opened():
-        for cell in kept_cells(work, 3):
-            view = kept_view(work, cell)
+        for cell in find_kept_cells(work, 3, SEEN):
+            view = read_view(work, cell, SEEN)
             assert view is not None
             assert len(view.classes) == len(view.directions) == len(view.ids)
 

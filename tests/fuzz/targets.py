@@ -1,6 +1,7 @@
 """What is fuzzed: a target has valid cases, a way to change one, and a call that must end in a result or a known error.
 
-A case is files by name; for a wire, messages by their place. The changed case of an input follows from the seed, the
+A case is files by name; for a wire, messages by their place. A name that ends in @link is a link to what its bytes say,
+one that ends in @pipe a pipe. The changed case of an input follows from the seed, the
 target and the number of the input alone, so that every finding can be made again.
 """
 
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,12 +24,13 @@ __all__ = ["Case", "Target", "case_of", "pack_case", "run_case", "unpack_case"]
 
 Case = dict[str, bytes]
 
+_SHARE_DAMAGED = 0.15  # of the inputs that are changed: a second fault behind a first is seldom reached
 _MOST_BYTES = 4 << 20  # of a case: changes that copy must not pile up
 
 
 def change_files(rng: Random, case: Case, target: Target) -> Case:
     """Change one file by its kind; rarely remove one or put another in its place."""
-    found, names = dict(case), sorted(case)
+    found, names = dict(case), sorted(name for name in case if "@" not in name)
     name = rng.choice(names)
     way = rng.randrange(40)
     if way == 0 and len(names) > 1:
@@ -59,6 +62,7 @@ class Target:
         weight: Share of the inputs, beside that of the others.
         refuses: Whether some damage is refused; what counts damage as missing never refuses.
         beginnings: Of messages: a damaged case may raise a ValueError whose message begins with one of them.
+        damage: Makes cases with one deliberate fault each, by what it is.
     """
 
     name: str
@@ -71,19 +75,28 @@ class Target:
     weight: float = 1.0
     refuses: bool = True
     beginnings: tuple[str, ...] = ()
+    damage: Callable[[], dict[str, Case]] = dict
 
     @cached_property
     def cases(self) -> list[Case]:
         """The valid cases."""
         return self.make()
 
+    @cached_property
+    def damaged(self) -> dict[str, Case]:
+        """The cases with one deliberate fault, by what it is."""
+        return self.damage()
+
 
 def case_of(target: Target, seed: int, index: int) -> Case:
-    """The case of an input: the first ones are the valid cases, unchanged."""
-    if index < len(target.cases):
-        return target.cases[index]
+    """The case of an input: first the valid cases, then those with one deliberate fault, then changed ones of both."""
+    cases, damaged = target.cases, list(target.damaged.values())
+    if index < len(cases):
+        return cases[index]
+    if index < len(cases) + len(damaged):
+        return damaged[index - len(cases)]
     rng = Random(f"{seed}/{target.name}/{index}")
-    case = rng.choice(target.cases)
+    case = rng.choice(damaged if damaged and rng.random() < _SHARE_DAMAGED else cases)
     for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 5))):
         try:
             changed = target.change(rng, case, target)
@@ -104,9 +117,15 @@ def run_case(target: Target, folder: Path, case: Case, *, valid: bool = False) -
         BaseException: What is a finding; for a valid case, whatever it raises.
     """
     for name, data in case.items():
-        path = folder / name
+        plain, _, kind = name.partition("@")
+        path = folder / plain
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        if kind == "link":
+            path.symlink_to(os.fsdecode(data))
+        elif kind == "pipe":
+            os.mkfifo(path)
+        else:
+            path.write_bytes(data)
     try:
         target.run(folder, case)
     except (*target.allowed, ValueError) as error:

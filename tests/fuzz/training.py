@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from gsvis.errors import FormatError, SceneError
@@ -60,6 +61,9 @@ def photos() -> list[Case]:
         half[path] = stored(picture.resize((picture.width // 2, picture.height // 2)))
         mode = ("RGB", "RGBA", "L", "LA", "P", "1", "RGB", "RGB")[k]
         modes[path] = stored(picture.convert(mode), ("JPEG", "WEBP")[k - 6] if k > 5 else "PNG")
+    clear = Image.open(io.BytesIO(found[0][pictures[1]])).convert("RGBA")
+    clear.putalpha(128)
+    modes[pictures[1]] = stored(clear)
     modes[pictures[4]] = stored(Image.open(io.BytesIO(modes[pictures[4]])), transparency=0)
     return [*found, half, modes]
 
@@ -122,7 +126,16 @@ KINDS["picture"] = change_picture
 
 
 def in_photos(folder: Path, case: Case) -> None:
+    with pytest.raises(FileNotFoundError):
+        load_photos(folder / "none")
+    with pytest.raises(FileNotFoundError):
+        load_photos(folder, images="none")
     found = load_photos(folder)
+    try:
+        small = load_photos(folder, size=(24, 16))
+        assert small.views.images.shape == (len(found.views.cameras), 16, 24, 3)
+    except ValueError as error:
+        assert str(error).startswith("size: expected at most ")
     images, cameras = found.views.images, found.views.cameras
     assert images.dtype == np.uint8
     assert images.shape == (len(cameras), cameras.height, cameras.width, 3)
@@ -190,7 +203,6 @@ TARGETS = [
         kinds={f"images/photo_{k:03d}.png": "picture" for k in range(PHOTOS)},
         modules=(TRAIN + "_photo_files", TRAIN + "photos"),
         weight=0.5,
-        beginnings=("downscale: expected images of at least ",),
     ),
     Target(
         "subsets",

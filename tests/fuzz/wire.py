@@ -21,8 +21,8 @@ import pyarrow as pa
 from pyroaring import BitMap
 
 from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.scheduler import SchedulerConfig
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve import Limits, Metrics
 from gsvis.serve._log import EventLog
@@ -30,7 +30,7 @@ from gsvis.serve.clock import ManualClock
 from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Sender, StreamedScene, parse_client
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
 from gsvis.stream.batch import _ARROW, _BODY_AT, _DATA_AT, _ENDS, _IDS, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.wire import ServerFault
@@ -41,7 +41,7 @@ from tests.stream.worlds import package_of
 __all__ = ["TARGETS"]
 
 N = 300
-VIEW = FieldOfView.of_degrees(90.0, 70.0, margin=8.0)
+VIEW = FieldOfView.from_degrees(90.0, 70.0, margin=8.0)
 
 
 @cache
@@ -60,9 +60,9 @@ def scenes() -> dict[str, StreamedScene]:
 def held() -> bytes:
     """Holdings of a client of the first scene that has received some batches."""
     scene = scenes()["rgb"]
-    sender = Sender.greeted(scene, Hello(VIEW))
-    talk(sender, Receiver(sender.welcome(0.0).data), 1)
-    return sender.holdings.to_bytes()
+    session = Session.from_hello(scene, Hello(VIEW))
+    talk(session, Receiver(session.welcome(0.0).data), 1)
+    return session.holdings.to_bytes()
 
 
 def eyes() -> list[tuple[float, float, float]]:
@@ -70,16 +70,16 @@ def eyes() -> list[tuple[float, float, float]]:
     return [(float(x), float(y), float(z)) for x, y, z in scenes()["rgb"].index.grid.centers[:6]]
 
 
-def talk(sender: Sender, receiver: Receiver, batches: int) -> list[bytes]:
-    """The batches that a sender has for a viewer that walks."""
+def talk(session: Session, receiver: Receiver, batches: int) -> list[bytes]:
+    """The batches that a session has for a viewer that walks."""
     found, places = [], eyes()
     for k in range(4 * batches):
-        sender.on_pose(0.1 * k, places[k % len(places)], (1.0, 0.1 * k, 0.0, 0.0))
-        message = sender.next_message(0.1 * k + 0.02, 1500.0)
+        session.on_pose(0.1 * k, places[k % len(places)], (1.0, 0.1 * k, 0.0, 0.0))
+        message = session.next_message(0.1 * k + 0.02, 1500.0)
         if message is not None and len(found) < batches:
             receiver.receive(message.data)
             found.append(message.data)
-            sender.on_ack(0.1 * k + 0.05, message.sequence)
+            session.on_ack(0.1 * k + 0.05, message.sequence)
     return found
 
 
@@ -99,7 +99,7 @@ def in_parser(folder: Path, case: Case) -> None:
     assert type(found)(**{f.name: getattr(found, f.name) for f in fields(found)}).to_bytes() is not None
     if isinstance(found, Hello):
         try:
-            Sender.greeted(scenes()["rgb"], found)
+            Session.from_hello(scenes()["rgb"], found)
         except ValueError as error:
             raise ProtocolError(str(error)) from error
 
@@ -153,9 +153,11 @@ def sessions() -> list[Case]:
     moves = [PoseAt(100 * k, eye, (1.0, 0.1 * k, 0, 0)).to_bytes() for k, eye in enumerate(eyes())]
     acks = [Ack(k).to_bytes() for k in range(3)]
     new, back = hellos()
+    late = PoseAt((1 << 32) - 90, eyes()[0], (1.0, 0.0, 0.0, 0.0)).to_bytes()
     scripts = [
         [new, acks[0], moves[0], acks[1], moves[1], moves[2], acks[2], moves[3], Bye().to_bytes()],
         [back, acks[0], moves[4], moves[5], acks[1], moves[0]],
+        [new, late, acks[0], moves[0], acks[1]],  # milliseconds start again after 2^32
     ]
     return [{f"{k:02d}.hello": message for k, message in enumerate(script)} for script in scripts]
 
@@ -182,8 +184,17 @@ def change_order(rng: Random, case: Case, target: Target) -> Case:
     return {f"{k:02d}.{suffix}": message for k, message in enumerate(messages[:60])}
 
 
-LIMITS = Limits(batch_bytes=1500, messages_per_s=20.0, burst_s=1.0, poses_per_s=8.0)
+LIMITS = Limits(batch_bytes=1500, messages_per_s=20.0, burst_s=1.0, poses_per_s=8.0, stall_s=0.4)
 """Tight, so that sixty messages can go over them."""
+
+WIDE = Limits(batch_bytes=1500, messages_per_s=1e6, burst_s=1.0, poses_per_s=1e6)
+"""For a client that says hundreds of things while its socket takes nothing."""
+
+SLOW = 200
+"""Messages from which on a client's socket takes nothing until it has said all."""
+
+SILENCE = b"silence"
+"""In place of a message: the client says nothing for longer than the limit."""
 
 
 class Script:
@@ -191,6 +202,7 @@ class Script:
 
     def __init__(self, messages: list[bytes], clock: ManualClock) -> None:
         self.messages, self.clock, self.sent = list(messages), clock, 0
+        self.slow = len(messages) >= SLOW
 
     async def receive(self) -> bytes:
         self.clock.advance(0.02)
@@ -198,14 +210,21 @@ class Script:
         if not self.messages:
             raise GoneError("lost")
         message = self.messages.pop(0)
+        if message == SILENCE:
+            self.clock.advance(LIMITS.idle_s)
+            await asyncio.sleep(0.01)  # the server closes; it has a bell of its own
         wanted = struct.unpack_from("<I", message, 4)[0] if message[:1] == b"\3" and len(message) == 8 else 0
-        for _ in range(60):
+        for _ in range(0 if self.slow else 60):
             if self.sent > wanted:
                 break
             await asyncio.sleep(0)
         return message
 
     async def send(self, data: bytes) -> None:
+        for _ in range(5 * SLOW if self.slow and self.sent else 0):
+            if not self.messages:
+                break
+            await asyncio.sleep(0)
         self.sent += 1
 
     async def close(self, reason: str) -> None:
@@ -230,11 +249,12 @@ class Heard(EventLog):
 def in_connection(folder: Path, case: Case) -> None:
     clock = ManualClock()
     log, served = Heard(), ServedScene("rgb", folder, scenes()["rgb"])
-    setting = Setting(LIMITS, Metrics(), log, SchedulerConfig(), clock)
     peer = Script([case[name] for name in sorted(case)], clock)
+    setting = Setting(WIDE if peer.slow else LIMITS, Metrics(), log, AbrConfig(), clock)
+    full = "all are taken" if len(case) == 1 else ""  # who says one thing alone finds no seat
 
     async def run() -> str:
-        connection = Connection(peer, served, setting, 1)
+        connection = Connection(peer, served, setting, 1, lambda: full)
         await connection.run()
         return connection.reason
 
@@ -248,9 +268,9 @@ def in_connection(folder: Path, case: Case) -> None:
 
 @cache
 def batches(variant: str) -> list[bytes]:
-    sender = Sender.greeted(scenes()[variant], Hello(VIEW))
-    welcome = sender.welcome(0.0).data
-    return [welcome, *talk(sender, Receiver(welcome), 4)]
+    session = Session.from_hello(scenes()[variant], Hello(VIEW))
+    welcome = session.welcome(0.0).data
+    return [welcome, *talk(session, Receiver(welcome), 4)]
 
 
 def downstream() -> list[Case]:
@@ -290,12 +310,26 @@ def _change_welcome(rng: Random, data: bytes) -> bytes:
     return data[: HEAD.size] + bytes(base.with_metadata({b"gsvis": text}).serialize())
 
 
+def rows_of(data: bytes) -> list[bytes]:
+    """The five rows of a BATCH."""
+    at = HEAD.size + len(_ARROW)
+    ends, start = _ENDS.unpack_from(data, at), at + _ENDS.size
+    return [data[start + a : start + b] for a, b in pairwise(ends)]
+
+
+def framed(data: bytes, rows: list[bytes]) -> bytes:
+    """A BATCH of other rows, with ends and lengths that fit."""
+    ends = [0, *np.cumsum([len(row) for row in rows]).tolist()]
+    filled = -ends[-1] % 8
+    head = bytearray(data[: HEAD.size + len(_ARROW)] + _ENDS.pack(*ends))
+    struct.pack_into("<q", head, HEAD.size + _BODY_AT, _ENDS.size + ends[-1] + filled)
+    struct.pack_into("<q", head, HEAD.size + _DATA_AT, ends[-1])
+    return bytes(head) + b"".join(rows) + bytes(filled)
+
+
 def _change_frame(rng: Random, data: bytes) -> bytes:
     """One row of a BATCH longer, shorter or other, with ends and lengths that fit."""
-    at = HEAD.size + len(_ARROW)
-    ends = list(_ENDS.unpack_from(data, at))
-    start = at + _ENDS.size
-    rows = [data[start + a : start + b] for a, b in pairwise(ends)]
+    rows = rows_of(data)
     k = rng.randrange(5)
     rows[k] = rng.choice((change_bytes(rng, rows[k]), rows[k][:-1], rows[k] + b"\0", b"", rows[k] * 2))
     if k == 0 and len(rows[0]) >= _IDS.size and rng.random() < 0.5:
@@ -303,12 +337,7 @@ def _change_frame(rng: Random, data: bytes) -> bytes:
         which = rng.randrange(7)
         numbers[which] = rng.choice((0, 1, 255, numbers[which] + 1, (1 << 32) - 1)) % (1 << 32 if which < 2 else 256)
         rows[0] = _IDS.pack(*numbers) + rows[0][_IDS.size :]
-    ends = [0, *np.cumsum([len(row) for row in rows]).tolist()]
-    filled = -ends[-1] % 8
-    head = bytearray(data[:at] + _ENDS.pack(*ends))
-    struct.pack_into("<q", head, HEAD.size + _BODY_AT, _ENDS.size + ends[-1] + filled)
-    struct.pack_into("<q", head, HEAD.size + _DATA_AT, ends[-1])
-    return bytes(head) + b"".join(rows) + bytes(filled)
+    return framed(data, rows)
 
 
 def _change_batch(rng: Random, data: bytes) -> bytes:
@@ -365,6 +394,7 @@ KINDS.update({"down": change_down, "name": KINDS["text"]})
 
 
 def in_receiver(folder: Path, case: Case) -> None:
+    """Receive all; what is no batch is tried as one, too."""
     first, *rest = (case[name] for name in sorted(case))
     receiver = Receiver(first)
     refused = None
@@ -432,7 +462,7 @@ TARGETS = [
         in_connection,
         (ProtocolError,),
         change=change_order,
-        modules=("gsvis.serve.connection", S + "sender", S + "meter"),
+        modules=("gsvis.serve.connection", S + "session", S + "meter"),
     ),
     Target(
         "client-session",

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.atomic import _host
 from gsvis.files.limits import Budget
 from gsvis.io.levels import load_levels
 from gsvis.package import (
@@ -51,6 +52,28 @@ def written(folder: Path, n: int = 400, variant: str = "rgb", *, stores: bool = 
     given = stores_of(folder.parent / "stores", levels, exact) if stores else {}
     info = PackageInfo((0, -1, 0), 0.5, Cost(50.0, 47.0, 3, 64, 48), {"scene": "a test"})
     return write_package(folder, levels, colors, info=info, **given)  # type: ignore[arg-type]
+
+
+def test_the_folder_of_parts_is_listed_once_while_parts_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = tmp_path / f".x.gsvis-{_host()}01234567.arrow"
+    left.write_bytes(b"half")
+    listed, listdir = list[str](), os.listdir
+
+    def counted(folder: str) -> list[str]:
+        listed.append(os.fspath(folder))
+        return listdir(folder)
+
+    monkeypatch.setattr("gsvis.files.atomic.os.listdir", counted)
+    parts = folders.PartFolder(tmp_path)
+    for k in range(20):
+        parts.write_columns("a test", {"a": np.arange(k + 1)})
+        parts.write_bytes(bytes(k))
+    assert parts.written == 40
+    assert listed == [str(tmp_path)]
+    assert left.exists() == (os.name != "posix")  # of a run that was killed
+    assert not list(tmp_path.glob(".*"))
 
 
 @pytest.mark.usefixtures("many_parts")

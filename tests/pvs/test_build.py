@@ -21,7 +21,7 @@ from gsvis.errors import FormatError, GsvisError, SceneError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.pvs import build
-from gsvis.pvs._journal import entry_of
+from gsvis.pvs._journal import name_entry
 from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import CellView, PvsConfig
@@ -209,7 +209,7 @@ def test_a_full_disk_keeps_what_was_found_and_what_was_there(
     keep = KeptWork.keep
     with monkeypatch.context() as patched, pytest.raises(OSError, match=r"7 of 12 cells are kept.*make room") as caught:
         patched.setattr(
-            KeptWork, "keep", lambda self, name, data: keep(self, name, data) if name < entry_of(7) else _full()
+            KeptWork, "keep", lambda self, name, data: keep(self, name, data) if name < name_entry(7) else _full()
         )
         job.run(path)
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(path))

@@ -30,6 +30,9 @@ def test_a_set_comes_back_from_words_bytes_and_bitmap(n: int, share: float, seed
     bitmap = _codec.bitmap_of(words)
     assert bitmap == BitMap(ids.tolist())
     assert bitmap.serialize() == BitMap.deserialize(bitmap.serialize()).serialize()
+    assert (
+        _codec.portable(words) == BitMap(ids.tolist(), optimize=False).serialize()
+    )  # offsets too, which reading does not need
     data = _codec.encode_set(words)
     assert np.array_equal(_codec.decode_set(data, n, len(ids)), words)
     assert data == _codec.encode_set(words)
@@ -94,7 +97,7 @@ def test_bytes_that_are_no_set_are_refused() -> None:
     with pytest.raises(_codec.CodecError, match="zstd frame"):
         _codec.decode_set(data[:-3], 100, 3)
     parent = np.zeros(100, np.uint8)
-    for broken in (b"", b"\1\0\0\0", bytes(20) + b"rest"):
+    for broken in (*(bytes(length) for length in range(20)), b"\1\0\0\0", bytes(20) + b"rest"):
         with pytest.raises(_codec.CodecError, match="streams"):
             _codec.decode_classes(broken, words, 100, parent, 4)
     with pytest.raises(_codec.CodecError, match="zstd frame"):

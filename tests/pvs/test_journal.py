@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -16,8 +17,11 @@ from hypothesis import strategies as st
 
 from gsvis.files.atomic import _host, atomic_path
 from gsvis.files.resume import KeptWork, seal, unseal
-from gsvis.pvs._journal import entry_of, kept_cells, kept_view, pack_view, unpack_view
+from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view, unpack_view
 from gsvis.pvs.config import CellView
+
+N = 400
+"""Gaussians of the scene."""
 
 
 def some_view(seed: int) -> CellView:
@@ -43,14 +47,14 @@ def kept_bytes(view: CellView) -> bytes:
     return seal(pack_view(view))
 
 
-def unkept(data: bytes) -> CellView | None:
+def unkept(data: bytes, gaussians: int = N) -> CellView | None:
     body = unseal(data)
-    return None if body is None else unpack_view(body)
+    return None if body is None else unpack_view(body, gaussians)
 
 
 @given(VIEWS)
 def test_what_is_packed_comes_back(view: CellView) -> None:
-    assert same(unpack_view(pack_view(view)), view)
+    assert same(unpack_view(pack_view(view), N), view)
     assert pack_view(view) == pack_view(view)
 
 
@@ -73,20 +77,20 @@ def test_other_bytes_are_no_view(data: bytes) -> None:
 
 def test_cells_are_kept_until_the_work_goes(tmp_path: Path) -> None:
     work = KeptWork(tmp_path / "deep" / "j", {"what": "a test"})
-    assert kept_cells(work, 9) == []
+    assert find_kept_cells(work, 9, N) == []
     assert not work.folder.exists()
     with work.opened():
         for cell in (0, 3, 7):
-            work.keep(entry_of(cell), pack_view(some_view(cell)))
+            work.keep(name_entry(cell), pack_view(some_view(cell)))
         with pytest.raises(ValueError, match="no other process"), KeptWork(work.folder, {}).opened():
             raise AssertionError("not reached")
-    assert kept_cells(work, 9) == [0, 3, 7]
-    assert kept_cells(work, 5) == [0, 3]
-    assert same(kept_view(work, 3), some_view(3))
-    assert kept_view(work, 1) is None
+    assert find_kept_cells(work, 9, N) == [0, 3, 7]
+    assert find_kept_cells(work, 5, N) == [0, 3]
+    assert same(read_view(work, 3, N), some_view(3))
+    assert read_view(work, 1, N) is None
     assert json.loads((work.folder / "plan.json").read_text()) == {"what": "a test"}
     (work.folder / "cell-000003.bin").write_bytes(b"")
-    assert kept_cells(work, 9) == [0, 7]
+    assert find_kept_cells(work, 9, N) == [0, 7]
     work.remove()
     assert not work.folder.exists()
 
@@ -106,9 +110,9 @@ def test_what_a_killed_build_left_goes_once_and_cells_are_not_listed_for_each(
             assert left.exists() == (os.name != "posix")
             with monkeypatch.context() as patched:
                 patched.delattr("gsvis.files.atomic.os.listdir")
-                work.keep(entry_of(0), pack_view(some_view(0)))
+                work.keep(name_entry(0), pack_view(some_view(0)))
     assert (work.folder / ".mine").exists()
-    assert kept_cells(work, 3) == [0]
+    assert find_kept_cells(work, 3, N) == [0]
 
 
 def test_every_flipped_bit_and_every_cut_counts_as_missing() -> None:
@@ -145,3 +149,32 @@ def test_a_right_checksum_over_a_wrong_view_counts_as_missing() -> None:
         (0xFFFFFFFF, view_bytes([4, 5, 9])),
     ):
         assert unkept(forged(count, packed)) is None
+    assert unkept(forged(3, view_bytes([4, 5, 9])), 10) is not None
+    assert unkept(forged(3, view_bytes([4, 5, 9])), 9) is None  # there is no Gaussian 9
+    assert unkept(forged(3, view_bytes([0, 1, 2])), 2) is None
+
+
+def test_a_cell_may_see_all_of_a_large_scene(tmp_path: Path) -> None:
+    count = 5_000_000  # 75 MB, of which zstd makes a few kB
+    ids = np.arange(count, dtype=np.int32)
+    view = CellView(ids, np.zeros(count, np.uint8), np.full((count, 10), 255, np.uint8), 9, 0.5)
+    work = KeptWork(tmp_path / "j", {})
+    work.folder.mkdir()
+    work.keep(name_entry(0), pack_view(view))
+    found = read_view(work, 0, count)
+    assert found is not None
+    assert np.array_equal(found.ids, ids)
+    assert found.directions[-1].tolist() == [255] * 10
+
+
+def test_what_a_file_promises_takes_no_more_memory_than_the_scene(tmp_path: Path) -> None:
+    bomb = zstandard.ZstdCompressor().compress(bytes(15 << 24))
+    work = KeptWork(tmp_path, {})
+    (tmp_path / name_entry(0)).write_bytes(forged(1 << 24, bomb))
+    (tmp_path / name_entry(1)).write_bytes(kept_bytes(some_view(1)) + bytes(1 << 24))
+    tracemalloc.start()
+    assert read_view(work, 0, 1000) is None
+    assert read_view(work, 1, 1000) is None
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1 << 20

@@ -167,7 +167,7 @@ def test_a_cache_of_any_size_changes_no_answer(tmp_path: Path) -> None:
             for cell in (3, 4, 3, 11):
                 assert np.array_equal(store.classes(cell)[0], np.flatnonzero(truth.seen[cell]))
                 assert np.allclose(store.distance_to_visibility(cell), naive_distances(truth, cell), rtol=1e-6)
-            assert store._cache.nbytes <= room
+            assert store.cache.nbytes <= room
 
 
 def test_threads_may_share_a_store(tmp_path: Path) -> None:

@@ -184,6 +184,28 @@ def test_the_grid_walk_meets_the_first_free_voxel(seed: int) -> None:
         assert not hits.any()
 
 
+def test_progress_goes_from_nothing_to_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dirs, "_CHUNK", 100)
+    tracer = Tracer(EllipsoidProxies.from_scene(scene("mixed")))
+    box, n = NavigableSpace.from_box([-3, -3, 1.5], [3, 3, 3], 24), len(tracer.proxies.gaussians)
+    calls: list[tuple[str, int, int]] = []
+
+    def progress(*call: object) -> None:
+        calls.append(call)  # type: ignore[arg-type]
+
+    dirs.directions_from_cameras(tracer, Cameras.orbit([0, 0, 0], 3.0, 3, width=8, height=8), progress=progress)
+    assert calls == [("cameras", k, 3) for k in range(4)]
+    calls.clear()
+    sets = dirs.trace_directions(tracer, box, progress=progress)
+    assert calls == [("directions", k, n) for k in range(0, n + 1, 100)]
+    assert n == 300
+    calls.clear()
+    dirs.solid_angle_fractions(tracer, box, rays_per_face=4, progress=progress)
+    assert calls == [("directions", k, 4) for k in range(5)]
+    monkeypatch.undo()
+    np.testing.assert_array_equal(dirs.trace_directions(tracer, box), sets)  # pieces change nothing
+
+
 def test_refusals_name_the_argument() -> None:
     tracer, box = lone_gaussian()
     with pytest.raises(ValueError, match=r"^ids: expected values in \[0, 1\)"):
@@ -192,7 +214,10 @@ def test_refusals_name_the_argument() -> None:
         dirs.face_directions(2)
     with pytest.raises(ValueError, match=r"^directions: expected non-zero"):
         dirs.face_of([[0, 0, 0]])
-    with pytest.raises(ValueError, match=r"^sets: expected \(N, 10\) uint8"):
-        dirs.direction_fractions(np.zeros((3, 9), np.uint8))
+    for shape, kind in (((3, 9), "u1"), ((3, 11), "u1"), ((10,), "u1"), ((3, 10, 1), "u1"), ((3, 10), "i8")):
+        with pytest.raises(ValueError, match=r"^sets: expected \(N, 10\) uint8"):
+            dirs.direction_fractions(np.zeros(shape, kind))
+    with pytest.raises(ValueError, match=r"^left / right: expected one length"):
+        dirs.jaccard(np.zeros((3, 10), np.uint8), np.zeros((1, 10), np.uint8))
     with pytest.raises(ValueError, match=r"^fractions: expected at least one"):
         dirs.direction_cdf([])

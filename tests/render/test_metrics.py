@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from gsvis.errors import BackendError
-from gsvis.render import metrics
+from gsvis.render import metrics_torch
 from gsvis.render.metrics import flip, flip_map, lpips, psnr, ssim
 
 METRICS = {"psnr": psnr, "ssim": ssim, "flip": flip, "lpips": lpips}
@@ -247,7 +247,7 @@ def test_lpips_runs_only_where_its_weights_are(monkeypatch: pytest.MonkeyPatch, 
     for name, module in packages.items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    metrics._lpips_model.cache_clear()
+    metrics_torch._lpips_model.cache_clear()
     image, target = pair(40, 40)
     with pytest.raises(
         BackendError, match=rf"lpips: expected the weights of net '{net}' at .*{net}-0123.pth.*TORCH_HOME"
@@ -260,4 +260,4 @@ def test_lpips_runs_only_where_its_weights_are(monkeypatch: pytest.MonkeyPatch, 
     stack = lpips(torch.tensor(np.stack([image, target])), torch.tensor(np.stack([target, target])), net)
     assert stack.tolist() == pytest.approx([expected, 0.0], rel=1e-5)
     assert lpips(np.zeros((0, 40, 40, 3)), np.zeros((0, 40, 40, 3)), net).shape == (0,)
-    metrics._lpips_model.cache_clear()
+    metrics_torch._lpips_model.cache_clear()

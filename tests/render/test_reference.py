@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gsvis.render import reference
-from gsvis.render.reference import (
+from gsvis.render import reference_torch as reference
+from gsvis.render.reference_torch import (
     contributors_reference,
     project_reference,
     rasterize_reference,

@@ -39,7 +39,7 @@ def test_effects_equal_the_twin(kind: str) -> None:
     g, cameras = scene(kind, n=120), views()
     rng = np.random.default_rng(5)
     images = rng.uniform(0.0, 1.0, (2, 30, 40, 3)).astype(np.float32)
-    residuals = rasterize(g, cameras, background=BACKGROUND).images.numpy().astype(np.float64) - images
+    residuals = rasterize(g, cameras, background=BACKGROUND).images.astype(np.float64) - images
     got = removal_effects(g, cameras, images=images, background=BACKGROUND)
     want = removal_reference(g, cameras, residuals=residuals, background=BACKGROUND)
     assert got.pixels == want.pixels == 2 * 30 * 40
@@ -52,11 +52,11 @@ def test_effects_equal_the_twin(kind: str) -> None:
 def test_effects_equal_images_drawn_again() -> None:
     g, cameras = scene("blobs", n=40), views()
     g = Gaussians(g.means, g.quats, g.scales, 0.7 * g.opacities, g.sh0, g.shN)  # no pixel spends its light
-    images = rasterize(scene("blobs", seed=3, n=40), cameras).images.numpy()
+    images = rasterize(scene("blobs", seed=3, n=40), cameras).images
     effects = removal_effects(g, cameras, images=images)
-    drawn = rasterize(g, cameras).images.numpy().astype(np.float64)
+    drawn = rasterize(g, cameras).images.astype(np.float64)
     for index in range(len(g)):
-        again = rasterize(without(g, index), cameras).images.numpy().astype(np.float64)
+        again = rasterize(without(g, index), cameras).images.astype(np.float64)
         change = np.abs(again - drawn).sum() / 3.0, np.square(again - drawn).sum() / 3.0
         np.testing.assert_allclose([effects.absolute[index], effects.squared[index]], change, atol=2e-3, rtol=2e-4)
         by_error = (np.square(again - images) - np.square(drawn - images)).sum() / 3.0
@@ -75,7 +75,7 @@ def test_what_lies_behind_an_opaque_wall_shows_when_the_wall_goes() -> None:
 
 def test_own_images_as_targets_change_nothing() -> None:
     g, cameras = scene("mixed"), views()
-    images = rasterize(g, cameras, background=BACKGROUND).images.numpy()
+    images = rasterize(g, cameras, background=BACKGROUND).images
     plain = removal_effects(g, cameras, background=BACKGROUND)
     against_own = removal_effects(g, cameras, images=images, background=BACKGROUND)
     np.testing.assert_array_equal(plain.squared, plain.error_change)
@@ -85,7 +85,7 @@ def test_own_images_as_targets_change_nothing() -> None:
 def test_a_wrong_gaussian_is_better_gone() -> None:
     g, cameras = scene("blobs", n=30), views()
     largest = int(removal_effects(g, cameras).squared.argmax())
-    images = rasterize(without(g, largest), cameras).images.numpy()
+    images = rasterize(without(g, largest), cameras).images
     effects = removal_effects(g, cameras, images=images)
     assert effects.error_change.argmin() == largest
     np.testing.assert_allclose(effects.error_change[largest], -effects.squared[largest], rtol=1e-3)
@@ -94,7 +94,7 @@ def test_a_wrong_gaussian_is_better_gone() -> None:
 def test_the_absent_are_tried() -> None:
     """A Gaussian that is absent changes nothing for the rest, and adding it does what its removal would undo."""
     g, cameras = scene("mixed", n=60), views()
-    images = rasterize(scene("blobs", seed=3, n=40), cameras).images.numpy()
+    images = rasterize(scene("blobs", seed=3, n=40), cameras).images
     full = removal_effects(g, cameras, images=images)
     for index in range(0, len(g), 7):
         present = np.arange(len(g)) != index

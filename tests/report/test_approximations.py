@@ -40,7 +40,7 @@ def test_images_are_those_of_the_active_terms(
             eye = cameras.viewpoints[view]
             mask = active(colors, g.means, eye, epsilon)
             shown = evaluate(colors, g.means, eye, active=mask)
-            assert np.array_equal(images[view], rasterize(g, cameras[view], colors=shown).images[0].numpy())
+            assert np.array_equal(images[view], rasterize(g, cameras[view], colors=shown).images[0])
             assert pictures.shares(epsilon)[view] == mask.mean()
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from dataclasses import replace
 from functools import cache
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gsvis.cli.source import check_report
 from gsvis.raycast import Analysis, AnalysisConfig, EllipsoidProxies, Tracer, analyze
 from gsvis.report import Subject, ViewPicture, picture_views, report_document, write_report
 from gsvis.report.maps import Ground
@@ -91,6 +93,34 @@ def test_other_files_stay_and_pictures_of_an_earlier_report_go(tmp_path: Path) -
     assert (tmp_path / "notes.txt").read_text() == "old"
     assert not (tmp_path / "settling.png").exists()
     assert (tmp_path / "cdf.png").read_bytes()[1:4] == b"PNG"
+
+
+def test_a_kill_while_files_move_leaves_no_report_and_the_next_run_cleans_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (found, subject, pictures), move, moved = made(), os.replace, list[str]()
+
+    def killed(source: Path, destination: Path) -> None:
+        if len(moved) == limit:
+            raise KeyboardInterrupt
+        move(source, destination)
+        moved.append(Path(destination).name)
+
+    folder = tmp_path / "report"
+    monkeypatch.setattr("gsvis.files.atomic.os.replace", killed)
+    for limit in (1, 4, 10, 11):  # of 12 files
+        moved.clear()
+        with pytest.raises(KeyboardInterrupt):
+            write_report(folder, found, subject, pictures)
+        assert not (folder / "report.json").exists()
+        assert (folder / "report.html").exists() == (limit > 10)  # the page holds all of its pictures
+        check_report(folder)  # the next run may write there
+    limit = 99
+    moved.clear()
+    write_report(folder, found, subject, pictures[:1])
+    assert moved[-2:] == ["report.html", "report.json"]
+    assert {path.name for path in folder.iterdir()} == set(moved)  # no picture of the runs that were cut short
+    assert [path.name for path in tmp_path.iterdir()] == ["report"]
 
 
 def test_the_document_says_what_it_is_and_holds_every_figure(folder: Path) -> None:

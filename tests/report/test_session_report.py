@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsvis.abr import BandwidthTrace, SchedulerConfig
+from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.report.session_document import Simulation, Visit, session_document, write_session_report
 from gsvis.simulate import Adaptive, Link, MortonProgressive, WholeFile, play, show_at, watch
 from tests.report.test_color_report import Outline
@@ -28,7 +28,7 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]
     with scene.package:
         for k in range(2):
             deliveries = (
-                Adaptive(scene, QUICK.view, SchedulerConfig(start_rate=5e3)),
+                Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3)),
                 WholeFile(scene.contents, 100_000),  # never arrives
                 MortonProgressive(scene.contents),
             )

@@ -26,7 +26,7 @@ from gsvis.package import Package
 from gsvis.serve import Address, AppConfig, ClientConfig, Limits, ManualClock, Server, StreamClient, open_scenes
 from gsvis.stream import Hello, PoseAt, Receiver
 
-VIEW = FieldOfView.of_degrees(80, 60, margin=8)
+VIEW = FieldOfView.from_degrees(80, 60, margin=8)
 PATIENCE = float(os.environ.get("GSVIS_PATIENCE", "300"))
 """Seconds after which a test hangs."""
 LIMITS = Limits(tick_s=0.02, messages_per_s=1000.0)

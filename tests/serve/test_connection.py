@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gsvis.abr.scheduler import SchedulerConfig
+from gsvis.abr.config import AbrConfig
 from gsvis.serve import Limits, ManualClock, Metrics, open_scenes
 from gsvis.serve._log import EventLog
 from gsvis.serve.connection import Connection, GoneError, Setting
@@ -59,7 +59,7 @@ def served_to(
     metrics, clock = Metrics(), ManualClock()
 
     async def alone() -> Connection:
-        setting = Setting(limits, metrics, EventLog(), SchedulerConfig(), clock)
+        setting = Setting(limits, metrics, EventLog(), AbrConfig(), clock)
         connection = Connection(peer, scenes["plain"], setting, 1)
         beside = [] if passing is None else [asyncio.create_task(passing(connection, clock))]
         await asyncio.wait_for(connection.run(), PATIENCE)

@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed
 
 from gsvis.errors import FormatError, ProtocolError
 from gsvis.serve import ClientConfig, ManualClock, Server, StreamClient, open_scenes
-from gsvis.stream import Ack, Hello, PoseAt, Sender
+from gsvis.stream import Ack, Hello, PoseAt, Session
 from gsvis.stream.wire import FAULTS, ServerFault
 from tests.serve.servers import (
     PATIENCE,
@@ -337,7 +337,7 @@ def test_a_scene_found_damaged_while_it_is_served_is_refused(
         def damaged(self: object, *_: object) -> None:
             raise FormatError("sets.pvs", "cell 3", "a set that fits its hash", "another")
 
-        monkeypatch.setattr("gsvis.abr.cells.StoreCells.members", damaged)
+        monkeypatch.setattr("gsvis.pvs.store.VisibilityStore.classes", damaged)
         with raw(server, name="/celled") as ws:
             heard(ws)
             ws.send(pose())
@@ -360,7 +360,7 @@ def test_a_fault_of_the_server_is_told_to_nobody_but_the_log(
 
     with serving(plain) as server:
         with monkeypatch.context() as patch:
-            patch.setattr("gsvis.stream.sender.Sender.on_pose", broken)
+            patch.setattr("gsvis.stream.session.Session.on_pose", broken)
             with raw(server) as ws:
                 heard(ws)
                 ws.send(pose())
@@ -378,7 +378,7 @@ def test_memory_does_not_grow_with_clients_that_come_and_go(plain: Path) -> None
                 ws.send(pose())
                 heard(ws)
         until(lambda: server.metrics.clients.value() == 0)
-        until(lambda: gc.collect() >= 0 and sum(type(thing) is Sender for thing in gc.get_objects()) <= 1)
+        until(lambda: gc.collect() >= 0 and sum(type(thing) is Session for thing in gc.get_objects()) <= 1)
 
 
 def test_a_scene_that_cannot_be_made_ready_is_refused_at_once(
@@ -389,7 +389,7 @@ def test_a_scene_that_cannot_be_made_ready_is_refused_at_once(
 
     with open_scenes([celled], warm=True) as scenes:
         (served,) = scenes.values()
-        assert served.scene.store.nbytes > 0
-    monkeypatch.setattr("gsvis.abr.cells.StoreCells.members", damaged)
+        assert served.scene.candidates.cache.nbytes > 0
+    monkeypatch.setattr("gsvis.pvs.store.VisibilityStore.classes", damaged)
     with open_scenes([plain, celled], warm=True) as scenes:
         assert [served.fault != "" for served in scenes.values()] == [False, True]

@@ -18,7 +18,7 @@ from websockets.protocol import State
 from gsvis.errors import ProtocolError
 from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, fetch, open_scenes
 from gsvis.serve.connection import PoseClock
-from gsvis.stream import Receiver, Sender
+from gsvis.stream import Receiver, Session
 from tests.serve.servers import (
     LIMITS,
     PATIENCE,
@@ -177,13 +177,13 @@ def test_an_address_that_is_taken_is_an_error(plain: Path) -> None:
 
 def test_what_is_under_way_never_exceeds_the_window(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rooms: list[float] = []
-    room = Sender.room
+    room = Session.room
 
-    def noted(self: Sender, *arguments: float) -> float:
+    def noted(self: Session, *arguments: float) -> float:
         rooms.append(room(self, *arguments))
         return rooms[-1]
 
-    monkeypatch.setattr(Sender, "room", noted)
+    monkeypatch.setattr(Session, "room", noted)
     with serving(plain) as server, raw(server) as ws:
         heard(ws)
         ws.send(pose())

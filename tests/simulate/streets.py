@@ -8,11 +8,11 @@ import numpy as np
 
 from gsvis.package import Package, write_package
 from gsvis.scene.paths import HeadPath
-from gsvis.simulate import SessionConfig, Stage
+from gsvis.simulate import Stage, ViewingConfig
 from gsvis.stream import StreamedScene
 from tests.package.worlds import colors_of, levels_of, stores_of
 
-QUICK = SessionConfig(seconds=2.0, fine=1.0, every=0.5, width=48, height=36)
+QUICK = ViewingConfig(seconds=2.0, fine=1.0, every=0.5, width=48, height=36)
 
 
 def package_of(folder: Path, n: int = 600, *, stores: bool = True, seed: int = 0) -> Package:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from gsvis.abr import POLICIES, BandwidthTrace, SchedulerConfig
+from gsvis.abr import POLICIES, AbrConfig, BandwidthTrace
 from gsvis.simulate import Adaptive, Link, MortonProgressive, Playback, WholeFile, morton_order, play
 from gsvis.stream import Receiver, StreamedScene
 from tests.simulate.streets import QUICK, street, walk
@@ -24,7 +24,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StreamedScene]:
 
 
 def adaptive(scene: StreamedScene, policy: str = "utility") -> Adaptive:
-    return Adaptive(scene, QUICK.view, SchedulerConfig(policy=policy, start_rate=5e3))
+    return Adaptive(scene, QUICK.view, AbrConfig(policy=policy, start_rate=5e3))
 
 
 def size_of(scene: StreamedScene) -> tuple[int, int]:
@@ -43,8 +43,8 @@ def test_nothing_is_sent_twice_and_the_link_is_never_overrun(scene: StreamedScen
 
 def test_a_receiver_of_the_same_bytes_shows_what_the_playback_says(scene: StreamedScene) -> None:
     receiver = Receiver(scene.header)
-    delivery = Adaptive(scene, QUICK.view, SchedulerConfig(start_rate=5e3))
-    sent = delivery.sender.next_message
+    delivery = Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3))
+    sent = delivery.session.next_message
     received: list[bytes] = []
 
     def kept(t: float, budget: float | None = None):  # type: ignore[no-untyped-def]
@@ -53,7 +53,7 @@ def test_a_receiver_of_the_same_bytes_shows_what_the_playback_says(scene: Stream
             received.append(message.data)
         return message
 
-    delivery.sender.next_message = kept  # type: ignore[method-assign]
+    delivery.session.next_message = kept  # type: ignore[method-assign]
     p = play(delivery, FAST, walk(), size_of(scene), seconds=3.0)
     count = len(p.sizes) - 1  # without WELCOME
     for data in received[:count]:

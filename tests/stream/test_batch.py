@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.abr.classes import FieldOfView
-from gsvis.stream import Sender, StreamedScene
+from gsvis.stream import Session, StreamedScene
 from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import CHUNK_ROW, FIXED_BYTES, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
@@ -25,11 +25,11 @@ IDS = st.lists(st.integers(0, 2**31 - 2), max_size=60, unique=True).map(sorted)
 def test_any_arrow_client_reads_a_stream(tmp_path: Path) -> None:
     with package_of(tmp_path / "s.gsvis", 1500, "axes") as package:
         scene = StreamedScene.open(package)
-        sender = Sender(scene, FieldOfView.of_degrees(90, 70))
-        messages = [sender.welcome(0.0).data]
+        session = Session(scene, FieldOfView.from_degrees(90, 70))
+        messages = [session.welcome(0.0).data]
         for k in range(4):
-            sender.on_pose(k / 10, [0, 0, 0], [1, 0.1 * k, 0, 0])
-            message = sender.next_message(k / 10, 3000.0)
+            session.on_pose(k / 10, [0, 0, 0], [1, 0.1 * k, 0, 0])
+            message = session.next_message(k / 10, 3000.0)
             assert message is not None
             messages.append(message.data)
         stream = b"".join(data[HEAD.size :] for data in messages) + b"\xff\xff\xff\xff\0\0\0\0"

@@ -1,4 +1,4 @@
-"""A sender and a receiver: what comes is what the package holds, nothing comes twice, nothing is lost."""
+"""A session and a receiver: what comes is what the package holds, nothing comes twice, nothing is lost."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import pytest
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.predict import exponential
 from gsvis.color.evaluate import evaluate
-from gsvis.stream import Receiver, Sender, StreamedScene, parse_client
+from gsvis.stream import Receiver, Session, StreamedScene, parse_client
 from gsvis.stream.wire import Hello
 from tests.stream.worlds import package_of
 
-VIEW = FieldOfView.of_degrees(80, 60, margin=8)
+VIEW = FieldOfView.from_degrees(80, 60, margin=8)
 
 
-def walked(sender: Sender, receiver: Receiver, seed: int, ticks: int, budget: float | None = 3000.0) -> int:
+def walked(session: Session, receiver: Receiver, seed: int, ticks: int, budget: float | None = 3000.0) -> int:
     rng = np.random.default_rng(seed)
     place, spin = rng.uniform(-2, 2, 3), rng.normal(0, 0.5, 3)
     total = 0
     for k in range(ticks):
         t = k / 10
-        sender.on_pose(t, place + 0.1 * k, exponential(spin * k / 10))
-        message = sender.next_message(t, budget)
+        session.on_pose(t, place + 0.1 * k, exponential(spin * k / 10))
+        message = session.next_message(t, budget)
         if message is None:
             continue
         received = receiver.receive(message.data)  # refuses what is there
@@ -32,7 +32,7 @@ def walked(sender: Sender, receiver: Receiver, seed: int, ticks: int, budget: fl
         assert np.array_equal(np.sort(message.batch.gaussians), received.gaussians)
         assert np.array_equal(np.sort(message.batch.terms), received.terms)
         assert np.array_equal(np.sort(message.batch.dropped), received.dropped)
-        sender.on_ack(t + 0.05, received.sequence)
+        session.on_ack(t + 0.05, received.sequence)
         total += received.nbytes
     return total
 
@@ -42,11 +42,11 @@ def walked(sender: Sender, receiver: Receiver, seed: int, ticks: int, budget: fl
 def test_what_comes_is_what_the_package_holds(tmp_path: Path, variant: str, stores: bool) -> None:
     with package_of(tmp_path / "s.gsvis", variant=variant, stores=stores) as package:
         scene = StreamedScene.open(package)
-        sender, receiver = Sender(scene, VIEW), Receiver(scene.header)
+        session, receiver = Session(scene, VIEW), Receiver(scene.header)
         assert receiver.about == scene.about
-        walked(sender, receiver, 1, 30)
+        walked(session, receiver, 1, 30)
         half = Receiver(scene.header)
-        assert receiver.holdings.to_bytes() == sender.holdings.to_bytes() != half.holdings.to_bytes()
+        assert receiver.holdings.to_bytes() == session.holdings.to_bytes() != half.holdings.to_bytes()
         shown = receiver.shown()
         assert np.array_equal(np.sort(shown), receiver.holdings.shown)
         g, colors = receiver.scene()
@@ -65,13 +65,13 @@ def test_a_client_that_comes_back_loses_and_repeats_nothing(tmp_path: Path, seed
     with package_of(tmp_path / "s.gsvis", 1500, variant="axes", seed=seed) as package:
         scene = StreamedScene.open(package)
         receiver = Receiver(scene.header)
-        walked(Sender(scene, VIEW), receiver, seed, 4)
-        lost = Sender.greeted(scene, parse_client(receiver.hello(VIEW).to_bytes()))
+        walked(Session(scene, VIEW), receiver, seed, 4)
+        lost = Session.from_hello(scene, parse_client(receiver.hello(VIEW).to_bytes()))
         lost.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
         assert lost.next_message(0.0, 2000.0) is not None  # never arrives
         hello = parse_client(receiver.hello(VIEW).to_bytes(), most_hello=scene.most_hello)
         assert isinstance(hello, Hello)
-        sender = Sender.greeted(scene, hello)
-        assert receiver.resume(sender.welcome(0.0).data)
-        walked(sender, receiver, seed + 1, 40)
-        assert receiver.holdings.to_bytes() == sender.holdings.to_bytes()
+        session = Session.from_hello(scene, hello)
+        assert receiver.resume(session.welcome(0.0).data)
+        walked(session, receiver, seed + 1, 40)
+        assert receiver.holdings.to_bytes() == session.holdings.to_bytes()

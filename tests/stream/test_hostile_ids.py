@@ -11,21 +11,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsvis.abr.candidates import CandidateStore
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.index import CellMembers, SceneIndex
+from gsvis.abr.index import SceneIndex
 from gsvis.errors import ProtocolError
-from gsvis.pvs.codec import pack, word_count
+from gsvis.pvs.codec import pack
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter
-from gsvis.stream import Receiver, Sender, StreamedScene
+from gsvis.stream import Receiver, Session, StreamedScene
 from gsvis.stream.batch import Sections
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import Hello, parse_client
 from tests.abr.abr_scenes import ArrayCells, random_index
 from tests.stream.worlds import package_of
 
-VIEW = FieldOfView.of_degrees(90, 70)
+VIEW = FieldOfView.from_degrees(90, 70)
+Change = Callable[[np.ndarray], np.ndarray]
 BEYOND = [[100], [0, 1 << 40], [-1], [-(1 << 62)], [(1 << 63) - 1]]
 
 
@@ -40,8 +41,6 @@ def test_sets_refuse_ids_beyond_the_range(ids: list[int]) -> None:
     given, none = np.array(ids), np.zeros(0, np.int64)
     with pytest.raises(ValueError, match="ids: expected"):
         pack(given, 100)
-    with pytest.raises(ValueError, match="ids: expected"):
-        CellMembers.of(given, 100)
     for place in range(3):
         with pytest.raises(ValueError, match="expected values in"):
             Holdings(100, 100).add(*(given if k == place else none for k in range(3)))
@@ -94,49 +93,56 @@ def test_a_hello_with_a_bitmap_that_lies_is_refused(scene: StreamedScene, bitmap
     said = parse_client(hello.to_bytes())
     assert isinstance(said, Hello)
     if bitmap == "beyond" and place == 1 and scene.about.terms > 100:
-        Sender.greeted(scene, said)  # there are so many terms
+        Session.from_hello(scene, said)  # there are so many terms
         return
     with pytest.raises(ValueError, match="data: expected"):
-        Sender.greeted(scene, said)
+        Session.from_hello(scene, said)
 
 
-def with_cells(index: SceneIndex, change: Callable[[CellMembers], CellMembers], terms: Any = None) -> SceneIndex:
-    """An index whose cells give other members or terms than they should."""
-    members = [change(index.cells.members(k)) for k in range(len(index.grid))]
-    found = [index.cells.terms(k) if terms is None else np.array(terms) for k in range(len(index.grid))]
-    return index.with_cells(ArrayCells(members, found))
+class Changed(ArrayCells):
+    """Cells that give other words or classes than they should."""
+
+    def __init__(self, index: SceneIndex, cells: list[int], words: Change | None = None, classes: Change | None = None):
+        members = [index.sets.classes(cell) for cell in range(len(index.grid))]
+        terms = [index.active.active_ids(cell) for cell in range(len(index.grid))]
+        super().__init__(len(index), members, terms)
+        self._cells, self._change_words, self._change_classes = cells, words, classes
+
+    def visible_words(self, cell: int) -> np.ndarray:
+        words = super().visible_words(cell)
+        return self._change_words(words) if self._change_words and cell in self._cells else words
+
+    def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
+        ids, classes = super().classes(cell)
+        return ids, self._change_classes(classes) if self._change_classes and cell in self._cells else classes
 
 
-def test_cells_with_gaussians_or_terms_that_the_scene_lacks_are_refused() -> None:
+HIGH = np.uint64(1) << np.uint64(63)
+WORDS: dict[str, Change] = {
+    "longer": lambda words: np.concatenate([words, words]),
+    "shorter": lambda words: words[:1],
+    "beyond": lambda words: np.where(np.arange(len(words)) == 300 // 64, words | HIGH, words),
+}
+
+
+@pytest.mark.parametrize("change", WORDS)
+@pytest.mark.parametrize("neighbor", [False, True])
+def test_cells_with_gaussians_that_the_scene_lacks_are_refused(change: str, neighbor: bool) -> None:
     index = random_index(1, 300)
-    high = np.zeros(word_count(300), np.uint64)
-    high[300 // 64] = np.uint64(1) << np.uint64(63)
-    changes: dict[str, Callable[[CellMembers], CellMembers]] = {
-        "words": lambda m: replace(m, words=np.concatenate([m.words, m.words])),
-        "words: shorter": lambda m: replace(m, words=m.words[:1]),
-        "words: beyond": lambda m: CellMembers(m.words | high, np.append(m.classes, np.uint8(0))),
-        "classes": lambda m: replace(m, classes=m.classes[:-1]),
-        "classes: too high": lambda m: replace(m, classes=np.full_like(m.classes, 200)),
-    }
-    for name, change in changes.items():
-        with pytest.raises(ValueError, match=f"{name.partition(':')[0]}: expected"):
-            CandidateStore(with_cells(index, change)).of(0)
-    for terms in ([index.num_terms], [0, 1 << 40], [-1]):
-        with pytest.raises(ValueError, match="terms: expected values in"):
-            CandidateStore(with_cells(index, lambda m: m, terms)).of(0)
-
-
-def test_neighbors_with_gaussians_that_the_scene_lacks_are_refused() -> None:
-    index = random_index(1, 300)
-
-    class Longer(ArrayCells):
-        def words(self, cell: int) -> np.ndarray:
-            return np.concatenate([super().words(cell)] * 2)
-
-    members = [index.cells.members(k) for k in range(len(index.grid))]
-    cells = Longer(members, [index.cells.terms(k) for k in range(len(index.grid))])
+    cells = index.grid.neighbors(0).tolist() if neighbor else [0]
     with pytest.raises(ValueError, match="words: expected a set of 300"):
-        CandidateStore(index.with_cells(cells)).of(0)
+        CandidateIndex(replace(index, sets=Changed(index, cells, words=WORDS[change]))).in_cell(0)
+
+
+def test_cells_with_classes_or_terms_that_the_scene_lacks_are_refused() -> None:
+    index = random_index(1, 300)
+    for change in (lambda classes: classes[:-1], lambda classes: np.full_like(classes, 200)):
+        with pytest.raises(ValueError, match="classes: expected"):
+            CandidateIndex(replace(index, sets=Changed(index, [0], classes=change))).in_cell(0)
+    for terms in ([index.num_terms], [0, 1 << 40], [-1]):
+        cells = ArrayCells(300, [], [np.array(terms)])
+        with pytest.raises(ValueError, match="terms: expected values in"):
+            CandidateIndex(replace(index, active=cells)).in_cell(0)
 
 
 NONE = np.zeros(0, np.int64)

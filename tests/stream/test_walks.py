@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.policies import POLICIES
 from gsvis.abr.predict import exponential
-from gsvis.abr.scheduler import SchedulerConfig
-from gsvis.stream import Hello, Receiver, Sender, StreamedScene, parse_client
+from gsvis.stream import Hello, Receiver, Session, StreamedScene, parse_client
 from gsvis.stream.batch import Sections
-from gsvis.stream.sender import PIECE
+from gsvis.stream.session import PIECE
 from tests.stream.worlds import package_of
 
-VIEW = FieldOfView.of_degrees(80, 60, margin=8)
+VIEW = FieldOfView.from_degrees(80, 60, margin=8)
 FEW = settings(max_examples=12)
 
 
@@ -32,14 +32,14 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StreamedScene]
         scene.package.close()
 
 
-def greeted(scene: StreamedScene, receiver: Receiver, config: SchedulerConfig) -> Sender:
+def greeted(scene: StreamedScene, receiver: Receiver, config: AbrConfig) -> Session:
     """A new connection of a client."""
     hello = parse_client(receiver.hello(VIEW).to_bytes(), most_hello=scene.most_hello)
     assert isinstance(hello, Hello)
-    sender = Sender.greeted(scene, hello, config)
-    assert receiver.resume(sender.welcome(0.0).data)
-    sender.on_ack(0.0, 0)
-    return sender
+    session = Session.from_hello(scene, hello, config)
+    assert receiver.resume(session.welcome(0.0).data)
+    session.on_ack(0.0, 0)
+    return session
 
 
 @FEW
@@ -48,45 +48,45 @@ def test_nothing_is_sent_twice_and_nothing_is_lost(
     scenes: dict[str, StreamedScene], seed: int, variant: str, policy: str
 ) -> None:
     scene, rng = scenes[variant], np.random.default_rng(seed)
-    config, receiver = SchedulerConfig(policy=policy, start_rate=2e4), Receiver(scene.header)
+    config, receiver = AbrConfig(policy=policy, start_rate=2e4), Receiver(scene.header)
     place, spin = rng.uniform(-2, 2, 3), rng.normal(0, 0.5, 3)
     gaussians: list[int] = []
     terms: list[int] = []
-    sender, way, k = greeted(scene, receiver, config), [], 0
+    session, way, k = greeted(scene, receiver, config), [], 0
     for k in range(60):
         t = k / 10
-        sender.on_pose(t, place + rng.normal(0, 0.3, 3), exponential(spin * t))
-        message = sender.next_message(t, None if rng.random() < 0.5 else float(rng.integers(1000, 6000)))
+        session.on_pose(t, place + rng.normal(0, 0.3, 3), exponential(spin * t))
+        message = session.next_message(t, None if rng.random() < 0.5 else float(rng.integers(1000, 6000)))
         if message is not None:
             way.append(message)
         while way and rng.random() < 0.6:
             received = receiver.receive(way.pop(0).data)  # refuses what is there
             gaussians += received.gaussians.tolist()
             terms += received.terms.tolist()
-            sender.on_ack(t, received.sequence)
+            session.on_ack(t, received.sequence)
         if rng.random() < 0.1:  # the link breaks, and what was on its way is gone
             way = []
-            sender = greeted(scene, receiver, config)
+            session = greeted(scene, receiver, config)
     for message in way:
         received = receiver.receive(message.data)
         gaussians += received.gaussians.tolist()
         terms += received.terms.tolist()
     for n in range(400):  # standing still until all has come
         t = 100.0 + n / 10
-        sender.on_pose(t, place, exponential(spin))
-        message = sender.next_message(t, 20_000.0)
-        if message is None and sender.done:
+        session.on_pose(t, place, exponential(spin))
+        message = session.next_message(t, 20_000.0)
+        if message is None and session.done:
             break
         assert message is not None
         received = receiver.receive(message.data)
         gaussians += received.gaussians.tolist()
         terms += received.terms.tolist()
-        sender.on_ack(t, received.sequence)
+        session.on_ack(t, received.sequence)
     assert len(set(gaussians)) == len(gaussians)
     assert len(set(terms)) == len(terms)
     assert sorted(gaussians) == receiver.holdings.received.tolist()
     assert sorted(terms) == receiver.holdings.received_terms.tolist()
-    assert receiver.holdings.to_bytes() == sender.holdings.to_bytes()
+    assert receiver.holdings.to_bytes() == session.holdings.to_bytes()
     assert sorted(receiver.shown().tolist()) == receiver.holdings.shown.tolist()
     shown, (drawn, colors) = receiver.shown(), receiver.scene()
     whole = scene.contents.gaussians(shown)
@@ -104,10 +104,10 @@ def test_nothing_is_sent_twice_and_nothing_is_lost(
 def test_a_batch_is_read_on_its_own(scenes: dict[str, StreamedScene], seed: int) -> None:
     scene, rng = scenes["axes"], np.random.default_rng(seed)
     contents, rows = scene.contents, set()
-    sender, messages = Sender(scene, VIEW), []
+    session, messages = Session(scene, VIEW), []
     for k in range(10):
-        sender.on_pose(k / 10, rng.uniform(-2, 2, 3), rng.normal(size=4))
-        messages.append(sender.next_message(k / 10, float(rng.integers(1024, 9000))))
+        session.on_pose(k / 10, rng.uniform(-2, 2, 3), rng.normal(size=4))
+        messages.append(session.next_message(k / 10, float(rng.integers(1024, 9000))))
     for message in [messages[k] for k in rng.permutation(10)]:
         if message is None:
             continue
@@ -134,48 +134,48 @@ def test_messages_are_about_as_large_as_they_should_be(
     scenes: dict[str, StreamedScene], seed: int, budget: float
 ) -> None:
     scene, rng = scenes["rgb"], np.random.default_rng(seed)
-    sender = Sender(scene, VIEW)
-    assert sender.next_message(0.0, budget) is None  # no pose yet
+    session = Session(scene, VIEW)
+    assert session.next_message(0.0, budget) is None  # no pose yet
     sizes = []
     for k in range(20):
-        sender.on_pose(k / 10, rng.uniform(-2, 2, 3), rng.normal(size=4))
-        assert sender.next_message(k / 10, 1000.0) is None
-        message = sender.next_message(k / 10, budget)
+        session.on_pose(k / 10, rng.uniform(-2, 2, 3), rng.normal(size=4))
+        assert session.next_message(k / 10, 1000.0) is None
+        message = session.next_message(k / 10, budget)
         if message is not None:
             sizes.append(len(message.data))
-            assert sender.outstanding == sum(sizes) == sender.wire_bytes
+            assert session.outstanding == sum(sizes) == session.wire_bytes
     assert max(sizes) < 1.6 * budget
     assert np.median(sizes) < 1.1 * budget
 
 
 def test_a_link_is_filled_in_pieces_and_asked_again_when_it_seems_dead(scenes: dict[str, StreamedScene]) -> None:
-    sender = Sender(scenes["rgb"], VIEW, SchedulerConfig(start_rate=100e3, window=0.06))
-    sender.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
-    assert sender.room() == 100e3 * sender.scheduler.config.piece
-    assert sender.room(0.055) == pytest.approx(100e3 * 0.055)  # a server that is behind sends larger ones
-    assert sender.room(1e-9) == PIECE
-    message = sender.next_message(0.0)
+    session = Session(scenes["rgb"], VIEW, AbrConfig(start_rate=100e3, window=0.06))
+    session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+    assert session.room() == 100e3 * session.config.piece
+    assert session.room(0.055) == pytest.approx(100e3 * 0.055)  # a server that is behind sends larger ones
+    assert session.room(1e-9) == PIECE
+    message = session.next_message(0.0)
     assert message is not None
-    assert not sender.done
-    assert sender.room() == 0.0  # what is left of the window is too little: it waits for an acknowledgement
-    assert sender.next_message(0.0) is None
-    sender.on_ack(0.06, message.sequence)
-    assert sender.next_message(0.06) is not None
-    dead = Sender(scenes["rgb"], VIEW, SchedulerConfig(start_rate=1.0))
+    assert not session.done
+    assert session.room() == 0.0  # what is left of the window is too little: it waits for an acknowledgement
+    assert session.next_message(0.0) is None
+    session.on_ack(0.06, message.sequence)
+    assert session.next_message(0.06) is not None
+    dead = Session(scenes["rgb"], VIEW, AbrConfig(start_rate=1.0))
     assert dead.allowance() < 1.0
     assert dead.room() == PIECE
 
 
 def test_holdings_of_another_scene_are_nothing(scenes: dict[str, StreamedScene]) -> None:
-    receiver, sender = Receiver(scenes["rgb"].header), Sender(scenes["rgb"], VIEW)
-    sender.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
-    message = sender.next_message(0.0, 5000.0)
+    receiver, session = Receiver(scenes["rgb"].header), Session(scenes["rgb"], VIEW)
+    session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+    message = session.next_message(0.0, 5000.0)
     assert message is not None
     receiver.receive(message.data)
-    other = Sender.greeted(scenes["axes"], receiver.hello(VIEW))
+    other = Session.from_hello(scenes["axes"], receiver.hello(VIEW))
     assert len(other.holdings.received) == 0
     assert not receiver.resume(other.welcome(0.0).data)
     assert receiver.resume(scenes["rgb"].header)
     wrong = Hello(VIEW, bytes.fromhex(scenes["rgb"].about.identity), b"GVH1 of something else")
     with pytest.raises(ValueError, match=r"^data: expected"):
-        Sender.greeted(scenes["rgb"], wrong)
+        Session.from_hello(scenes["rgb"], wrong)

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.errors import ProtocolError
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Sender, StreamedScene, parse_client
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import FAULTS, MOST_HELLO, ServerFault
 from tests.stream.worlds import package_of
 
-VIEW = FieldOfView.of_degrees(80, 60, margin=8)
+VIEW = FieldOfView.from_degrees(80, 60, margin=8)
 NUMBER = st.floats(-1e6, 1e6, width=32)
 
 
@@ -87,7 +87,7 @@ def test_bytes_of_any_kind_are_read_or_refused(data: bytes) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.tuples(NUMBER, NUMBER, NUMBER), NUMBER)
 def test_poses_are_read_as_they_were_written(time: int, position, turn: float) -> None:
-    pose = PoseAt(time, position, (0.5, 0.0, -0.25, turn / 16))
+    pose = PoseAt(time, position, (0.5, 0.0, -0.25, float(np.float32(turn / 16))))  # a float32, also next to 0
     assert parse_client(pose.to_bytes()) == pose
     assert len(pose.to_bytes()) == 36
 
@@ -99,8 +99,8 @@ def test_what_is_written_is_read() -> None:
     fault = ServerFault(FAULTS["flood"], "slow down: ä")
     assert ServerFault.parse(fault.to_bytes()) == fault
     assert len(ServerFault(1, 5000 * "ä").to_bytes()) <= 1004
-    assert ServerFault.of(ProtocolError("x", 3)) == ServerFault(3, "x")
-    assert "secret" not in ServerFault.of(OSError("secret")).line
+    assert ServerFault.from_error(ProtocolError("x", 3)) == ServerFault(3, "x")
+    assert "secret" not in ServerFault.from_error(OSError("secret")).line
 
 
 @pytest.mark.parametrize(
@@ -134,9 +134,9 @@ def test_a_field_of_view_without_an_inside_is_refused() -> None:
 def test_a_client_takes_a_batch_whole_or_not_at_all(tmp_path: Path, variant: str) -> None:
     with package_of(tmp_path / "s.gsvis", variant=variant) as package:
         scene = StreamedScene.open(package)
-        sender, receiver = Sender(scene, VIEW), Receiver(scene.header)
-        sender.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
-        first, second = sender.next_message(0.0, 3000.0), sender.next_message(0.0, 6000.0)
+        session, receiver = Session(scene, VIEW), Receiver(scene.header)
+        session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+        first, second = session.next_message(0.0, 3000.0), session.next_message(0.0, 6000.0)
         assert first is not None
         assert second is not None
         receiver.receive(first.data)

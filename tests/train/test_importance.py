@@ -21,12 +21,12 @@ def views(count: int = 3) -> Cameras:
 
 
 def photographs(g: Gaussians, cameras: Cameras) -> PosedImages:
-    return PosedImages(cameras, rasterize(g, cameras).images.numpy())
+    return PosedImages(cameras, rasterize(g, cameras).images)
 
 
 def error(g: Gaussians, aims: PosedImages) -> float:
     """Mean squared error."""
-    return float(np.square(rasterize(g, aims.cameras).images.numpy().astype(np.float64) - aims.images).mean())
+    return float(np.square(rasterize(g, aims.cameras).images.astype(np.float64) - aims.images).mean())
 
 
 @pytest.mark.parametrize("method", IMPORTANCE_METHODS)
@@ -63,7 +63,7 @@ def test_gradient_is_the_slope_of_the_error_by_size() -> None:
     values = importance(g, aims, method="gradient")
 
     def absolute(scales: np.ndarray) -> float:
-        drawn = rasterize(Gaussians(g.means, g.quats, scales, g.opacities, g.sh0, g.shN), camera).images.numpy()
+        drawn = rasterize(Gaussians(g.means, g.quats, scales, g.opacities, g.sh0, g.shN), camera).images
         return float(np.abs(drawn.astype(np.float64) - aims.images).mean())
 
     for index in np.argsort(values)[-3:]:

@@ -16,7 +16,8 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
-from gsvis.train.trainer import TrainConfig, mean_psnr
+from gsvis.train.likeness import mean_psnr
+from gsvis.train.trainer import TrainConfig
 
 COUNT = 300
 CONFIG = LevelsConfig(shares=(0.12, 0.25), iterations=60, threshold=1e-5, most_share=0.02, evaluate_every=20)

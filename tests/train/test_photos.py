@@ -291,3 +291,13 @@ def test_odd_images_are_read_or_refused_without_a_warning(tmp_path: Path) -> Non
         path.write_bytes(data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
         with pytest.raises(FormatError, match="exhaust memory"):
             load_photos(folder)
+
+
+def test_photographs_that_are_too_small_are_at_fault_themselves(tmp_path: Path) -> None:
+    write_transforms(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text()) | {"w": 12, "h": 8}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    for path in (tmp_path / "images").iterdir():
+        Image.new("RGB", (12, 8)).save(path)
+    with pytest.raises(FormatError, match="expected images of at least 16 pixels a side, got 12 x 8"):
+        load_photos(tmp_path)

@@ -11,8 +11,8 @@ from gsvis.train import trainer as trainers
 from gsvis.train.densify import DensifyConfig
 from gsvis.train.images import PosedImages
 from gsvis.train.initial import gaussians_from_points
-from gsvis.train.likeness import measure_views
-from gsvis.train.trainer import TrainConfig, Trainer, mean_psnr
+from gsvis.train.likeness import mean_psnr, measure_views
+from gsvis.train.trainer import TrainConfig, Trainer
 from tests.train.photo_files import cameras, cloud, pictures
 
 RULES = DensifyConfig(start=3, stop=18, every=5, threshold=1e-5, reset_every=0)

@@ -15,7 +15,8 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.densify import DensifyConfig
 from gsvis.train.images import PosedImages
-from gsvis.train.trainer import TrainConfig, Trainer, extent_of, mean_psnr, train
+from gsvis.train.likeness import mean_psnr
+from gsvis.train.trainer import TrainConfig, Trainer, extent_of, train
 
 COUNT = 60
 RULES = DensifyConfig(start=10, stop=50, every=10, threshold=1e-4, reset_every=40)
@@ -46,7 +47,7 @@ def truth() -> Gaussians:
 @pytest.fixture(scope="module")
 def views(truth: Gaussians) -> PosedImages:
     cameras = Cameras.orbit((0, 0, 0), 4.0, 10, width=48, height=40)
-    images = rasterize(truth, cameras).images.numpy()
+    images = rasterize(truth, cameras).images
     return PosedImages(cameras, (images.clip(0, 1) * 255).round().astype(np.uint8))
 
 
@@ -161,7 +162,7 @@ def test_frozen_ones_keep_a_higher_degree(views: PosedImages, truth: Gaussians, 
 
 def test_colors_above_white_are_aimed_at(truth: Gaussians, start: Gaussians) -> None:
     cameras = Cameras.orbit((0, 0, 0), 4.0, 4, width=32, height=32)
-    bright = rasterize(truth, cameras).images.numpy() * 2.0
+    bright = rasterize(truth, cameras).images * 2.0
     trainer = Trainer(PosedImages(cameras, bright.astype(np.float32)), start, STEADY)
     losses = [trainer.advance() for _ in range(40)]
     assert np.mean(losses[-4:]) < 0.7 * np.mean(losses[:4])

@@ -1,13 +1,13 @@
-"""Kernels that plan for one client: units ranked by what they give, and the next records that fit.
+"""Kernels that plan for one client: rank units by gain, and take the next records that fit.
 
-Loops over all words and units of a cell have no branches, so that they run in lanes; what only few words need, whether
-Gaussians are in view one by one, is asked for those that a plan can reach. Arrays go one by one into what runs often,
-as numba counts references when it takes them out of tuples. Sets, units and buckets as in `_kernels`.
+Loops over all words and units of a cell have no branches, so that they run in SIMD lanes. Whether single Gaussians are
+in view is tested only for the words that a plan can reach. Inner loops take arrays one by one, because numba counts
+references when it takes arrays out of tuples. Sets, units and buckets are those of `units`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,9 +17,97 @@ from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, TERMS
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _SAMPLE, _SPARE = 16, 1.5
-NEVER = 1 << 30  # a key that is none
-UNKNOWN, DONE = -1, -2  # instead of a replacement that is waited for: not looked at in this cell, replaced
-SEVERAL = -2  # instead of the one whose place a Gaussian takes
+NEVER = 1 << 30  # the key of what is never sent
+UNKNOWN, DONE = -1, -2  # in `Cell.waits`: not checked in this cell yet; replaced
+SEVERAL = -2  # in `Links.only`
+
+
+class Cell(NamedTuple):
+    """A cell as one client sees it; S words have candidates, E Gaussians are replaced by others."""
+
+    words: Any  # (S,) int32 rising, number of each word
+    places: Any  # (6, S) float32, see `Candidates.places`
+    term_bytes: Any  # mean bytes of the active terms of a Gaussian that has some
+    owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held
+    active: Any  # active terms as a packed set
+    candidates: Any  # (W,) uint64, all candidates
+    waits: Any  # (E, 2) int32, id and place of the replacement that each waits for
+
+
+class Held(NamedTuple):
+    """What a client holds, as packed sets."""
+
+    gaussians: Any
+    terms: Any
+    gone: Any  # Gaussians that have been replaced
+
+
+class View(NamedTuple):
+    """What a client looks at."""
+
+    eye: Any  # (3,) float32
+    planes: Any  # (F, 5, 4) float32 frusta
+    bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
+
+
+class Limits(NamedTuple):
+    """How far to rank."""
+
+    enough: Any  # bytes that suffice
+    least: Any  # lowest key
+
+
+class Plan(NamedTuple):
+    """P entries in the order in which they are sent."""
+
+    entries: Any  # (P,) int32, number of a word times 2, plus 1 for terms
+    sets: Any  # (P,) uint64, which of its Gaussians
+
+
+class Records(NamedTuple):
+    """Bytes of the records."""
+
+    sizes: Any  # (N,) of Gaussians, (1,) where all are equal
+    term_offsets: Any  # (N + 1,)
+    term_sizes: Any  # (T,)
+
+
+class Links(NamedTuple):
+    """Which Gaussians replace which; E are replaced."""
+
+    only: Any  # (N,) number, in [0, E), of the one that each replaces; -1 for none, `SEVERAL` for more
+    offsets: Any  # (N + 1,) into `ranks`
+    ranks: Any  # numbers of all that each replaces
+    ending: Any  # (E,) ids of the replaced
+    starts: Any  # (E + 1,) into `ids`
+    ids: Any  # replacements of each
+
+
+class Taken(NamedTuple):
+    """Room for the ids of a batch."""
+
+    gaussians: Any
+    terms: Any
+    dropped: Any
+    queue: Any  # scratch
+
+
+class Work(NamedTuple):
+    """Scratch of `rank` for S words, U units and K keys."""
+
+    inside: Any  # (S,) uint64
+    free: Any  # (S,) uint64
+    due: Any  # (S,) uint64
+    sides: Any  # (S,) uint8
+    squares: Any  # (S,) float32
+    gains: Any  # (U,) float32
+    buckets: Any  # (U,) int32
+    chosen: Any  # (U,) int32
+    keys: Any  # (4 U,) int32
+    entries: Any  # (4 U,) int32
+    sets: Any  # (4 U,) uint64
+    counts: Any  # (K,) int64
+    sizes: Any  # (K,) float64
 
 
 @njit(inline="always")
@@ -45,7 +133,7 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 @njit(inline="always")
 def _left(active, held, start, stop):
-    """Whether a bit in [start, stop) is in `active` and not in `held`."""
+    """Return whether a bit in [start, stop) is in `active` and not in `held`."""
     if start >= stop:
         return False
     ones = ~np.uint64(0)
@@ -62,7 +150,7 @@ def _left(active, held, start, stop):
 
 
 @njit(**_OPTIONS)
-def _look(x, y, z, radii, p, sides):
+def _test_words(x, y, z, radii, p, sides):
     """Raise `sides` (S,) to 1 where a sphere touches a frustum (5, 4), to 2 where it is inside."""
     a0, b0, c0, d0 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     a1, b1, c1, d1 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
@@ -85,8 +173,9 @@ def _look(x, y, z, radii, p, sides):
 
 
 @njit(**_OPTIONS)
-def _touching(words, places, xs, ys, zs, sizes, planes, sides, inside):
-    """Which Gaussians of words (S,) are in one of the frusta (F, 5, 4), asked one by one where the side is 3."""
+def _test_gaussians(words, places, bodies, planes, sides, inside):
+    """Set which Gaussians of words (S,) are in a frustum (F, 5, 4); test them one by one where the side is 3."""
+    xs, ys, zs, sizes = bodies[0], bodies[1], bodies[2], bodies[3]
     near, depth = np.empty(64, np.float32), np.empty(64, np.float32)
     for s in range(len(words)):
         inside[s] = ~np.uint64(0) if sides[s] == 2 else np.uint64(0)
@@ -118,7 +207,7 @@ def _touching(words, places, xs, ys, zs, sizes, planes, sides, inside):
 
 @njit(**_OPTIONS)
 def _gather(words, owed, gaussians, gone, free, due):
-    """What is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
+    """Set what is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
     for s in range(len(words)):
         w = words[s]
         free[s], due[s] = ~(gaussians[w] | gone[w]), owed[s] & ~gone[w]
@@ -126,7 +215,7 @@ def _gather(words, owed, gaussians, gone, free, due):
 
 @njit(**_OPTIONS)
 def _squares(x, y, z, spreads, eye, out):
-    """Mean squares of the distances of the Gaussians of words from the eye."""
+    """Set the mean square of the distances between the Gaussians of each word and the eye."""
     a, b, c = eye[0], eye[1], eye[2]
     for s in range(len(x)):
         u, v, w = x[s] - a, y[s] - b, z[s] - c
@@ -135,14 +224,14 @@ def _squares(x, y, z, spreads, eye, out):
 
 @njit(**_OPTIONS)
 def _gains(slots, areas, pixels, squares, out):
-    """Gains of units."""
+    """Set the gain of each unit."""
     for u in range(len(slots)):
         out[u] = areas[u] / squares[slots[u]] + pixels[u]
 
 
 @njit(**_OPTIONS)
 def _buckets(bits, out):
-    """Buckets of gains whose bits are given; see `bucket_of`."""
+    """Set the bucket of each gain, given by its bits; see `bucket_of`."""
     for u in range(len(bits)):
         place = (bits[u] >> 18) - LEAST
         place = 0 if place < 0 else place
@@ -150,11 +239,12 @@ def _buckets(bits, out):
 
 
 @njit(**_OPTIONS)
-def _limit(units, runs, state, table, limits, sizes):
-    """A key before which there is about as much as suffices, as told by some of the words; at most all keys."""
-    masks, codes, buckets = units
+def _estimate_limit(units, runs, cell, table, limits, work):
+    """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
+    masks, codes, buckets = units.masks, units.codes, work.buckets
     starts, run_slots = runs
-    free, due, sides, word_bytes, term_bytes = state
+    free, due, sides, sizes = work.free, work.due, work.sides, work.sizes
+    word_bytes, term_bytes = cell.places[5], cell.term_bytes
     enough, least = limits
     sizes[:] = 0.0
     for r in range(0, len(run_slots), _SAMPLE):
@@ -175,15 +265,15 @@ def _limit(units, runs, state, table, limits, sizes):
 
 
 @njit(**_OPTIONS)
-def _choose(units, runs, state, table, limit, chosen):
-    """Units that may have a key below a limit; a closer look is wanted (3) at the words on a border that they are in.
+def _choose(units, runs, table, limit, work):
+    """Choose the units that may have a key below a limit; mark their words on a border with 3, for a closer test.
 
     Returns:
-        How many are chosen, and whether these are all that are to be sent.
+        Number of chosen units, and whether no other unit is left to send.
     """
-    masks, codes, buckets = units
+    masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
     starts, run_slots = runs
-    free, due, sides, _, _ = state
+    free, due, sides = work.free, work.due, work.sides
     filled, every = 0, True
     for r in range(len(run_slots)):
         s = run_slots[r]
@@ -205,43 +295,37 @@ def _choose(units, runs, state, table, limit, chosen):
 
 
 @njit(**_OPTIONS)
-def rank(units, runs, cell, owed, held, view, table, limits, work):
-    """The units that are left, by key: what their class, level and kind add, and the bucket of their gain.
+def rank(units, runs, cell, held, view, table, limits, work):
+    """Rank the units that are left by key: the offset of their class, level and kind, plus the bucket of their gain.
 
     Args:
-        units: (slots, masks, areas, pixels, codes).
-        runs: (starts (R + 1,), slots (R,)) where units of another ring or word begin.
-        cell: (words (S,), places (6, S), bytes of the terms of a Gaussian).
-        owed: (S,) Gaussians that may have active terms that are not held.
-        held: (Gaussians, terms, gone) as words.
-        view: (eye (3,) float32, planes (F, 5, 4) float32, bodies (4, 64 W)).
-        table: (4 L L, 2, 2) int32, what is added to a bucket: by code, geometry or terms, in view or out of view.
-        limits: (bytes that suffice, least key).
-        work: (inside, free, due (S,) uint64, sides (S,) uint8, squares (S,) float32; gains (U,) float32, buckets,
-            chosen (U,) int32; keys and entries (4 U,) int32, bits (4 U,) uint64; counts (K,) int64, sizes (K,)
-            float64): see `CandidateStore.room`.
+        units: `Units` of the cell.
+        runs: `Runs` of them.
+        cell: `Cell`.
+        held: `Held`.
+        view: `View`.
+        table: (4 L L, 2, 2) int32, the offset of a bucket: by code, geometry or terms, in view or out of view.
+        limits: `Limits`.
+        work: `Work` with S words, U units and K keys; see `CandidateIndex.work`.
 
     Returns:
-        The plan, the key up to which it goes, and whether it has all that is left. The plan is entries (P,) int32, the
-        number of a word times 2, plus 1 for terms, and (P,) uint64 of which of its Gaussians.
+        `Plan`, the key at which it ends, and whether it holds all that is left.
     """
     slots, masks, areas, pixels, codes = units
-    words, places, term_bytes = cell
-    eye, planes, bodies = view
-    enough, least = limits
-    inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, whose, counts, sizes = work
+    words, places, term_bytes = cell.words, cell.places, cell.term_bytes
+    inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, sets, counts, sizes = work
+    least = limits.least
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
-    _gather(words, owed, held[0], held[2], free, due)
+    _gather(words, cell.owed, held.gaussians, held.gone, free, due)
     sides[:] = 0
-    for f in range(len(planes)):
-        _look(x, y, z, places[3], planes[f], sides)
-    _squares(x, y, z, places[4], eye, squares)
+    for f in range(len(view.planes)):
+        _test_words(x, y, z, places[3], view.planes[f], sides)
+    _squares(x, y, z, places[4], view.eye, squares)
     _gains(slots, areas, pixels, squares, gains)
     _buckets(gains.view(np.int32), buckets)
-    state = (free, due, sides, word_bytes, term_bytes)
-    limit = _limit((masks, codes, buckets), runs, state, table, limits, sizes)
-    count, whole = _choose((masks, codes, buckets), runs, state, table, limit, chosen)
-    _touching(words, places, bodies[0], bodies[1], bodies[2], bodies[3], planes, sides, inside)
+    limit = _estimate_limit(units, runs, cell, table, limits, work)
+    count, whole = _choose(units, runs, table, limit, work)
+    _test_gaussians(words, places, view.bodies, view.planes, sides, inside)
     own = len(table) // 4  # codes of ring 0
     counts[:limit], sizes[:limit] = 0, 0.0
     filled = 0
@@ -259,55 +343,54 @@ def rank(units, runs, cell, owed, held, view, table, limits, work):
                 if key >= limit:
                     whole = False
                     continue
-                keys[filled], entries[filled], whose[filled] = key, 2 * s + kind, bits
+                keys[filled], entries[filled], sets[filled] = key, 2 * s + kind, bits
                 filled += 1
                 counts[key] += 1
                 sizes[key] += np.float64(ones(bits)) * share
     total, stop, length = 0.0, least, 0
-    while stop < limit and total < enough:
+    while stop < limit and total < limits.enough:
         total += sizes[stop]
         counts[stop], length = length, length + counts[stop]
         stop += 1
-    plan = np.empty(length, np.int32), np.empty(length, np.uint64)
+    plan = Plan(np.empty(length, np.int32), np.empty(length, np.uint64))
     for k in range(filled):
         key = keys[k]
         if key < stop:
-            plan[0][counts[key]], plan[1][counts[key]] = entries[k], whose[k]
+            plan.entries[counts[key]], plan.sets[counts[key]] = entries[k], sets[k]
             counts[key] += 1
     return plan, stop, whole and length == filled
 
 
 @njit(**_OPTIONS)
-def take(plan, place, cell, held, scene, links, budget, out):
-    """The next records of a plan, as long as they fit; they count as held from then on.
+def take(plan, place, cell, held, records, links, budget, out):
+    """Take the next records of a plan that fit into a budget, and mark them as held.
 
     Args:
-        plan: entries and Gaussians, see `rank`.
-        place: where to go on in it.
-        cell: (words (S,), owed (S,), active terms as words); of owed, what is paid is cleared.
-        held: (Gaussians, terms, gone) as words; changed.
-        scene: (bytes of Gaussians, (1,) where they are alike; term_offsets, term_bytes).
-        links: (words of all candidates; `CandidateStore.links`; (E, 2) int32 id and place of the replacement that each
-            waits for, changed).
-        budget: bytes.
-        out: (Gaussians, terms, dropped) receive ids; and room for as many as can be dropped.
+        plan: `Plan`.
+        place: Entry to continue at.
+        cell: `Cell`; clears what is paid in `owed`, and changes `waits`.
+        held: `Held`; changed.
+        records: `Records`.
+        links: `Links`.
+        budget: Bytes.
+        out: `Taken`, receives ids; `dropped` and `queue` have room for all that can be dropped.
 
     Returns:
-        Where to go on, numbers of Gaussians, terms, and dropped Gaussians, and bytes.
+        Entry to continue at, numbers of Gaussians, terms and dropped Gaussians, and bytes.
     """
-    entries, whose = plan
-    words, owed, active = cell
+    entries, sets = plan
+    words, owed, active = cell.words, cell.owed, cell.active
     gaussians, held_terms, gone = held
-    sizes, term_offsets, term_sizes = scene
-    candidates, only, offsets, ranks, ending, starts, ids, waits = links
+    sizes, term_offsets, term_sizes = records
+    only, waits = links.only, cell.waits
+    out_gaussians, out_terms = out.gaussians, out.terms
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
-    out_gaussians, out_terms, out_dropped, queue = out
-    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_let_go` once more
+    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
     one, ones = np.uint64(1), ~np.uint64(0)
     while place < len(entries):
         s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
         w = np.int64(words[s])
-        rest = whose[place] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
+        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
         while rest:
             low = lowest(rest)
             rest &= rest - one
@@ -322,10 +405,7 @@ def take(plan, place, cell, held, scene, links, budget, out):
                 gaussians[w] |= one << low
                 e = np.int64(only[g])
                 if e == SEVERAL or (e >= 0 and (waits[e, 0] == UNKNOWN or waits[e, 0] == g)):
-                    dropped = _let_go(
-                        g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids, waits, queue,
-                        out_dropped, dropped,
-                    )  # fmt: skip
+                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
                     rest &= ~gone[w]
                 continue
             start, stop = term_offsets[g], term_offsets[g + 1]
@@ -350,12 +430,15 @@ def take(plan, place, cell, held, scene, links, budget, out):
 
 
 @njit(**_OPTIONS)
-def _let_go(g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids, waits, queue, out, dropped):
-    """Mark as gone those whose place g takes and whose other replacements are there, or not to be seen here.
+def _drop_replaced(g, held, cell, links, out, dropped):
+    """Mark as gone what g replaces, where all other replacements are held or cannot be seen from the cell.
 
-    What is gone has been replaced itself: it counts as there, and those whose place it was to take are looked at, too.
-    What still waits remembers one replacement that is missing (`waits`), and is not looked at again before that comes.
+    A Gaussian that is gone counts as held, so what it was to replace is checked too. What still waits remembers one
+    missing replacement in `waits`, and is not checked again before that arrives.
     """
+    gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
+    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
+    queue, out_dropped = out.queue, out.dropped
     waiting, done, y = 0, 0, g
     while True:
         for k in range(offsets[y], offsets[y + 1]):
@@ -380,7 +463,7 @@ def _let_go(g, gaussians, gone, candidates, offsets, ranks, ending, starts, ids,
             queue[waiting] = x
             waiting += 1
             if _has(gaussians, x):
-                out[dropped] = x
+                out_dropped[dropped] = x
                 dropped += 1
         if done == waiting:
             return dropped

@@ -7,7 +7,7 @@ largest.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -21,22 +21,47 @@ GEOMETRY, TERMS = 0, 1
 INSIDE, OUTSIDE = 0, 1
 
 
+class Units(NamedTuple):
+    """U units, the rows of `Candidates`."""
+
+    slots: Any  # (U,) int32, number of the word of each
+    masks: Any  # (U,) uint64, which Gaussians of it
+    areas: Any  # (U,) float32, mean weight times area for each byte
+    pixels: Any  # (U,) float32, mean weight times the area that a pixel adds at distance 1, for each byte
+    codes: Any  # (U,) uint16, (ring L + first level) L + last level
+
+
+class Runs(NamedTuple):
+    """R runs of units of one ring and word."""
+
+    starts: Any  # (R + 1,) int32, first unit of each, and U
+    slots: Any  # (R,) int32, number of the word of each
+
+
+class Traits(NamedTuple):
+    """N Gaussians in W words."""
+
+    strengths: Any  # (N, 2) float32, see `strengths`
+    pairs: Any  # (N,) uint16, first level L + last level
+    mixed: Any  # (W,) whether a word has more than one pair
+
+
 @njit(inline="always")
 def bucket_of(gain):
-    """Bucket of a gain >= 0: weighted solid angle for each byte."""
+    """Return the bucket of a gain >= 0, the weighted solid angle for each byte."""
     place = np.int64(np.float32(gain).view(np.int32) >> 18) - LEAST
     return BUCKETS - 1 - min(max(place, 0), BUCKETS - 1)
 
 
 @njit(**_OPTIONS)
 def word_spheres(means, radii, areas, spheres, spreads):
-    """A sphere around the Gaussians of each word, and the mean square of their distance from its middle.
+    """Set a sphere around the Gaussians of each word, and the mean square of their distance from its center.
 
     Args:
         means: (N, 3).
         radii: (N,).
-        areas: (N,), by which the middle is weighted.
-        spheres: (W, 4) receives middle and radius.
+        areas: (N,), weights of the center.
+        spheres: (W, 4) receives center and radius.
         spreads: (W,) receives the squares.
     """
     n = len(means)
@@ -56,26 +81,26 @@ def word_spheres(means, radii, areas, spheres, spreads):
             spread += share * square
             reach = max(reach, np.sqrt(square) + radii[g])
         spheres[w, 0], spheres[w, 1], spheres[w, 2] = x, y, z
-        slack = 1e-6 * (reach + abs(x) + abs(y) + abs(z)) + 1e-30  # for what is rounded when depths are computed
+        slack = 1e-6 * (reach + abs(x) + abs(y) + abs(z)) + 1e-30  # bounds the rounding of depths
         spheres[w, 3] = min(reach + slack, 1e30)
         spreads[w] = min(spread / total, 1e30)
 
 
 @njit(**_OPTIONS)
-def cell_units(members, scene, class_weights, found):
+def cell_units(words, classes, traits, class_weights, found):
     """Split the members of a cell into units of ring 0.
 
     Args:
-        members: (words, classes), classes of the members in rising order.
-        scene: (strengths (N, 2), pairs (N,) of levels, mixed (W,): whether a word has more than one of them).
+        words: (W,) uint64, the members.
+        classes: (V,) weight class of each, in rising order of ids.
+        traits: `Traits`.
         class_weights: (K,).
-        found: (words, masks, areas, pixels, codes) receive the units.
+        found: `Units`, receives the units, each with its word instead of a slot.
 
     Returns:
-        How many there are.
+        Number of units.
     """
-    words, classes = members
-    strengths, pairs, mixed = scene
+    strengths, pairs, mixed = traits
     out_words, out_masks, out_areas, out_pixels, out_codes = found
     one = np.uint64(1)
     masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
@@ -120,14 +145,14 @@ def cell_units(members, scene, class_weights, found):
 
 @njit(**_OPTIONS)
 def add_words(words, seen, fresh):
-    """Add to `fresh` what `words` have and `seen` has not."""
+    """Add to `fresh` what is in `words` and not in `seen`."""
     for w in range(len(words)):
         fresh[w] |= words[w] & ~seen[w]
 
 
 @njit(**_OPTIONS)
 def ring_units(fresh, every, found):
-    """The units of neighbors: of those of all Gaussians (`every`) what is `fresh`. Gives what `cell_units` gives."""
+    """Write the `fresh` part of the units of all Gaussians (`every`), and return the number of units."""
     words, masks, areas, pixels, codes = every
     out_words, out_masks, out_areas, out_pixels, out_codes = found
     filled = 0
@@ -142,14 +167,14 @@ def ring_units(fresh, every, found):
 
 @njit(**_OPTIONS)
 def pair_bytes(words, masks, codes, word_bytes, sums):
-    """Add to sums (L * L,) the bytes of units by pair of levels."""
+    """Add the bytes of units to sums (L * L,), by pair of levels."""
     for u in range(len(words)):
         sums[codes[u]] += np.float64(ones(masks[u])) * word_bytes[words[u]]
 
 
 @njit(inline="always")
 def _touches(planes, x, y, z, radius):
-    """2 where a sphere is inside one of the frusta, 1 where it touches one, else 0."""
+    """Return 2 where a sphere is inside one of the frusta, 1 where it touches one, else 0."""
     best = 0
     for f in range(planes.shape[0]):
         whole, part = True, True
@@ -166,14 +191,14 @@ def _touches(planes, x, y, z, radius):
 
 @njit(**_OPTIONS)
 def in_view(planes, means, radii, out):
-    """Which spheres (N,) touch one of the frusta (F, 5, 4)."""
+    """Set which spheres (N,) touch one of the frusta (F, 5, 4)."""
     for g in range(len(means)):
         out[g] = _touches(planes, means[g, 0], means[g, 1], means[g, 2], radii[g]) > 0
 
 
 @njit(**_OPTIONS)
 def active_words(ids, owners, active, owing):
-    """Mark active terms (ids), and the Gaussians that have them (owners: (T,))."""
+    """Mark active terms (ids), and the Gaussians that own them (owners: (T,))."""
     one = np.uint64(1)
     for k in range(len(ids)):
         t = ids[k]

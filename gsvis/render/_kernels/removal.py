@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 
 from gsvis._kernels.simd import Builder, Vector
 from gsvis.render._kernels.lanes import LANES, RECORD, STOP, T, _each_row, _load, _Record, _store
-from gsvis.render._kernels.tiles import _BATCH, _aligned, _open_tile, _prepare, _spread
+from gsvis.render._kernels.tiles import _BATCH, _allocate, _open_tile, _prepare, _spread
 
 __all__ = ["remove_tiles"]
 
@@ -163,7 +163,7 @@ def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, backgroun
         tile = _spread(i, tiles)
         left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _aligned(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
         lit = np.full(1, (1 << rows) - 1)
         first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
         reached = 0

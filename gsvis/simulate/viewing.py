@@ -23,7 +23,7 @@ from gsvis.scene.paths import HeadPath
 from gsvis.simulate.frames import CONTENT_DB, Frame, Stage
 from gsvis.simulate.playback import Playback
 
-__all__ = ["CONTENT_DB", "GOOD_DB", "Session", "SessionConfig", "show_at", "watch"]
+__all__ = ["CONTENT_DB", "GOOD_DB", "Viewing", "ViewingConfig", "show_at", "watch"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -35,7 +35,7 @@ _HAIR = 1e-6  # seconds by which float32 may miss a tick
 
 
 @dataclass(frozen=True)
-class SessionConfig:
+class ViewingConfig:
     """How a session is watched.
 
     Attributes:
@@ -95,7 +95,7 @@ class SessionConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
+class Viewing:
     """What one viewer saw of one system.
 
     Attributes:
@@ -109,7 +109,7 @@ class Session:
     """
 
     playback: Playback
-    config: SessionConfig
+    config: ViewingConfig
     times: F64
     psnr: F64
     latency: F64
@@ -201,10 +201,10 @@ def watch(
     stage: Stage,
     playbacks: Sequence[Playback],
     path: HeadPath,
-    config: SessionConfig | None = None,
+    config: ViewingConfig | None = None,
     *,
     progress: Progress = silent,
-) -> list[Session]:
+) -> list[Viewing]:
     """Look at playbacks of one path, step by step, each pose made ready once for all of them.
 
     Latency is found by halving the time from the pose to the time-out, since more of a scene rarely shows less.
@@ -213,13 +213,13 @@ def watch(
         stage: The scene.
         playbacks: Of this scene, each at least `config.watched` seconds long.
         path: The path that they were played along.
-        config: None means `SessionConfig()`.
+        config: None means `ViewingConfig()`.
         progress: Called with stage "watching", in steps.
 
     Raises:
         ValueError: If a playback is too short or of another scene.
     """
-    config = config or SessionConfig()
+    config = config or ViewingConfig()
     for p in playbacks:
         if p.seconds < config.watched - 1e-9:
             raise ValueError(f"playbacks: expected at least {config.watched:g} seconds, got {p.seconds:g}")
@@ -240,11 +240,11 @@ def watch(
             psnr[m, k] = min(seen.psnr(t), config.qoe.psnr_scale)
             latency[m, k] = _latency(seen, t, config)
         progress("watching", k + 1, len(times))
-    return [Session(p, config, times, psnr[m], latency[m], needed, content) for m, p in enumerate(playbacks)]
+    return [Viewing(p, config, times, psnr[m], latency[m], needed, content) for m, p in enumerate(playbacks)]
 
 
 def show_at(
-    stage: Stage, playbacks: Sequence[Playback], path: HeadPath, t: float, config: SessionConfig
+    stage: Stage, playbacks: Sequence[Playback], path: HeadPath, t: float, config: ViewingConfig
 ) -> tuple[F32, list[F32 | None]]:
     """What was to be seen at one time.
 
@@ -287,7 +287,7 @@ class _Sight:
         return self._frame.image((self._here <= now) & (self._gone > now), p.term_at <= now)
 
 
-def _latency(seen: _Sight, t: float, config: SessionConfig) -> float:
+def _latency(seen: _Sight, t: float, config: ViewingConfig) -> float:
     """Seconds until the pose of time t is shown well enough, in ticks; the time-out if it is not by then."""
     enough, last = config.qoe.shown_db, round(config.qoe.latency_scale / config.tick)
     if seen.psnr(t) >= enough:

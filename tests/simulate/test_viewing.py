@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsvis.abr import BandwidthTrace, SchedulerConfig
+from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.paths import HeadPath
@@ -20,9 +20,9 @@ from gsvis.simulate import (
     Link,
     MortonProgressive,
     Playback,
-    Session,
-    SessionConfig,
     Stage,
+    Viewing,
+    ViewingConfig,
     WholeFile,
     play,
     watch,
@@ -41,10 +41,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StreamedSce
 
 
 @pytest.fixture(scope="module")
-def sessions(made: tuple[StreamedScene, Stage]) -> dict[str, Session]:
+def sessions(made: tuple[StreamedScene, Stage]) -> dict[str, Viewing]:
     scene, stage = made
     deliveries = (
-        Adaptive(scene, QUICK.view, SchedulerConfig(start_rate=5e3)),
+        Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3)),
         WholeFile(scene.contents, 10_000),
         MortonProgressive(scene.contents),
     )
@@ -66,7 +66,7 @@ def test_a_picture_is_what_the_rasterizer_draws(made: tuple[StreamedScene, Stage
     ids = np.flatnonzero(held)
     eye = camera().viewpoints[0]
     colors = stage.evaluator.colors(stage.drawn.means, eye, active=terms, ids=ids)
-    drawn = rasterize(stage.drawn[ids], camera(), colors=colors, backend="cpu").images[0].numpy().clip(0.0, 1.0)
+    drawn = rasterize(stage.drawn[ids], camera(), colors=colors, backend="cpu").images[0].clip(0.0, 1.0)
     assert np.abs(frame.image(held[frame.ids], terms) - drawn).max() < 1e-6
 
 
@@ -86,7 +86,7 @@ def test_the_scene_before_it_became_a_package_can_be_the_reference(made: tuple[S
     assert "decoded" in stage.compared_with
 
 
-def test_a_whole_file_is_nothing_and_then_everything(sessions: dict[str, Session]) -> None:
+def test_a_whole_file_is_nothing_and_then_everything(sessions: dict[str, Viewing]) -> None:
     found = sessions["whole file"]
     there = 0.04 + 1.0
     assert np.array_equal(found.psnr, np.where(found.times >= there, QUICK.qoe.psnr_scale, 0.0))
@@ -97,7 +97,7 @@ def test_a_whole_file_is_nothing_and_then_everything(sessions: dict[str, Session
 
 
 def test_latency_is_the_first_tick_that_shows_the_pose(
-    made: tuple[StreamedScene, Stage], sessions: dict[str, Session]
+    made: tuple[StreamedScene, Stage], sessions: dict[str, Viewing]
 ) -> None:
     stage, found = made[1], sessions["Morton order"]
     p = found.playback
@@ -112,7 +112,7 @@ def test_latency_is_the_first_tick_that_shows_the_pose(
             assert found.latency[k] == pytest.approx(min(shown.index(True) * 0.1, 1.0) if any(shown) else 1.0)
 
 
-def test_steps_stand_for_all_ticks(sessions: dict[str, Session]) -> None:
+def test_steps_stand_for_all_ticks(sessions: dict[str, Viewing]) -> None:
     found = sessions["gsvis"]
     assert found.times.tolist() == pytest.approx([*np.arange(10) / 10, 1.0, 1.5])
     assert found.weights.tolist() == [1] * 10 + [5, 5]
@@ -120,7 +120,7 @@ def test_steps_stand_for_all_ticks(sessions: dict[str, Session]) -> None:
     assert found.qoe.steps == 20
 
 
-def test_curves_rise_and_end_where_the_figures_say(sessions: dict[str, Session]) -> None:
+def test_curves_rise_and_end_where_the_figures_say(sessions: dict[str, Viewing]) -> None:
     for found in sessions.values():
         told = found.as_dict()
         for name in ("bytes", "gaussian_share", "term_share"):
@@ -132,7 +132,7 @@ def test_curves_rise_and_end_where_the_figures_say(sessions: dict[str, Session])
         assert max(told["curves"]["psnr"]) <= 50.0
 
 
-def test_what_is_served_first_is_what_is_in_view(sessions: dict[str, Session]) -> None:
+def test_what_is_served_first_is_what_is_in_view(sessions: dict[str, Viewing]) -> None:
     ours, curve = sessions["gsvis"].figures(), sessions["Morton order"].figures()
     assert (ours["unseen_share"] or 0.0) < (curve["unseen_share"] or 0.0)
 
@@ -152,7 +152,7 @@ def test_playbacks_that_do_not_fit_are_refused(made: tuple[StreamedScene, Stage]
 )
 def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="expected"):
-        SessionConfig(**wrong)  # type: ignore[arg-type]
+        ViewingConfig(**wrong)  # type: ignore[arg-type]
 
 
 def away(path: HeadPath) -> HeadPath:
@@ -175,7 +175,7 @@ def test_a_path_that_sees_nothing_has_no_figures(made: tuple[StreamedScene, Stag
             _ = session.qoe
 
 
-def test_views_without_content_count_in_no_figure(sessions: dict[str, Session]) -> None:
+def test_views_without_content_count_in_no_figure(sessions: dict[str, Viewing]) -> None:
     session = sessions["gsvis"]
     assert session.content.all()
     content = session.times >= 0.5

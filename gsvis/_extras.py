@@ -1,0 +1,69 @@
+"""Optional packages: which extra of gsvis brings which, and one error for one that is missing.
+
+Nothing here imports a package. A module that needs one calls `require` before the work begins.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from gsvis.errors import MissingExtraError
+
+__all__ = ["EXTRAS", "has", "missing", "remedy_of", "require"]
+
+EXTRAS = {
+    "dask": "cluster",
+    "distributed": "cluster",
+    "flip_evaluator": "metrics",
+    "gsplat": "cuda",
+    "lpips": "metrics",
+    "matplotlib": "report",
+    "open3d": "open3d",
+    "pycolmap": "train",
+    "torch": "torch",
+    "torchvision": "metrics",
+}
+"""Extra of pyproject.toml that brings each optional package."""
+
+
+def remedy_of(package: str) -> str:
+    """Return the command that installs an optional package.
+
+    Examples:
+        >>> print(remedy_of("matplotlib"))
+        pip install "gsvis[report]"
+    """
+    return f'pip install "gsvis[{EXTRAS[package]}]"'
+
+
+def has(package: str) -> bool:
+    """Whether a package is installed; it is not imported."""
+    try:
+        return find_spec(package) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def missing(what: str, package: str) -> MissingExtraError:
+    """Return the error for a missing package.
+
+    Args:
+        what: What needs the package.
+        package: One of `EXTRAS`.
+    """
+    return MissingExtraError(what, package.replace("_", "-"), EXTRAS[package])
+
+
+def require(what: str, *packages: str) -> None:
+    """Raise unless some optional packages are installed.
+
+    Args:
+        what: What needs them, such as a command or an option.
+        packages: Names of modules, from `EXTRAS`.
+
+    Raises:
+        MissingExtraError: For the first package that is missing; names the extra.
+    """
+    for package in packages:
+        if not has(package):
+            raise missing(what, package)

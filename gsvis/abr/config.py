@@ -1,0 +1,56 @@
+"""How a stream adapts to its viewer and link: one configuration of planner and session. Seconds, bytes, radians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.abr.estimate import ESTIMATORS
+from gsvis.abr.policies import POLICIES, UtilityConfig
+from gsvis.abr.predict import PREDICTORS
+
+__all__ = ["AbrConfig"]
+
+
+@dataclass(frozen=True)
+class AbrConfig:
+    """How a stream adapts.
+
+    Attributes:
+        policy: One of `POLICIES`.
+        estimator: One of `ESTIMATORS`.
+        predictor: One of `PREDICTORS`.
+        lead: Seconds ahead for which the pose is predicted; what is in view now or then counts as in view. 0: only now.
+        turn: Radians by which the head turns before records are ranked again; at most the margin of the view.
+        move: Share of the side of a cell by which the head moves before records are ranked again.
+        horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
+        window: Seconds of data that may be in flight.
+        piece: Seconds that the link should take for one message; a client shows nothing of it before all has arrived.
+        start_rate: Bytes of messages a second, assumed before the first acknowledgement.
+        utility: Factors of the policy "utility".
+    """
+
+    policy: str = "utility"
+    estimator: str = "harmonic"
+    predictor: str = "kalman"
+    lead: float = 0.25
+    turn: float = 0.087
+    move: float = 0.1
+    horizon: float = 3.0
+    window: float = 0.3
+    piece: float = 0.05
+    start_rate: float = 250e3
+    utility: UtilityConfig = field(default_factory=UtilityConfig)
+
+    def __post_init__(self) -> None:
+        _check.one_of("policy", self.policy, POLICIES)
+        _check.one_of("estimator", self.estimator, ESTIMATORS)
+        _check.one_of("predictor", self.predictor, PREDICTORS)
+        for name in ("lead", "turn", "move"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
+        for name in ("horizon", "window", "piece", "start_rate"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)!r}")

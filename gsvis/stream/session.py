@@ -1,0 +1,228 @@
+"""The session of one viewer: what it holds, may be sent, and when. No socket, no clock.
+
+Poses and acknowledgements go in, messages come out. The planner chooses records; the session measures the link, limits
+the bytes in flight, and adds what the client needs to decode the records: rows of chunks and color axes. It measures
+throughput itself, so simulator and server see the same, and a client cannot claim one. Seconds; bytes of messages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
+from gsvis.abr.estimate import estimator
+from gsvis.abr.holdings import Holdings
+from gsvis.abr.planner import Batch, Planner
+from gsvis.stream._kernels import ids as kernels
+from gsvis.stream.batch import FIXED_BYTES, Sections
+from gsvis.stream.meter import LinkMeter
+from gsvis.stream.scene import StreamedScene
+from gsvis.stream.wire import Hello
+
+__all__ = ["Message", "Session"]
+
+LEAST = 1024
+"""Bytes of the smallest message."""
+
+PIECE = 4096.0
+"""Bytes that a message should have at least, so that its overhead stays small."""
+
+_FIRST = 1.2  # bytes of a message for each byte of records, before the first one
+_LEARNED = 0.3  # weight of the last message in the mean of that ratio
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """Bytes for the client.
+
+    Attributes:
+        sequence: Its number; WELCOME has 0, batches follow without a gap.
+        data: The bytes.
+        batch: Its records; empty for WELCOME.
+    """
+
+    sequence: int
+    data: bytes
+    batch: Batch
+
+
+class Session:
+    """The state of one viewer.
+
+    Args:
+        scene: Shared by all sessions.
+        view: What the client shows.
+        config: None means `AbrConfig()`.
+        holdings: What the client holds already; None is nothing. What is sent changes it.
+
+    Attributes:
+        scene: As given.
+        config: As given.
+        planner: Chooses the records.
+        meter: Measures what is in flight and how long it takes.
+        wire_bytes: Bytes of all messages.
+        record_bytes: Bytes of the records of all batches.
+    """
+
+    def __init__(
+        self,
+        scene: StreamedScene,
+        view: FieldOfView,
+        config: AbrConfig | None = None,
+        *,
+        holdings: Holdings | None = None,
+    ) -> None:
+        self.scene, self.config = scene, config or AbrConfig()
+        self.planner = Planner(scene.candidates, view, self.config, holdings=holdings)
+        self.meter = LinkMeter()
+        self._throughput = estimator(self.config.estimator, self.config.start_rate)
+        self.wire_bytes, self.record_bytes = 0, 0.0
+        self._sequence, self._overhead = 0, _FIRST
+        self._starts = scene.contents.table.starts
+        self._has_row = np.zeros(len(scene.chunk_rows), bool)
+        self._has_row[scene.contents.chunks[self.holdings.received]] = True
+        self._has_axes = np.zeros(len(scene) if scene.about.axis_bytes else 0, bool)
+        if scene.about.axis_bytes:
+            self._has_axes[scene.owners[self.holdings.received_terms]] = True
+        self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.ending, np.int32)
+
+    @classmethod
+    def from_hello(cls, scene: StreamedScene, hello: Hello, config: AbrConfig | None = None) -> Session:
+        """Return the session of a client that says HELLO; ignore what it holds of another scene.
+
+        Raises:
+            ValueError: If it claims holdings that the scene cannot have.
+        """
+        holdings = None
+        if hello.holdings and hello.identity.hex() == scene.about.identity:
+            holdings = Holdings.from_bytes(hello.holdings, len(scene), scene.about.terms)
+        return cls(scene, hello.view, config, holdings=holdings)
+
+    @property
+    def holdings(self) -> Holdings:
+        """What has been sent, and what the client had before."""
+        return self.planner.holdings
+
+    @property
+    def rate(self) -> float:
+        """Estimated throughput, bytes of messages a second."""
+        return self._throughput.estimate()
+
+    @property
+    def record_rate(self) -> float:
+        """Estimated throughput, bytes of records a second: the rate without the overhead of the messages so far."""
+        share = self.record_bytes / self.wire_bytes if self.wire_bytes > 0 else 1.0
+        return self.rate * min(share, 1.0) if share > 0 else self.rate
+
+    @property
+    def outstanding(self) -> int:
+        """Bytes sent and not acknowledged."""
+        return self.meter.outstanding
+
+    @property
+    def done(self) -> bool:
+        """Whether the client has been sent all that its view asks for."""
+        return self.planner.done
+
+    def welcome(self, t: float) -> Message:
+        """Return WELCOME, the first message to send; its acknowledgement shows the round trip."""
+        self._record_sent(t, 0, len(self.scene.header))
+        return Message(0, self.scene.header, Batch.empty())
+
+    def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
+        """Take in the pose of the client at time t; see `Planner.on_pose`.
+
+        Raises:
+            ValueError: If a value is not finite, or the quaternion is 0. The state is unchanged then.
+        """
+        self.planner.on_pose(t, position, quat)
+
+    def on_ack(self, t: float, sequence: int) -> None:
+        """Count all messages up to this one as received; ignore a repeated acknowledgement.
+
+        Raises:
+            ValueError: If no such message was sent.
+        """
+        transfer = self.meter.on_ack(t, sequence)
+        if transfer is not None:
+            self._throughput.observe(*transfer)
+
+    def allowance(self) -> float:
+        """Return the bytes that may be sent now, which keep the link busy for the window and a round trip."""
+        return max(0.0, self.rate * (self.config.window + self.meter.round_trip) - self.outstanding)
+
+    def room(self, seconds: float | None = None) -> float:
+        """Return the bytes that the next message should have.
+
+        Args:
+            seconds: Seconds that the link should take for it; None means `config.piece`.
+
+        Returns:
+            0 where the allowance is so small that the message should wait for the next acknowledgement. With nothing in
+            flight it is never 0, so that a link thought dead is tried again.
+        """
+        size = max(self.rate * (self.config.piece if seconds is None else seconds), PIECE)
+        room = max(self.allowance(), PIECE) if self.outstanding == 0 else self.allowance()
+        return min(size, room) if room >= 0.5 * size else 0.0
+
+    def next_message(self, t: float, budget: float | None = None) -> Message | None:
+        """Return the next batch.
+
+        Args:
+            t: Seconds.
+            budget: Bytes that the message should have; None means `room`. The overhead of chunks and ids is known only
+                after the records have been chosen, so a message may exceed the budget by some percent.
+
+        Returns:
+            None where the budget is too small, nothing is left for the view, or no pose has come.
+        """
+        room = (self.room() if budget is None else budget) - FIXED_BYTES
+        if room < LEAST - FIXED_BYTES:
+            return None
+        batch = self.planner.next_batch(t, room / self._overhead, self.record_rate)
+        self.record_bytes += batch.bytes
+        if len(batch) == 0:
+            return None
+        self._sequence += 1
+        data = self._encode(batch)
+        self._overhead += _LEARNED * ((len(data) - FIXED_BYTES) / batch.bytes - self._overhead)
+        self._record_sent(t, self._sequence, len(data))
+        return Message(self._sequence, data, batch)
+
+    def _record_sent(self, t: float, sequence: int, nbytes: int) -> None:
+        self.wire_bytes += nbytes
+        self.meter.on_sent(t, sequence, nbytes)
+
+    def _encode(self, batch: Batch) -> bytes:
+        scene, contents = self.scene, self.scene.contents
+        gaussians, terms = np.sort(batch.gaussians), np.sort(batch.terms)
+        fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
+        chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
+        axes = contents.axes[:0]
+        if scene.about.axis_bytes:
+            fresh = np.empty(len(terms), np.int32)
+            axes = contents.axes[fresh[: kernels.first_times(terms, scene.owners, self._has_axes, fresh)]]
+        sections = Sections(
+            sequence=self._sequence,
+            chunks=self._starts[chunks],
+            rows=scene.chunk_rows[chunks],
+            gaussians=gaussians,
+            records=_gather(contents.records, gaussians),
+            terms=terms,
+            owners=scene.owners[terms],
+            term_records=_gather(contents.term_records, terms),
+            axes=axes,
+            gone=self._room[: kernels.added(self.holdings.gone, self._gone, self._room)],
+        )
+        return sections.to_message(scene.about)
+
+
+def _gather(rows: NDArray[np.uint8], places: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
+    out = np.empty((len(places), rows.shape[1]), np.uint8)
+    kernels.gather(rows, places, out.reshape(-1))
+    return out

@@ -1,0 +1,58 @@
+"""Policies and regimes: tables with known answers, and replacements between levels."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsvis.abr.index import nearest_replacements
+from gsvis.abr.policies import POLICIES, REGIMES, lowest_last, offsets, pairs, regime_of
+from tests.abr import abr_scenes as scenes
+
+FEW = settings(max_examples=12)
+
+
+def test_the_regime_follows_the_bandwidth_and_holds_on() -> None:
+    sizes = np.array([1e5, 3e5, 1e6])
+    assert [regime_of(rate, sizes, 1.0) for rate in (2e6, 5e5, 2e5, 1e3)] == ["high", "medium", "low", "low"]
+    assert regime_of(1.1e6, sizes, 1.0, "medium") == "medium"
+    assert regime_of(1.3e6, sizes, 1.0, "medium") == "high"
+    assert regime_of(0.9e6, sizes, 1.0, "high") == "high"
+    assert regime_of(0.8e6, sizes, 1.0, "high") == "medium"
+    assert regime_of(1e3, sizes, 1.0, "high") == "low"
+    assert regime_of(1e9, sizes, 1.0, "low") == "high"
+    assert regime_of(1.0, np.array([5.0]), 1.0) == "low"
+
+
+def test_tables_of_the_policies() -> None:
+    assert pairs("fov-first", "high", 3)[:5] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
+    assert pairs("low-first", "high", 3)[:5] == [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1)]
+    assert pairs("low-first", "medium", 3)[:3] == [(0, 0), (1, 0), (0, 1)]
+    assert pairs("fov-first", "low", 3)[:4] == [(0, 0), (0, 1), (1, 0), (2, 0)]
+    for policy in POLICIES:
+        for regime in REGIMES:
+            for levels in (1, 2, 3, 16):
+                table = offsets(policy, regime, levels)
+                assert table.min() == 0
+                assert (table[..., 1] >= table[..., 0]).all()
+                if policy != "utility":
+                    found = pairs(policy, regime, levels)
+                    assert len(set(found)) == len(found) == 5 * levels
+                assert lowest_last(regime, levels) == (levels - 1 if regime == "high" else 0)
+    low, high = offsets("utility", "low", 3), offsets("utility", "high", 3)
+    assert (low[1:] >= high[1:]).all()
+
+
+@FEW
+@given(st.integers(0, 10_000), st.integers(1, 4))
+def test_everything_that_ends_early_is_replaced_from_the_level_above(seed: int, count: int) -> None:
+    levels = scenes.random_levels(np.random.default_rng(seed), 150, count)
+    starts, ids = nearest_replacements(levels)
+    ending = levels.last < len(levels) - 1
+    for g in np.flatnonzero(ending).tolist():
+        found = ids[starts[g] : starts[g + 1]]
+        enters = np.flatnonzero(levels.first == levels.last[g] + 1)
+        assert len(found) or not len(enters)
+        assert np.isin(found, enters).all()
+    assert (np.diff(starts)[~ending] == 0).all()

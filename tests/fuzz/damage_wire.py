@@ -1,0 +1,119 @@
+"""Cases with one deliberate fault each: what a hostile server says to a client, and a hostile client to a server."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from gsvis.stream import Ack, PoseAt
+from gsvis.stream.batch import _IDS, Sections
+from gsvis.stream.header import HEAD, SCHEMA
+from gsvis.stream.wire import ServerFault
+from tests.fuzz import wire
+from tests.fuzz.damage import Damaged
+from tests.fuzz.targets import Case
+
+__all__ = ["DAMAGE"]
+
+NO_IDS = np.zeros(0, np.int64)
+
+
+def told(*messages: bytes) -> Case:
+    return {f"{k:02d}.down": data for k, data in enumerate(messages)}
+
+
+def welcome(change: Callable[[Any], object], schema: pa.Schema = SCHEMA) -> bytes:
+    """WELCOME of the first scene with another header."""
+    data = wire.batches("rgb")[0]
+    header = json.loads(pa.ipc.read_schema(pa.py_buffer(data[HEAD.size :])).metadata[b"gsvis"])
+    change(header)
+    text = json.dumps(header).encode()
+    return data[: HEAD.size] + bytes(schema.with_metadata({b"gsvis": text}).serialize())
+
+
+def welcomes() -> Damaged:
+    good = wire.batches("rgb")[0]
+    other = pa.schema([pa.field("sections", pa.int8())])
+    found = {
+        "a newer WELCOME": good[:1] + bytes([good[1] + 1]) + good[2:],
+        "columns of something else": welcome(lambda _: None, other),
+        "a short identity": welcome(lambda header: header.update(identity="0" * 63)),
+        "no level": welcome(lambda header: header.update(levels=[])),
+        "too many levels": welcome(lambda header: header.update(levels=header["levels"] * 6)),
+        "records of another size": welcome(lambda header: header.update(record_bytes=17)),
+        "a scene of billions": welcome(lambda header: header.update(gaussians=1 << 28)),
+    }
+    return {name: told(data) for name, data in found.items()}
+
+
+def batches() -> Damaged:
+    """Batches that fit the scene one by one, but not what came before."""
+    found: Damaged = {}
+    for variant in ("rgb", "axes"):
+        about = wire.scenes()[variant].about
+        first, *rest = wire.batches(variant)
+        parsed = [Sections.parse(data, about) for data in rest]
+        nothing = replace(
+            parsed[0], chunks=NO_IDS, rows=parsed[0].rows[:0], gaussians=NO_IDS, records=parsed[0].records[:0],
+            terms=NO_IDS, owners=NO_IDS, term_records=parsed[0].term_records[:0], axes=parsed[0].axes[:0], gone=NO_IDS,
+        )  # fmt: skip
+        at = next(k for k, s in enumerate(parsed) if len(s.terms))
+        s, before = parsed[at], rest[:at]
+        if variant == "axes":
+            less = replace(s, axes=s.axes[:-1]).to_message(about)
+            found["axes of one fewer"] = told(first, *before, less)
+            continue
+        crossed = s.rows.copy()
+        crossed["first_level"], crossed["last_level"] = 2, 0
+        ids, gone = parsed[0].gaussians[:2], replace(nothing, sequence=3)
+        once, again = replace(nothing, sequence=2, gone=ids), replace(gone, gone=ids)
+        rows = wire.rows_of(rest[0])
+        orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:2], 255, 0, 0, 0, 0)
+        many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0) + bytes(about.gaussians)
+        found |= {
+            "levels out of order": told(first, *before, replace(s, rows=crossed).to_message(about)),
+            "no chunk": told(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
+            "terms of nobody": told(
+                first, replace(s, sequence=1, gaussians=NO_IDS, records=s.records[:0]).to_message(about)
+            ),
+            "gone again": told(first, rest[0], once.to_message(about), again.to_message(about)),
+            "a message of another kind": told(first, b"\x7f" * 400),
+            "axes where there are none": told(first, wire.framed(rest[0], [*rows[:4], b"\0"])),
+            "an order that is none": told(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
+            "more gone than there are": told(first, wire.framed(rest[0], [many, b"", b"", b"", b""])),
+        }
+    return found
+
+
+def faults() -> Damaged:
+    """What a server says last, cut short or longer than it says."""
+    first, fault = wire.batches("rgb")[0], ServerFault(3, "too large").to_bytes()
+    return {"a fault cut short": told(first, fault[:1]), "a longer fault": told(first, fault + b"x")}
+
+
+def downstream() -> Damaged:
+    return welcomes() | batches() | faults()
+
+
+def clients() -> Damaged:
+    """Clients that never acknowledge, fall silent, say too much, or find no seat."""
+    hello, eye = wire.hellos()[0], wire.eyes()[0]
+    pose, ack = PoseAt(100, eye, (1.0, 0.0, 0.0, 0.0)).to_bytes(), Ack(0).to_bytes()
+    scripts = {
+        "no acknowledgement": [hello, pose, *([pose] * 30)],
+        "silence": [hello, pose, ack, wire.SILENCE, pose],
+        "no seat": [hello],
+        "a flood": [hello, *([ack] * 60)],
+        "poses that pile up": [hello, *([pose] * 600), b"\x63"],
+        "acknowledgements that pile up": [hello, pose, *([ack] * 600)],
+    }
+    return {name: {f"{k:03d}.hello": data for k, data in enumerate(script)} for name, script in scripts.items()}
+
+
+DAMAGE = {"client-session": downstream, "server-session": clients}
+"""What makes the damaged cases of a target, by its name."""

@@ -1,0 +1,74 @@
+"""The session of a viewer: what may be in flight, and what the link is measured to carry."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
+from gsvis.pvs.codec import ids_of
+from gsvis.stream import Session, StreamedScene
+from gsvis.stream.scene import class_weights
+from tests.stream.worlds import package_of
+
+VIEW = FieldOfView.from_degrees(80, 60, margin=8)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> StreamedScene:
+    with package_of(tmp_path_factory.mktemp("session") / "s.gsvis", 1200) as package:
+        yield StreamedScene.open(package)
+
+
+def test_what_is_in_flight_is_bounded_by_the_window(scene: StreamedScene) -> None:
+    session = Session(scene, VIEW, AbrConfig(start_rate=1e4, window=0.9))
+    session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+    assert session.allowance() == 9e3
+    assert session.record_rate == 1e4
+    message = session.next_message(0.0, 5000.0)
+    assert message is not None
+    assert session.outstanding == session.wire_bytes == len(message.data)
+    assert session.record_bytes == message.batch.bytes
+    assert session.allowance() == 9e3 - len(message.data)
+    assert session.record_rate == pytest.approx(1e4 * message.batch.bytes / len(message.data))
+    first = len(message.data)
+    session.on_ack(0.0, message.sequence)  # at once: its bytes count with the next transfer
+    assert (session.outstanding, session.rate) == (0, 1e4)
+    message = session.next_message(1.0, 8000.0)
+    assert message is not None
+    session.on_ack(1.5, message.sequence)
+    assert session.outstanding == 0
+    assert session.rate == pytest.approx((first + len(message.data)) / 0.5)
+    session.on_ack(1.6, message.sequence)  # repeated
+    assert session.rate == pytest.approx((first + len(message.data)) / 0.5)
+    with pytest.raises(ValueError, match=r"^sequence: expected at most 2, got 3"):
+        session.on_ack(1.7, 3)
+
+
+def test_candidates_are_what_the_cell_and_its_neighbors_see(scene: StreamedScene) -> None:
+    sets, active = scene.package.visibility, scene.package.active_terms
+    for cell in range(len(sets)):
+        found = scene.candidates.in_cell(cell)
+        around = [cell, *sets.grid.neighbors(cell).tolist()]
+        assert np.array_equal(ids_of(found.union), np.array(sets.union(around).to_array()))
+        assert np.array_equal(ids_of(found.active), active.active_ids(cell))
+
+
+def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
+    scene.candidates.in_cell(0)
+    cache = scene.candidates.cache
+    assert scene.package.visibility.cache is cache
+    kinds = {key[0] for key in cache._values}
+    assert kinds == {"candidates", "words", "set", "classes"}
+    assert cache.nbytes <= cache.max_bytes
+
+
+def test_classes_stand_for_the_mean_of_their_ends(scene: StreamedScene) -> None:
+    sets = scene.package.visibility
+    ends = [*sets.info.class_edges.tolist(), 1.0]
+    expected = [np.sqrt(low * high) for low, high in pairwise(ends)]
+    assert class_weights(sets) == pytest.approx(expected, rel=1e-5)
+    assert scene.index.class_weights == pytest.approx(expected, rel=1e-5)

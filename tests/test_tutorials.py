@@ -1,0 +1,91 @@
+"""The commands and programs of the tutorials and how-to pages run as they stand, on a small scene."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main, parse
+from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = [DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
+BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+
+# What makes a command quick and changes nothing that a page says. An option of the page itself wins.
+SETS = {"--cells": "2", "--max-viewpoints": "1", "--workers": "1"}
+QUICK = {
+    "analyze": {"--views": "2", "--width": "24", "--height": "18", "--traced-sample": "10", "--rays-per-face": "1"},
+    "color": {"--views": "2"},
+    "levels": {"--iterations": "2", "--views": "2", "--held-out": "1", "--size": "24x20"},
+    "prepare": {**SETS, "--face-size": "16", "--max-terms": "0", "--steps": "2", "--views": "2", "--size": "24x20"},
+    "pvs": {**SETS, "--size": "16"},
+    "render": {},
+    "simulate": {"--seconds": "1", "--every": "0.5", "--width": "32", "--height": "24"},
+}
+SHORTENED = {"--views", "--seconds"}  # given by a page, shortened here
+PARSED = {"serve", "color"}  # `serve` never ends; tests/serve and tests/cli run both
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    return [(found[1], found[2]) for found in BLOCK.finditer(page.read_text(encoding="utf-8"))]
+
+
+def words_of(line: str) -> list[str]:
+    return shlex.split(line, comments=True)
+
+
+def quicker(words: list[str]) -> list[str]:
+    """Return a command with the options of QUICK in place of, or beside, its own."""
+    words = list(words)
+    for option, value in QUICK.get(words[0], {}).items():
+        if option not in words:
+            words += [option, value]
+        elif option in SHORTENED:
+            words[words.index(option) + 1] = value
+    return words
+
+
+@pytest.fixture(autouse=True)
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small scene under the name that the pages use, no kernels in advance, few views for costs."""
+    from gsvis.prepare import PrepareConfig
+
+    made = two_rooms(1000, sh_degree=1)
+    monkeypatch.setitem(BUILTIN_SCENES, "two_rooms", lambda: made)
+    for name in ("warm_sets", "warm_levels", "warm_colors"):
+        monkeypatch.setattr(f"gsvis.cli.prepare.{name}", lambda config, status: None, raising=False)
+    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
+    before = PrepareConfig.__init__
+
+    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
+        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+        object.__setattr__(self, "colors", replace(self.colors, views=few))
+
+    monkeypatch.setattr(PrepareConfig, "__init__", smaller)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
+def test_the_page_runs_from_top_to_bottom(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {"__name__": "__main__"}
+    for kind, text in blocks(page):
+        if kind == "python":
+            exec(compile(text, str(page), "exec"), names)
+            continue
+        for line in filter(None, map(words_of, text.splitlines())):
+            if line[0] == "gsvis" and line[1] in PARSED:
+                parse(line[1:])
+            elif line[0] == "gsvis":
+                code = main(quicker(line[1:]))
+                assert code == 0, f"{page.name}: {shlex.join(line)}\n{capsys.readouterr().err}"
+            else:
+                assert line[0] in {"make", "pip"}, f"{page.name}: {shlex.join(line)} is not tested"
+
+
+def test_every_page_of_the_tutorials_has_commands() -> None:
+    assert sum(len(blocks(page)) for page in PAGES) > 30
