@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis._extras import require
-from gsvis.errors import FormatError
+from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
@@ -81,11 +81,12 @@ class LevelsConfig:
         for name in ("shares", "reuse"):
             for value in getattr(self, name):
                 if not 0.0 < value <= 1.0:
-                    raise ValueError(f"{name}: expected shares in (0, 1], got {value!r}")
+                    raise ArgumentError(name, f"expected shares in (0, 1], got {value!r}")
         if not self.shares or any(low >= high for low, high in zip(self.shares, (*self.shares[1:], 1.0), strict=True)):
-            raise ValueError(
-                f"shares: expected each below the next and the last below 1, got {list(self.shares)}; "
-                "a level cannot be larger than the one above it"
+            raise ArgumentError(
+                "shares",
+                f"expected each below the next and the last below 1, got {list(self.shares)}",
+                "a level cannot be larger than the one above it",
             )
         if len(self.reuse) != len(self.shares):
             raise ValueError(f"reuse: expected one for each of {len(self.shares)} shares, got {len(self.reuse)}")
@@ -117,7 +118,7 @@ class LevelsConfig:
             total = int(share * count + 1e-9)
             frozen = max(int(np.ceil(reuse * total - 1e-9)), 1)
             if total < 2:
-                raise ValueError(f"shares: expected at least 2 Gaussians in each level, got {share:g} of {count}")
+                raise ArgumentError("shares", f"expected at least 2 Gaussians in each level, got {share:g} of {count}")
             found.append((total, frozen, min(frozen + max(round(self.merged * (total - frozen)), 1), total)))
         return found
 
