@@ -87,8 +87,10 @@ def run_prepare(command: Prepare) -> None:
 
 def _check_arguments(command: Prepare) -> PrepareConfig:
     """Everything about the arguments that can be known before work begins."""
+    from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
     from gsvis.prepare.colors import ColorConfig
+    from gsvis.prepare.work import WorkFolder
     from gsvis.scene.view_sampling import ViewSampling
 
     check_source(command.scene, command.lod)
@@ -97,6 +99,8 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     parse_up(command.up)
     _check_training(command)
     check_folder(Path(command.out).absolute().parent)
+    check_target(Path(command.out))  # before a large scene is read; `prepare_package` looks again before it works
+    WorkFolder(command.out).check()
     sampling = view_sampling(command.views, command.size, command.seed)
     levels = None
     if command.levels and not is_levels(command.scene):
