@@ -246,7 +246,7 @@ def manifests() -> Damaged:
 
     return {
         "a newer version": told(lambda m: m.update(version=9)),
-        "meters below 0": told(lambda m: m.update(metres_per_unit=-1.0)),
+        "meters below 0": told(lambda m: m.update(meters_per_unit=-1.0)),
         "levels of one name": told(lambda m: m["levels"][0].update(name=m["levels"][1]["name"])),
         "a store of another size": told(lambda m: m["visibility"].update(bytes=m["visibility"]["bytes"] + 1)),
         "bits of another layout": told(lambda m: m["quantization"].update(record={})),
