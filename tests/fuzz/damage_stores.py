@@ -20,10 +20,10 @@ import pyarrow as pa
 import zstandard
 
 from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.files.sections import SectionWriter
 from gsvis.io.levels import MAP
 from gsvis.package.manifest import MANIFEST
-from gsvis.pvs._container import ContainerWriter
-from gsvis.pvs._writer import CELL_ROW
+from gsvis.pvs._writer import CELL_ROW, FILE_KIND
 from tests.fuzz import packages, stores
 from tests.fuzz.cameras import files_in
 from tests.fuzz.containers import (
@@ -92,7 +92,7 @@ def set_stores() -> Damaged:
         header, sections = _sections(data)
         change(header, sections)
         out = io.BytesIO()
-        writer = ContainerWriter(out)
+        writer = SectionWriter(out, FILE_KIND)
         for name, content in sections.items():
             writer.append(content)
             writer.close_section(name)
