@@ -25,7 +25,7 @@ except ImportError:  # not on Windows: there, kernels may be compiled twice
 __all__ = ["LOCKS", "compile_once"]
 
 LOCKS = Path(__file__).parent / "__pycache__" / "kernels.lock"
-"""In the checkout, as the caches are: in a folder for all, such as /tmp, somebody else could put a link in its place."""
+"""In the checkout, as the caches are: in a folder for all, such as /tmp, somebody else could put a link here."""
 
 _compile = Dispatcher.compile
 _files: dict[int, int | None] = {}
