@@ -19,6 +19,8 @@ BIN := .venv/bin
 export PYTHON
 # As many workers as cores that this process may use; nproc knows, and without it pytest-xdist counts them all.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
+# Tests start hundreds of Python processes: without bytecode each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
@@ -44,7 +46,7 @@ demo: .venv/.gsvis
 	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT)
 	@echo "The report with its pictures: $(OUT)/report.html"
 
-# A file stays with one worker: what a module prepares for its tests is prepared once. tests/conftest.py orders them.
+# A file stays with one worker: what a module prepares for its tests is prepared once.
 test: .venv/.gsvis-dev
 	@$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 

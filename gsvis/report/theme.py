@@ -59,10 +59,10 @@ def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple
     """
     with rc_context(_style(theme)):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(figure)
         draw(figure.add_subplot(), theme)
         out = io.BytesIO()
-        figure.savefig(out, format="png", metadata={"Software": None})
+        canvas.print_png(out, metadata={"Software": None})  # the bytes of savefig, which draws twice
     return out.getvalue()
 
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis.errors import SceneError
 from gsvis.scene._kernels.voxels import splat_depth
@@ -96,6 +95,8 @@ class Occupancy:
         Raises:
             SceneError: If most seeds lie away from clear voxels.
         """
+        from scipy import ndimage  # here: it takes long to import, and few need it
+
         below, around = _surroundings(self.depth, up)
         voxels = np.clip(np.floor((seeds - self.origin) / self.voxel_size), -9, 1 << 20).astype(np.int64)
         for min_below, min_around in RULES:
@@ -119,6 +120,8 @@ class Occupancy:
 
     def largest_part(self) -> Mask:
         """The largest connected part of the clear voxels, by no further rule."""
+        from scipy import ndimage
+
         return _largest(ndimage.label(self.clear)[0])[0]
 
     def targets(self, seen: Gaussians) -> F64:
@@ -174,6 +177,8 @@ def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple
 
 def _dilate(mask: Mask, radius: float) -> Mask:
     """The mask with everything within `radius` voxels of it, between centers."""
+    from scipy import ndimage
+
     reach = int(radius)
     if reach < 1 or not mask.any():
         return mask
@@ -217,6 +222,8 @@ def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
 
 
 def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
+    from scipy import ndimage
+
     shares = counts.astype(np.float32)
     shares /= of
     return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)

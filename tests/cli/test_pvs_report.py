@@ -64,6 +64,7 @@ def test_it_writes_a_report_and_prints_tables(
     assert json.loads(Path("new/report/report.json").read_text())["quality"]["cells_measured"] == 2
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_json_is_the_document_and_its_command_makes_it_again(
     built: tuple[Path, Path], tmp_path: Path, capsys: Capture
 ) -> None:
