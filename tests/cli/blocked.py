@@ -40,6 +40,7 @@ def make_quick() -> None:
         setattr(kernels, name, lambda config, status: None)
     terminal._QUIET = float("inf")
     before = PrepareConfig.__init__
+    serve = Server.run
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
 
     def initialize(self: PrepareConfig, *words: object, **named: object) -> None:
@@ -47,8 +48,8 @@ def make_quick() -> None:
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     def run(self: Server) -> None:
-        with self.running():
-            pass
+        self.stop()  # ends as soon as it accepts
+        serve(self)
 
     PrepareConfig.__init__ = initialize  # type: ignore[method-assign]
     Server.run = run  # type: ignore[method-assign]
