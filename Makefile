@@ -100,7 +100,7 @@ lowest: .venv/.gsvis-dev
 	@[ -x .venv-lowest/bin/python ] || "$(PYTHON)" -m venv .venv-lowest
 	@$(BIN)/python tools/lowest.py > .venv-lowest/constraints.txt
 	@.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check \
-	    --constraint .venv-lowest/constraints.txt --editable ".[dev]"
+	    --constraint .venv-lowest/constraints.txt --editable ".[all,dev]"
 	@NUMBA_CACHE_DIR="$(CURDIR)/.venv-lowest/numba" .venv-lowest/bin/python -m pytest --numprocesses auto --dist loadfile
 
 fuzz: .venv/.gsvis-dev

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import tell_result
@@ -107,6 +108,7 @@ def _check_arguments(command: Color) -> ColorConfig:
             check_file(path)
             _check_no_input(name, path, command)
     if command.report is not None:
+        require("gsvis color --report", "matplotlib")
         check_report(command.report)
     written = [Path(path).absolute() for path in targets.values() if path is not None]
     if len(set(written)) < len(written):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import record_of, tell_result
@@ -70,6 +71,7 @@ def run_levels(command: Levels) -> None:
         OSError: If the folder cannot be written.
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
+    require("gsvis levels", "torch")
     config = _check_arguments(command)
     with Status() as status:
         plan = _plan(command, config, status)

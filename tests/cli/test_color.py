@@ -165,7 +165,7 @@ def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
 ) -> None:
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     base = [ply, "-o", tmp_path / "a.arrow", *QUICK]
-    assert "pip install 'gsvis[metrics]'" in refused(capsys, *base, "--epsilon", "auto")
+    assert 'pip install "gsvis[metrics]"' in refused(capsys, *base, "--epsilon", "auto")
     assert "give a number" in refused(capsys, *base, "--pvs", pvs, "--active", tmp_path / "b.arrow")
     assert list(tmp_path.iterdir()) == []
     assert main(["color", *map(str, base)]) == 0
