@@ -91,7 +91,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
 
 
 def _amplitudes(kind: Variant, fitted: SplitFit, function: int, lobe: LobeFit) -> F32:
-    """(n, K, 3) what each lobe adds in the variant's space."""
+    """Return (n, K, 3) what each lobe adds in the variant's space."""
     if kind.components:
         added = np.zeros((*lobe.intensities.shape[:2], 3), np.float32)
         added[:, :, kind.components[function]] = lobe.intensities[:, :, 0]

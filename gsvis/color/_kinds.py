@@ -18,7 +18,7 @@ __all__ = ["channels", "is_tensor", "numbers"]
 
 
 def numbers(name: str, value: Any) -> tuple[Any, Any]:
-    """The module that computes with the value, numpy or torch, and the value as finite floats of any shape."""
+    """Return the module that computes with the value, numpy or torch, and the value as finite floats of any shape."""
     if is_tensor(value):
         if not value.is_floating_point():
             raise ValueError(f"{name}: expected a float tensor, got {value.dtype}; convert it, bytes divided by 255")
@@ -31,7 +31,7 @@ def numbers(name: str, value: Any) -> tuple[Any, Any]:
 
 
 def channels(name: str, value: Any, least: tuple[float, ...], most: tuple[float, ...], remedy: str) -> Any:
-    """The module, and the three channels as (..., 1), in their ranges if they are NumPy's."""
+    """Return the module, and the three channels as (..., 1), in their ranges if they are NumPy's."""
     xp, array = numbers(name, value)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ValueError(f"{name}: expected shape (..., 3), got {tuple(array.shape)}")

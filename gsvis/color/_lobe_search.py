@@ -82,7 +82,7 @@ class LobeSearch:
         self.nothing = Fit(1.0, np.zeros((0, 3)), np.zeros(0), self.target)
 
     def on(self, v: F64) -> Fit:
-        """The fit by these lobes as they are."""
+        """Return the fit by these lobes as they are."""
         solved = self._solve(self._rows(v)) if len(v) else None
         return self.nothing if solved is None else self._fit(v, solved)
 
@@ -138,7 +138,7 @@ class LobeSearch:
         return Fit(float(solved.left @ solved.left) / self.total, v, solved.intensities, solved.left)
 
     def _rows(self, v: F64) -> F64:
-        """(K, D) lobes times the roots of the weights."""
+        """Return (K, D) lobes times the roots of the weights."""
         rows = v @ self.points
         rows -= np.linalg.norm(v, axis=1)[:, None]
         np.exp(rows, out=rows)
@@ -146,7 +146,7 @@ class LobeSearch:
         return np.asarray(rows)
 
     def _slopes(self, v: F64, rows: F64, intensities: F64) -> F64:
-        """(3 K, D) change of the sum of lobes by each v."""
+        """Return (3 K, D) change of the sum of lobes by each v."""
         centers = v / np.linalg.norm(v, axis=1)[:, None]
         slopes = (rows * intensities[:, None])[:, None] * (self.points[None] - centers[:, :, None])
         return np.asarray(slopes.reshape(3 * len(v), -1))

@@ -89,7 +89,7 @@ def split_colors(kind: Variant, colors: F32, weights: F32) -> Split:
 
 
 def _principal_axes(covariance: NDArray[np.float64], count: int) -> F32:
-    """(n, count, 3) unit eigenvectors of the largest eigenvalues, each with its largest component positive."""
+    """Return (n, count, 3) unit eigenvectors of the largest eigenvalues, each with its largest component positive."""
     vectors = np.swapaxes(np.linalg.eigh(covariance)[1], 1, 2)[:, ::-1][:, :count]
     largest = np.abs(vectors).argmax(axis=2)[:, :, None]
     signs = np.sign(np.take_along_axis(vectors, largest, axis=2))

@@ -64,7 +64,7 @@ class Activation:
         return f"Activation({self.colors!r}, epsilon {self.epsilon:g})"
 
     def contributions(self, eye: ArrayLike) -> F32:
-        """(T,) largest change of a channel that each term makes as an eye (3,) sees it; see `contributions`."""
+        """Return (T,) largest change of a channel that each term makes as an eye (3,) sees it; see `contributions`."""
         at, colors = _check.floats("eye", eye, (3,), np.float64), self.colors
         additive = colors.kind.space == "rgb"
         factors = self._reaches if additive else np.ones(colors.num_terms)
@@ -79,7 +79,7 @@ class Activation:
         return out
 
     def active(self, eye: ArrayLike, visible: ArrayLike | None = None, weights: ArrayLike | None = None) -> Mask:
-        """(T,) bool, the terms that are active for an eye.
+        """Return (T,) bool, the terms that are active for an eye.
 
         Args:
             eye: (3,) position.
@@ -100,7 +100,7 @@ class Activation:
         visible: ArrayLike | None = None,
         weights: ArrayLike | None = None,
     ) -> Mask:
-        """(T,) bool, the terms that may be active for some eye in a box; none that is active for one is missing.
+        """Return (T,) bool, the terms that may be active for some eye in a box; none that is active for one is missing.
 
         The directions from the box to a Gaussian are bounded by a cone around the one from its middle, so some terms
         may be given that no eye needs.
@@ -126,7 +126,7 @@ class Activation:
         return out
 
     def _select(self, visible: ArrayLike | None, weights: ArrayLike | None) -> tuple[NDArray[np.int64], F32 | None]:
-        """(V,) ids of the Gaussians asked for, and their weights if there are any."""
+        """Return (V,) ids of the Gaussians asked for, and their weights if there are any."""
         count = len(self.colors)
         ids = np.arange(count) if visible is None else _check.integers("visible", visible, ("V",))
         if len(ids) and not 0 <= ids.min() <= ids.max() < count:
@@ -174,7 +174,7 @@ def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
 
 
 def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float) -> Mask:
-    """(T,) bool, the terms whose contribution for an eye (3,) is above epsilon.
+    """Return (T,) bool, the terms whose contribution for an eye (3,) is above epsilon.
 
     Args:
         colors: N Gaussians with T terms.
@@ -192,12 +192,12 @@ def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float)
 
 
 def active_in_box(colors: SrbfColors, means: ArrayLike, low: ArrayLike, high: ArrayLike, epsilon: float) -> Mask:
-    """(T,) bool, the terms that may be active for some eye in a box; see `Activation.active_in_box`."""
+    """Return (T,) bool, the terms that may be active for some eye in a box; see `Activation.active_in_box`."""
     return Activation(colors, means, epsilon).active_in_box(low, high)
 
 
 def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
-    """(T,) bound of the change of a channel for each unit of the lobe.
+    """Return (T,) bound of the change of a channel for each unit of the lobe.
 
     With S and L in [0, 1] a channel of HSL is L - S min(L, 1 - L) w, |w| <= 1: its slope by L is at most 1 + S, its
     slope by S at most min(L, 1 - L). A channel of HSV is V (1 - S w), 0 <= w <= 1: slope at most 1 by V. Luma moves
@@ -213,7 +213,7 @@ def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
     base = colors.base.astype(np.float64)
 
     def bound(component: int, sign: float) -> F64:
-        """(T,) lowest (sign -1) or highest (1) value that a component takes."""
+        """Return (T,) lowest (sign -1) or highest (1) value that a component takes."""
         change = np.maximum(sign * amplitudes[:, component].astype(np.float64), 0.0)
         ends = base[:, component] + sign * np.bincount(ids, change, len(colors))
         return np.asarray(np.clip(ends, 0.0, 1.0)[ids])

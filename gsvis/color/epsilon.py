@@ -81,7 +81,7 @@ class Observer(Protocol):
         ...
 
     def __call__(self, epsilon: float) -> bool:
-        """Whether the difference is noticed."""
+        """Return whether the difference is noticed."""
         ...
 
 
@@ -288,7 +288,7 @@ class Staircase:
 
 
 def calibrate_epsilon(observer: Observer, rule: StaircaseRule | None = None) -> EpsilonCalibration:
-    """The epsilon at which an observer notices the difference in 75% of trials.
+    """Return the epsilon at which an observer notices the difference in 75% of trials.
 
     With the default rule, over observers with a logistic psychometric function of log epsilon, of spreads up to 0.4 (an
     epsilon twice the midpoint is noticed with p = 0.85): estimates lie 5% above the 75% point on average, with a
@@ -321,7 +321,7 @@ def calibrate_epsilon(observer: Observer, rule: StaircaseRule | None = None) -> 
 def replay(
     rule: StaircaseRule, epsilons: ArrayLike, detected: ArrayLike, provenance: Mapping[str, Any] | None = None
 ) -> EpsilonCalibration:
-    """The result of trials that were made elsewhere, such as on a web page.
+    """Return the result of trials that were made elsewhere, such as on a web page.
 
     Args:
         rule: By which they were made.
@@ -408,7 +408,7 @@ class MetricObserver:
         return self._guess + (1.0 - self._guess) * noticed
 
     def __call__(self, epsilon: float) -> bool:
-        """Whether the difference is noticed."""
+        """Return whether the difference is noticed."""
         p = self.probability(epsilon)
         return bool(p >= 1.0 or (p > 0.0 and self._rng.random() < p))
 

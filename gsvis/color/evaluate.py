@@ -155,7 +155,7 @@ def evaluate_along(colors: SrbfColors, directions: ArrayLike) -> F32:
 
 
 def _mask(active: ArrayLike | None, terms: int) -> NDArray[np.bool_]:
-    """(T,), or (0,) for all."""
+    """Return (T,), or (0,) for all."""
     if active is None:
         return np.zeros(0, bool)
     mask = np.ascontiguousarray(active)
@@ -165,7 +165,7 @@ def _mask(active: ArrayLike | None, terms: int) -> NDArray[np.bool_]:
 
 
 def _layout(counts: I64) -> tuple[NDArray[np.uint8], I64]:
-    """(N,) order within windows by falling number of terms, and (groups + 1,) first slots of the groups."""
+    """Return (N,) order within windows by falling number of terms, and (groups + 1,) first slots of the groups."""
     window, lanes = _kernels_srbf.WINDOW, _kernels_srbf.LANES
     n = len(counts)
     kind = np.int16 if counts.max(initial=0) < 2**15 else np.int64  # NumPy sorts short integers by radix
@@ -179,7 +179,7 @@ def _layout(counts: I64) -> tuple[NDArray[np.uint8], I64]:
 
 
 def _in_windows(values: F32, order: NDArray[np.uint8]) -> F32:
-    """(windows, K, WINDOW) of (N, K), ordered; ones behind the last."""
+    """Return (windows, K, WINDOW) of (N, K), ordered; ones behind the last."""
     window = _kernels_srbf.WINDOW
     n, channels = values.shape
     padded = np.ones((-(-n // window) * window, channels), np.float32)

@@ -78,7 +78,7 @@ class SrbfTensors:
         device: torch.device | str = "cpu",
         requires_grad: bool = False,
     ) -> SrbfTensors:
-        """A copy of colors as leaf tensors.
+        """Return a copy of colors as leaf tensors.
 
         Args:
             colors: The colors.
@@ -99,7 +99,7 @@ class SrbfTensors:
         return cls(colors.variant, **fields, **integers)
 
     def to_colors(self) -> SrbfColors:
-        """A checked copy as arrays.
+        """Return a checked copy as arrays.
 
         Raises:
             ValueError: If a value is not finite or out of its range.
@@ -136,7 +136,7 @@ class SrbfTensors:
         return torch.repeat_interleave(every, self.offsets.diff(), output_size=self.num_terms)
 
     def amplitudes(self) -> Tensor:
-        """(T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
+        """Return (T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind, ids = self.kind, self.gaussian_ids
         if kind.components:
             component = torch.tensor(kind.components, device=self.base.device)[self.functions]

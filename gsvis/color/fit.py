@@ -108,7 +108,7 @@ class SrbfFit:
 
 
 def face_weights(directions: ArrayLike | None, count: int) -> F32:
-    """(N, 80) weights of the faces from what `fit_srbf` takes as directions.
+    """Return (N, 80) weights of the faces from what `fit_srbf` takes as directions.
 
     Args:
         directions: (N, 10) uint8 direction sets, (N, 80) bool or weights >= 0, or None for all directions alike.
@@ -181,7 +181,7 @@ def fit_srbf(
 
 
 def sample_colors(g: Gaussians) -> F32:
-    """(N, 3, 320) RGB toward the centers of the parts of the faces, nowhere below 0."""
+    """Return (N, 3, 320) RGB toward the centers of the parts of the faces, nowhere below 0."""
     basis = sh_basis(-face_directions(_PARTS).reshape(-1, 3), g.sh_degree).astype(np.float32)
     coefficients = np.concatenate([g.sh0, g.shN], axis=1)
     colors = np.matmul(np.ascontiguousarray(coefficients.transpose(0, 2, 1)), basis.T)

@@ -18,7 +18,7 @@ U16 = NDArray[np.uint16]
 
 
 def bent(low: float, high: float, center: float, knee: float, bits: int) -> F32:
-    """(2^bits,) from low to high: evenly spaced within `knee` of the center, in even ratios outside.
+    """Return (2^bits,) from low to high: evenly spaced within `knee` of the center, in even ratios outside.
 
     The spacing d where it is even follows from the range; outside it is d |x - center| / knee.
 
@@ -38,7 +38,7 @@ def bent(low: float, high: float, center: float, knee: float, bits: int) -> F32:
 
 
 def geometric(low: float, high: float, bits: int) -> F32:
-    """(2^bits,) from low to high in even ratios, 0 < low <= high."""
+    """Return (2^bits,) from low to high in even ratios, 0 < low <= high."""
     return _with_ends(np.geomspace(low, high, 1 << bits), low, high)
 
 
@@ -61,7 +61,7 @@ def compand(limit: float, floor: float, bits: int) -> F32:
 
 
 def circle(low: float, turn: float, count: int) -> F32:
-    """(count + 1,) even steps from low once around; the last entry is the first, one turn on."""
+    """Return (count + 1,) even steps from low once around; the last entry is the first, one turn on."""
     return np.asarray(low + np.arange(count + 1) * (turn / count), np.float32)
 
 
@@ -72,7 +72,7 @@ def _with_ends(values: F64, low: float, high: float) -> F32:
 
 
 def middles(table: F32) -> F64:
-    """(len - 1,) where one entry of a table gives way to the next."""
+    """Return (len - 1,) where one entry of a table gives way to the next."""
     return (table[1:].astype(np.float64) + table[:-1]) / 2.0
 
 
@@ -96,7 +96,7 @@ def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
 
 
 def unoctahedral(cells: NDArray[np.integer[Any]], bits: int) -> F32:
-    """(..., 3) unit vectors at the centers of the cells of `octahedral`."""
+    """Return (..., 3) unit vectors at the centers of the cells of `octahedral`."""
     xy = (cells.astype(np.float64) + 0.5) * 2.0 / (1 << bits) - 1.0
     z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
     unfolded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)

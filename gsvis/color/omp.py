@@ -144,7 +144,7 @@ def _signals(signals: ArrayLike, depth: int) -> NDArray[Any]:
 
 
 def _real(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """The array, if it holds real numbers; converted to float32 part by part, later."""
+    """Return the array, if it holds real numbers; converted to float32 part by part, later."""
     if values.dtype.kind not in "fiub":
         raise ValueError(f"{name}: expected numbers, got dtype {values.dtype}")
     return values
@@ -188,7 +188,7 @@ def _refuse(counts: NDArray[np.int32], start: int) -> None:
 
 
 def _atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.Atoms:
-    """The dictionary made ready."""
+    """Return the dictionary made ready."""
     number, depth = columns.shape[1], columns.shape[0]
     largest = np.abs(columns).max(axis=0)
     unit = np.ascontiguousarray((columns / np.where(largest > 0.0, largest, 1.0)).T)

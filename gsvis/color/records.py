@@ -126,7 +126,7 @@ class Grids:
 
     @classmethod
     def of(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
-        """The narrowest ranges that hold all values of these colors: nothing is ever clipped."""
+        """Return the narrowest ranges that hold all values of these colors: nothing is ever clipped."""
         turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
         ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
         return cls(
@@ -140,7 +140,7 @@ class Grids:
         return variant(self.variant)
 
     def base_table(self, component: int) -> F32:
-        """(2^bits,) values of a component of base colors."""
+        """Return (2^bits,) values of a component of base colors."""
         bits, space = self.precision.base, self.kind.space
         if space in ("hsl", "hsv") and component == 0:
             return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
@@ -148,24 +148,24 @@ class Grids:
         return _grids.bent(*self.base[component], center, BASE_KNEE, bits)
 
     def scale_table(self) -> F32:
-        """(2^bits,) scales, in even steps up to 1: what matters is the error of the color, not of the scale."""
+        """Return (2^bits,) scales, in even steps up to 1: what matters is the error of the color, not of the scale."""
         return _grids.bent(*self.scales, 0.0, 1.0, self.precision.scale)
 
     def theta_table(self) -> F32:
-        """(2^bits,) polar angles, none at a pole."""
+        """Return (2^bits,) polar angles, none at a pole."""
         count = 1 << self.precision.center
         return np.asarray((np.arange(count) + 0.5) * (np.pi / count), np.float32)
 
     def phi_table(self) -> F32:
-        """(2^(bits + 1),) azimuths, from -pi."""
+        """Return (2^(bits + 1),) azimuths, from -pi."""
         return _grids.circle(-np.pi, 2.0 * np.pi, 2 << self.precision.center)[:-1]
 
     def decay_table(self) -> F32:
-        """(2^bits,) decays in even ratios."""
+        """Return (2^bits,) decays in even ratios."""
         return _grids.geometric(*self.decays, self.precision.decay)
 
     def intensity_table(self) -> F32:
-        """(2^bits - 1,) intensities, 0 in the middle."""
+        """Return (2^bits - 1,) intensities, 0 in the middle."""
         return _grids.compand(self.intensity, INTENSITY_FLOOR, self.precision.intensity)
 
 
@@ -242,7 +242,7 @@ class QuantizedColors:
         return _pack(self.grids.kind, self.grids.precision, self.offsets)
 
     def dequantize(self) -> SrbfColors:
-        """The colors that the records stand for."""
+        """Return the colors that the records stand for."""
         g = self.grids
         base = np.stack([g.base_table(k)[self.base[:, k]] for k in range(3)], axis=1)
         scales = g.scale_table()[self.scales] if has_scales(g.kind) else np.ones(len(self), np.float32)
@@ -310,7 +310,7 @@ def quantize(
 
 
 def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True) -> SrbfColors:
-    """The colors with centers and decays as records can say them, and everything else exact.
+    """Return the colors with centers and decays as records can say them, and everything else exact.
 
     A fit that knows directions and colors can then find intensities once more before `quantize` rounds them; it finds
     the same centers and decays.
@@ -379,7 +379,7 @@ def sh_bytes(degree: int, bits: int = 32) -> float:
 
 
 def has_scales(kind: Variant) -> bool:
-    """Whether the Gaussians of a variant have a scale."""
+    """Return whether the Gaussians of a variant have a scale."""
     return kind.space != "rgb"
 
 
@@ -442,7 +442,7 @@ def _centers_of(places: U16, g: Grids) -> F32:
 
 
 def _lobes(centers: F32, decays: F32) -> NDArray[np.float64]:
-    """(T, 4) decay times center, and decay."""
+    """Return (T, 4) decay times center, and decay."""
     lengths = decays.astype(np.float64)[:, None]
     return np.concatenate([unit_vectors(centers) * lengths, lengths], axis=1)
 

@@ -19,7 +19,7 @@ F64 = NDArray[np.float64]
 
 
 def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F64:
-    """(N, 3) colors as one eye sees them; arguments as `gsvis.color.evaluate`."""
+    """Return (N, 3) colors as one eye sees them; arguments as `gsvis.color.evaluate`."""
     offsets = np.asarray(means, np.float64).reshape(-1, 3) - np.asarray(eye, np.float64)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     directions = np.where(lengths > 0, offsets / np.where(lengths > 0, lengths, 1.0), [0.0, 0.0, 1.0])

@@ -74,7 +74,7 @@ def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool =
 
     Returns:
         (N, 3) RGB: float32, or a tensor of the dtype and device of `g` with gradients by means, sh0, shN and eye. A
-        Gaussian centerd at the eye is seen along +z.
+        Gaussian centered at the eye is seen along +z.
 
     Raises:
         ValueError: If the eye is not three finite numbers or the degree is not one of `g`.

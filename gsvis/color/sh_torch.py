@@ -63,7 +63,7 @@ def sh_colors_torch(
         clipped: Cut off below at 0; a color that is cut off has no gradient.
 
     Returns:
-        (N, 3) RGB, of the dtype and device of `means`. A Gaussian centerd at the eye is seen along +z.
+        (N, 3) RGB, of the dtype and device of `means`. A Gaussian centered at the eye is seen along +z.
 
     Raises:
         ValueError: If a shape is wrong, or an eye that is no tensor is not finite.

@@ -41,12 +41,12 @@ _SCALE = "divide the colors of each Gaussian by their largest value and keep tha
 
 
 def _hsl(hsl: Any) -> Any:
-    """The module, and checked H, S, L."""
+    """Return the module, and checked H, S, L."""
     return channels("hsl", hsl, (-_INF, 0.0, 0.0), (_INF, 1.0, 1.0), "clip saturation and lightness to [0, 1]")
 
 
 def _hsv(hsv: Any) -> Any:
-    """The module, and checked H, S, V."""
+    """Return the module, and checked H, S, V."""
     remedy = "clip saturation to [0, 1] and value below at 0"
     return channels("hsv", hsv, (-_INF, 0.0, 0.0), (_INF, 1.0, _INF), remedy)
 
@@ -88,7 +88,7 @@ def hsl_to_rgb(hsl: Tensor) -> Tensor: ...
 @overload
 def hsl_to_rgb(hsl: ArrayLike) -> Floats: ...
 def hsl_to_rgb(hsl: Any) -> Any:
-    """The inverse of `rgb_to_hsl`: rgb = L + S (1 - |2 L - 1|) (h(H) - 1/2), h being `hue_vector`.
+    """Return the inverse of `rgb_to_hsl`: rgb = L + S (1 - |2 L - 1|) (h(H) - 1/2), h being `hue_vector`.
 
     Args:
         hsl: (..., 3) hue in turns, any finite number; saturation and lightness in [0, 1], unchecked in tensors.
@@ -131,7 +131,7 @@ def hsv_to_rgb(hsv: Tensor) -> Tensor: ...
 @overload
 def hsv_to_rgb(hsv: ArrayLike) -> Floats: ...
 def hsv_to_rgb(hsv: Any) -> Any:
-    """The inverse of `rgb_to_hsv`: rgb = V (1 - S (1 - h(H))), h being `hue_vector`.
+    """Return the inverse of `rgb_to_hsv`: rgb = V (1 - S (1 - h(H))), h being `hue_vector`.
 
     Args:
         hsv: (..., 3) hue in turns, any finite number; saturation in [0, 1]; value >= 0. Unchecked in tensors.
@@ -180,7 +180,7 @@ def yuv_to_rgb(yuv: Tensor) -> Tensor: ...
 @overload
 def yuv_to_rgb(yuv: ArrayLike) -> Floats: ...
 def yuv_to_rgb(yuv: Any) -> Any:
-    """The inverse of `rgb_to_yuv`.
+    """Return the inverse of `rgb_to_yuv`.
 
     Args:
         yuv: (..., 3), any finite numbers.
@@ -221,7 +221,7 @@ def rgb_by_hsl_saturation(hsl: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsl_saturation(hsl: ArrayLike) -> Floats: ...
 def rgb_by_hsl_saturation(hsl: Any) -> Any:
-    """(..., 3) derivative of `hsl_to_rgb` by S: (1 - |2 L - 1|) (h(H) - 1/2). Arguments and errors as there."""
+    """Return (..., 3) derivative of `hsl_to_rgb` by S: (1 - |2 L - 1|) (h(H) - 1/2). Arguments and errors as there."""
     xp, hue, _, lightness = _hsl(hsl)
     return 2 * xp.minimum(lightness, 1 - lightness) * (_hue_vector(xp, hue) - 0.5)
 
@@ -231,7 +231,7 @@ def rgb_by_hsl_lightness(hsl: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsl_lightness(hsl: ArrayLike) -> Floats: ...
 def rgb_by_hsl_lightness(hsl: Any) -> Any:
-    """(..., 3) derivative of `hsl_to_rgb` by L: 1 + 2 S (h(H) - 1/2) below L = 1/2, 1 - 2 S (h(H) - 1/2) above.
+    """Return (..., 3) derivative of `hsl_to_rgb` by L: 1 + 2 S (h(H) - 1/2) below L = 1/2, 1 - 2 S (h(H) - 1/2) above.
 
     At L = 1/2 it is 1, the mean of the two. Arguments and errors as in `hsl_to_rgb`.
     """
@@ -244,7 +244,7 @@ def rgb_by_hsv_saturation(hsv: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsv_saturation(hsv: ArrayLike) -> Floats: ...
 def rgb_by_hsv_saturation(hsv: Any) -> Any:
-    """(..., 3) derivative of `hsv_to_rgb` by S: V (h(H) - 1). Arguments and errors as there."""
+    """Return (..., 3) derivative of `hsv_to_rgb` by S: V (h(H) - 1). Arguments and errors as there."""
     xp, hue, _, value = _hsv(hsv)
     return value * (_hue_vector(xp, hue) - 1)
 
@@ -254,7 +254,7 @@ def rgb_by_hsv_value(hsv: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsv_value(hsv: ArrayLike) -> Floats: ...
 def rgb_by_hsv_value(hsv: Any) -> Any:
-    """(..., 3) derivative of `hsv_to_rgb` by V: 1 - S (1 - h(H)). Arguments and errors as there."""
+    """Return (..., 3) derivative of `hsv_to_rgb` by V: 1 - S (1 - h(H)). Arguments and errors as there."""
     xp, hue, saturation, _ = _hsv(hsv)
     return 1 - saturation * (1 - _hue_vector(xp, hue))
 
@@ -264,13 +264,13 @@ def rgb_by_yuv_luma(yuv: Tensor) -> Tensor: ...
 @overload
 def rgb_by_yuv_luma(yuv: ArrayLike) -> Floats: ...
 def rgb_by_yuv_luma(yuv: Any) -> Any:
-    """(..., 3) derivative of `yuv_to_rgb` by Y: 1 everywhere. Arguments and errors as there."""
+    """Return (..., 3) derivative of `yuv_to_rgb` by Y: 1 everywhere. Arguments and errors as there."""
     xp, *parts = channels("yuv", yuv, (-_INF,) * 3, (_INF,) * 3, "")
     return xp.concatenate([xp.ones_like(part) for part in parts], -1)
 
 
 def _hue_vector(xp: Any, hue: Any) -> Any:
-    """(..., 3) from (..., 1)."""
+    """Return (..., 3) from (..., 1)."""
     sixths = 6 * (hue - xp.floor(hue))
     rgb = xp.concatenate([xp.abs(sixths - 3) - 1, 2 - xp.abs(sixths - 2), 2 - xp.abs(sixths - 4)], -1)
     return xp.clip(rgb, 0.0, 1.0)

@@ -223,7 +223,7 @@ def _pursue(search: LobeSearch, limit: int) -> list[Fit]:
 
 
 def _stack(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:
-    """The fits side by side; where more lobes than before are not better, those before stay."""
+    """Return the fits side by side; where more lobes than before are not better, those before stay."""
     centers, decays, intensities = np.zeros((most + 1, most, 3)), np.zeros((most + 1, most)), np.zeros((most + 1, most))
     counts, errors = np.zeros(most + 1, np.int64), np.full(most + 1, variance)
     best: Fit | None = None

@@ -53,7 +53,7 @@ def unit_vectors(coordinates: ArrayLike) -> F64:
 
 
 def spherical_coordinates(vectors: ArrayLike) -> F64:
-    """(..., 2) polar angle in [0, pi] and azimuth in [-pi, pi] of (..., 3) vectors of any length > 0."""
+    """Return (..., 2) polar angle in [0, pi] and azimuth in [-pi, pi] of (..., 3) vectors of any length > 0."""
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
     return np.stack([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)], axis=-1)
 
@@ -167,7 +167,7 @@ class SrbfColors:
         return np.arange(self.num_terms) - np.repeat(self.offsets[:-1], self.counts)
 
     def amplitudes(self) -> F32:
-        """(T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
+        """Return (T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind, ids = self.kind, self.gaussian_ids
         if kind.components:  # multiplicative: ref * (1 + sum)
             component = np.asarray(kind.components, np.int64)[self.functions]
@@ -182,7 +182,7 @@ class SrbfColors:
         return np.asarray(np.einsum("ti,tic->tc", self.intensities, self.axes[ids]))
 
     def __getitem__(self, index: Any) -> SrbfColors:
-        """The colors of the Gaussians at a slice, a mask, an index array, or one integer."""
+        """Return the colors of the Gaussians at a slice, a mask, an index array, or one integer."""
         if isinstance(index, int | np.integer):
             index = np.asarray([index])
         chosen = np.arange(len(self))[index]
@@ -195,7 +195,7 @@ class SrbfColors:
         )  # fmt: skip
 
     def keep(self, terms: ArrayLike) -> SrbfColors:
-        """The same Gaussians with some of their terms, in the same order.
+        """Return the same Gaussians with some of their terms, in the same order.
 
         Args:
             terms: (T,) bool, which to keep.
@@ -213,7 +213,7 @@ class SrbfColors:
         )  # fmt: skip
 
     def first(self, count: int) -> SrbfColors:
-        """The first terms of each Gaussian: 0 leaves the base colors, more refine them.
+        """Return the first terms of each Gaussian: 0 leaves the base colors, more refine them.
 
         Args:
             count: Terms to keep for each Gaussian at most.

@@ -250,7 +250,7 @@ def _numbers(column: pa.Array) -> NDArray[Any]:
 
 
 def _nothing(schema: pa.Schema) -> dict[str, NDArray[Any]]:
-    """The columns of a file without rows."""
+    """Return the columns of a file without rows."""
     empty = pa.RecordBatch.from_pylist([], schema=schema)
     columns = {name: empty.column(name) for name in schema.names}
     struct = columns.pop("terms").flatten()
@@ -294,7 +294,7 @@ def _info(file: ArrowFile) -> SrbfInfo:
 
 
 def grids_of(quantized: Fields, name: str) -> Grids:
-    """The tables that a JSON object of `asdict(grids)` describes, for a variant.
+    """Return the tables that a JSON object of `asdict(grids)` describes, for a variant.
 
     Raises:
         FormatError: If they are no tables.

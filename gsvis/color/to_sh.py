@@ -106,7 +106,7 @@ def to_sh(
 
 
 def _directions(directions: ArrayLike | None) -> tuple[F64, F64]:
-    """(D, 3) unit directions and their (D,) weights."""
+    """Return (D, 3) unit directions and their (D,) weights."""
     if directions is None:
         return face_directions(4).reshape(-1, 3), face_shares(4).ravel()
     points = _check.unit_vectors("directions", directions)
@@ -116,20 +116,20 @@ def _directions(directions: ArrayLike | None) -> tuple[F64, F64]:
 
 
 def _weights(weights: ArrayLike, n: int, d: int) -> F32:
-    """(N, D)."""
+    """Return (N, D)."""
     checked = _check.floats("weights", weights, (d,) if np.ndim(weights) == 1 else (n, d))
     _check.in_range("weights", checked, 0.0, np.inf)
     return np.broadcast_to(checked, (n, d))
 
 
 def _solver(basis: F64, weights: F64, penalty: F64) -> F64:
-    """(D, K), what turns values along the directions into coefficients, the same weights for all."""
+    """Return (D, K), what turns values along the directions into coefficients, the same weights for all."""
     right = (basis * (weights / weights.sum())[:, None]).T
     return np.asarray(np.linalg.solve(right @ basis + np.diag(penalty), right).T)
 
 
 def _improvement(left: F32, basis: F64, weights: F64, penalty: F64) -> F32:
-    """(M, K, 3) coefficients that take (M, D, 3) errors away, each Gaussian with its own (M, D) weights."""
+    """Return (M, K, 3) coefficients that take (M, D, 3) errors away, each Gaussian with its own (M, D) weights."""
     k = basis.shape[1]
     shares = weights / weights.sum(axis=1, keepdims=True, dtype=np.float64)
     squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), k * k)
@@ -139,7 +139,7 @@ def _improvement(left: F32, basis: F64, weights: F64, penalty: F64) -> F32:
 
 
 def _per_channel(values: F32, matrix: F64) -> F32:
-    """(M, B, 3) of (M, A, 3) values and an (A, B) matrix, channel by channel, as one product of matrices."""
+    """Return (M, B, 3) of (M, A, 3) values and an (A, B) matrix, channel by channel, as one product of matrices."""
     m, a, _ = values.shape
     columns = np.einsum("ab,ce->acbe", matrix, np.eye(3)).reshape(3 * a, -1).astype(np.float32)
     return np.asarray((values.reshape(m, 3 * a) @ columns).reshape(m, -1, 3))

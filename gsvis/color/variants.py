@@ -60,7 +60,7 @@ DEFAULT_VARIANT = "rgb"
 
 
 def variant(name: str) -> Variant:
-    """The variant of a name.
+    """Return the variant of a name.
 
     Raises:
         ValueError: If there is none; the message lists those that are.

@@ -72,7 +72,7 @@ def calibrate_radius(
     most: float = 1e5,
     steps: int = 8,
 ) -> Calibration:
-    """The radius at which hidden point removal agrees best with a given visibility.
+    """Return the radius at which hidden point removal agrees best with a given visibility.
 
     With `recall`, the smallest radius found that keeps that share of the weights, which has the best precision: the
     visible set grows with the radius (a point once visible is very rarely lost again). Without, the largest F1 of
@@ -120,7 +120,7 @@ def calibrate_radius(
 def search_radius(
     judge: Callable[[float], Trial], low: float, high: float, *, recall: float | None = None, steps: int = 8
 ) -> Calibration:
-    """The best radius in [low, high] by what `judge` says; geometric grid first, then refined.
+    """Return the best radius in [low, high] by what `judge` says; geometric grid first, then refined.
 
     Args:
         judge: Tries one radius.
@@ -176,7 +176,7 @@ def _by_weights(cloud: F64, eye: F64, weights: F64, tau: float) -> Callable[[flo
 
 
 def _by_two_eyes(cloud: F64, eye: F64, recall: float | None) -> tuple[Callable[[float], Trial], float]:
-    """The judge that knows no weights, and the smallest radius that serves both eyes."""
+    """Return the judge that knows no weights, and the smallest radius that serves both eyes."""
     if recall is not None:
         raise ValueError(f"recall: expected weights to measure it by, got {recall!r} without weights; give weights")
     corner, opposite_corner = cloud.min(axis=0), cloud.max(axis=0)

@@ -91,7 +91,7 @@ class OcclusionHull:
     def from_depths(
         cls, g: Gaussians, viewpoint: ArrayLike, depths: ArrayLike, *, margin: float = 0.1
     ) -> OcclusionHull:
-        """The hull of ends of light that are known already, such as those of a z-buffer.
+        """Return the hull of ends of light that are known already, such as those of a z-buffer.
 
         Args:
             g: N Gaussians that will be asked about; they hide nothing.
@@ -146,7 +146,7 @@ def visible_gaussians(
     spent: float = TAU,
     margin: float = 0.1,
 ) -> I64:
-    """The Gaussians that an eye sees, by hidden point removal.
+    """Return the Gaussians that an eye sees, by hidden point removal.
 
     All Gaussians hide; `ids` only says which are asked about.
 
@@ -170,7 +170,7 @@ def visible_gaussians(
 
 
 def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, spent: float) -> F64:
-    """(6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
+    """Return (6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
     distances = shapes[:, 0][shapes[:, 0] > 0.0]  # of faint ones too: bins that opacity does not move
     if len(distances) == 0:
         return np.full(6 * size * size, np.inf)
@@ -188,7 +188,7 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
 
 
 def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
-    """The distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
+    """Return the distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
 
     Where light never ends, the sky is flipped. It lies 1000 times as far as the farthest of the centers, at `distances`
     (N,) from the eye, and not at a multiple of the deepest end of light: more opacity moves that, and a sky that comes

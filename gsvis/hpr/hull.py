@@ -129,7 +129,7 @@ class _Builder:
         return not _kernels.insert(self.places, chosen, *arrays, self.inner, self.slack, self.band, self._doubtful)
 
     def is_certain(self) -> bool:
-        """Whether no place lies so close to the hull of the others that rounding decides what it is."""
+        """Return whether no place lies so close to the hull of the others that rounding decides what it is."""
         doubts = int(self._state[2])
         if doubts > _DOUBTS:
             return False
@@ -146,7 +146,7 @@ class _Builder:
 
 
 def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
-    """The flips in the order of the cells of a cubemap with about one occupied cell for eight flips.
+    """Return the flips in the order of the cells of a cubemap with about one occupied cell for eight flips.
 
     Returns the size of the cubemap, the order (M,), the places in it and the origin (M + 1, 3), and for each cell which
     of the places is the farthest (-1: none) and its squared distance.

@@ -21,7 +21,7 @@ I64 = NDArray[np.int64]
 
 
 def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float) -> I64:
-    """The points that an eye sees.
+    """Return the points that an eye sees.
 
     The set is that of Open3D's `PointCloud.hidden_point_removal`, but for these cases:
 

@@ -17,7 +17,7 @@ __all__ = ["hidden_point_removal_reference", "look_around_reference"]
 def hidden_point_removal_reference(
     points: NDArray[np.float64], viewpoint: NDArray[np.float64], radius: float
 ) -> NDArray[np.int64]:
-    """The points whose spherical flip is a vertex of the convex hull of all flips and the eye.
+    """Return the points whose spherical flip is a vertex of the convex hull of all flips and the eye.
 
     Args:
         points: (N, 3), none of them at the viewpoint, not all in one plane with it.

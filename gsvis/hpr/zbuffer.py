@@ -180,7 +180,7 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
 
 
 def _in_order(g: Gaussians, ids: I64) -> I64:
-    """The ids along a Morton curve through the means, and where that does not tell them apart, by content."""
+    """Return the ids along a Morton curve through the means, and where that does not tell them apart, by content."""
     if len(ids) == 0:
         return ids
     means = g.means[ids].astype(np.float64)
@@ -202,7 +202,7 @@ def _in_order(g: Gaussians, ids: I64) -> I64:
 
 
 def _spread(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The 21 bits of each value, two zeros between neighbors."""
+    """Return the 21 bits of each value, two zeros between neighbors."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

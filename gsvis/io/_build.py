@@ -61,7 +61,7 @@ def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) ->
 
 
 def sh0_from_rgb(rgb: NDArray[np.floating[Any]]) -> F32:
-    """(N, 1, 3) constant coefficients of (N, 3) base colors, 0 to 1."""
+    """Return (N, 1, 3) constant coefficients of (N, 3) base colors, 0 to 1."""
     with np.errstate(over="ignore"):  # the infinity that comes of an enormous color is refused later
         return ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None, :]
 
@@ -100,7 +100,7 @@ def gaussians_from(
     sh0: F32,
     shN: F32 | None = None,  # noqa: N803  the field's own name
 ) -> Gaussians:
-    """A scene of what a file held.
+    """Return a scene of what a file held.
 
     Raises:
         FormatError: If there is no Gaussian, or a value is not finite, a quaternion zero, a scale negative.
@@ -114,7 +114,7 @@ def gaussians_from(
 
 
 def format_error(path: str | os.PathLike[str], error: ValueError) -> FormatError:
-    """The error about a file for an error about arrays that came from it."""
+    """Return the error about a file for an error about arrays that came from it."""
     where, _, rest = str(error).partition(": expected ")
     expected, _, got = rest.partition(", got ")
     got = got.partition("; ")[0]  # the remedy is for who passes arrays, not for who has a file

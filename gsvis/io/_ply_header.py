@@ -80,7 +80,7 @@ class PlyHeader:
     file_size: int
 
     def element(self, name: str) -> Element | None:
-        """The element of that name, or None."""
+        """Return the element of that name, or None."""
         return next((e for e in self.elements if e.name == name), None)
 
     def rows_of(self, element: Element) -> tuple[np.dtype[np.void], int]:

@@ -23,7 +23,7 @@ CHUNK_BYTES = 2 << 20
 
 
 def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> Iterator[NDArray[Any]]:
-    """The rows of an element, a few thousand at a time; a chunk is overwritten by the next one.
+    """Yield the rows of an element, a few thousand at a time; a chunk is overwritten by the next one.
 
     Args:
         header: What the file says of itself.

@@ -21,7 +21,7 @@ _BLOCK = 1 << 23  # entries of a distance matrix in memory
 
 
 def codebook_of(values: F32) -> F32:
-    """(256,) rising numbers that stand for all the values with a small mean squared error.
+    """Return (256,) rising numbers that stand for all the values with a small mean squared error.
 
     Args:
         values: Any shape, at least one value.
@@ -90,7 +90,7 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
 
 
 def _distinct_rows(vectors: F32) -> tuple[F32, NDArray[np.int64]]:
-    """The distinct rows, and the index of each row among them."""
+    """Return the distinct rows, and the index of each row among them."""
     packed = np.ascontiguousarray(vectors).view(np.dtype((np.void, 4 * vectors.shape[1])))[:, 0]
     _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
     return vectors[first], inverse.reshape(-1)
@@ -104,7 +104,7 @@ def _shares(errors: list[float], members: list[NDArray[np.int64]], entries: int)
 
 
 def _lloyd(vectors: F32, entries: int, rng: np.random.Generator) -> F32:
-    """(entries, F) centers of k-means from a random start."""
+    """Return (entries, F) centers of k-means from a random start."""
     centers: F32 = vectors[rng.choice(len(vectors), min(entries, len(vectors)), replace=False)].copy()
     if len(centers) == len(vectors):
         return centers
@@ -120,7 +120,7 @@ def _lloyd(vectors: F32, entries: int, rng: np.random.Generator) -> F32:
 
 
 def _assign(vectors: F32, centers: F32) -> tuple[F32, NDArray[np.int64]]:
-    """(N,) squared distance to the nearest center, and its index."""
+    """Return (N,) squared distance to the nearest center, and its index."""
     half = 0.5 * np.einsum("ij,ij->i", centers, centers)
     label, score = np.empty(len(vectors), np.int64), np.empty(len(vectors), np.float32)
     rows = max(1, _BLOCK // len(centers))

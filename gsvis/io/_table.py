@@ -80,7 +80,7 @@ class Table:
         return [self.header.index(name) for name in names]
 
     def numbers(self, names: tuple[str, ...], known: tuple[str, ...] = ()) -> NDArray[np.float64]:
-        """(rows, len(names)) finite numbers of the given columns; `known` as in `columns`.
+        """Return (rows, len(names)) finite numbers of the given columns; `known` as in `columns`.
 
         Raises:
             FormatError: If a column is missing, or at the first cell that is no finite number.
@@ -100,7 +100,7 @@ class Table:
 
 
 def listed(names: list[str], most: int = 16) -> str:
-    """The names for a message, absurdly long ones and what is beyond the first `most` only counted."""
+    """Return the names for a message, absurdly long ones and what is beyond the first `most` only counted."""
     shown = ", ".join(repr(name[:40]) if len(name) > 40 or not name.isprintable() else name for name in names[:most])
     return shown + (f" and {len(names) - most:,} more" if len(names) > most else "")
 

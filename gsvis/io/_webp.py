@@ -84,7 +84,7 @@ def decode_plane(path: str | os.PathLike[str], where: str, data: bytes) -> NDArr
 
 
 def encode_plane(pixels: NDArray[np.uint8]) -> bytes:
-    """A lossless WebP file of (H, W, 4) uint8 pixels, every byte kept, also where the fourth channel is 0."""
+    """Return a lossless WebP file of (H, W, 4) uint8 pixels, every byte kept, also where the fourth channel is 0."""
     out = io.BytesIO()
     Image.fromarray(pixels, "RGBA").save(out, "WEBP", lossless=True, exact=True, quality=80, method=4)
     return out.getvalue()

@@ -51,7 +51,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
 
 
 def holds_repeated_views(path: str | PathLike[str]) -> bool:
-    """Whether the cameras at a path are those that gsvis itself wrote, so that views are repeated, not captured.
+    """Return whether the cameras at a path are those that gsvis itself wrote, so that views are repeated, not captured.
 
     Args:
         path: As for `load_cameras`.
@@ -65,7 +65,7 @@ def holds_repeated_views(path: str | PathLike[str]) -> bool:
 
 
 def _file_of(path: Path) -> Path:
-    """The JSON file that a path means, or the folder of a COLMAP model."""
+    """Return the JSON file that a path means, or the folder of a COLMAP model."""
     if path.is_dir():
         folder = find_colmap(path)
         if folder is not None:

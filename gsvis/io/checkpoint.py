@@ -115,7 +115,7 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
 
 
 def is_checkpoint(path: str | os.PathLike[str]) -> bool:
-    """Whether a zip file is a checkpoint of torch; one that cannot be opened is judged by its suffix."""
+    """Return whether a zip file is a checkpoint of torch; one that cannot be opened is judged by its suffix."""
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             return _structure_name(archive) is not None
@@ -160,7 +160,7 @@ def _warn_of_other_ranks(path: Path) -> None:
 
 
 def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str, F32]:
-    """The values of the Gaussians by their names, in either layout."""
+    """Return the values of the Gaussians by their names, in either layout."""
     name = _structure_name(archive)
     if name is None:
         raise FormatError(path, "zip", "data.pkl", listed(archive.namelist()), "is this a checkpoint of torch?")
@@ -170,7 +170,7 @@ def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str
 
 
 def _structure_name(archive: zipfile.ZipFile) -> str | None:
-    """The entry with the pickle: data.pkl in the one folder of the archive."""
+    """Return the entry with the pickle: data.pkl in the one folder of the archive."""
     return next((name for name in archive.namelist() if name.count("/") <= 1 and name.endswith("data.pkl")), None)
 
 
@@ -312,7 +312,7 @@ class _Records:
         self.order = ">" if big else "<"
 
     def array(self, name: str, tensor: _Tensor) -> F32:
-        """(shape) float32 values of a tensor.
+        """Return (shape) float32 values of a tensor.
 
         Raises:
             FormatError: If they are no floating-point numbers, or do not lie in their record.

@@ -61,7 +61,7 @@ def find_colmap(path: Path) -> Path | None:
 
 
 def read_colmap(folder: Path) -> Views:
-    """The posed images of a COLMAP model.
+    """Return the posed images of a COLMAP model.
 
     Args:
         folder: Holds `cameras.bin` and `images.bin`, or the same with `.txt`; the binary pair is preferred.
@@ -105,7 +105,7 @@ def find_colmap_points(folder: Path) -> Path | None:
 
 
 def read_colmap_points(path: Path) -> tuple[F64, NDArray[np.uint8]]:
-    """The points of a `points3D.bin` or `points3D.txt`, in file order; their positions are not checked.
+    """Return the points of a `points3D.bin` or `points3D.txt`, in file order; their positions are not checked.
 
     Returns:
         positions: (N, 3), frame of the model.
@@ -138,7 +138,7 @@ class _Bytes:
         return values
 
     def count(self, least: int, what: str) -> int:
-        """A 64-bit count of records of at least `least` bytes, refused when the file cannot hold them."""
+        """Return a 64-bit count of records of at least `least` bytes, refused when the file cannot hold them."""
         (number,) = self.take("<Q", f"the number of {what}")
         rest = len(self.data) - self.at
         if number * least > rest:

@@ -26,7 +26,7 @@ def convert_scene(
     max_sh_degree: int = 3,
     up: tuple[str, str] | None = None,
 ) -> Gaussians:
-    """A new scene with fewer Gaussians, less view dependence, or another up axis.
+    """Return a new scene with fewer Gaussians, less view dependence, or another up axis.
 
     Args:
         scene: What to convert; stays as it is.
@@ -70,7 +70,7 @@ def convert_scene(
 
 
 def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
-    """(3, 3) rotation, new frame from old frame, that takes one axis to another.
+    """Return (3, 3) rotation, new frame from old frame, that takes one axis to another.
 
     Args:
         old: One of `AXES`.

@@ -85,7 +85,7 @@ class SceneSetting:
 
 
 def is_eyenav(table: Table) -> bool:
-    """Whether a table has most of the columns that only these recordings have; the rest may be missing."""
+    """Return whether a table has most of the columns that only these recordings have; the rest may be missing."""
     return 2 * len({*COLUMNS} & set(table.header)) > len(COLUMNS)
 
 
@@ -134,7 +134,7 @@ def read_scene_settings(path: str | os.PathLike[str]) -> dict[str, SceneSetting]
 
 
 def path_of_recording(table: Table, setting: SceneSetting | None = None) -> HeadPath:
-    """The head's path of a recording that was read as a table; as `read_eyenav`."""
+    """Return the head's path of a recording that was read as a table; as `read_eyenav`."""
     setting = setting or _setting_of(table.path)
     time = _time_column(table)
     values = table.numbers((*COLUMNS, time), known=(*_UNREAD, *TIMES))
@@ -157,7 +157,7 @@ def path_of_recording(table: Table, setting: SceneSetting | None = None) -> Head
 
 
 def _time_column(table: Table) -> str:
-    """The column with the time of each row, whose name differs between the groups.
+    """Return the column with the time of each row, whose name differs between the groups.
 
     Raises:
         FormatError: If there is none; the columns of the header that are unknown are named.
@@ -206,7 +206,7 @@ def _heads(eyes: F64, positions: F64, turns: F64) -> tuple[NDArray[np.int64], F6
 
 
 def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> tuple[NDArray[np.int64], F64]:
-    """The frames whose stamp lies after all before it."""
+    """Return the frames whose stamp lies after all before it."""
     latest = np.maximum.accumulate(stamps[rows])
     keep = np.concatenate([[True], stamps[rows[1:]] > latest[:-1]])
     dropped = int(np.count_nonzero(~keep))
@@ -224,7 +224,7 @@ def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> t
 
 
 def _setting_of(path: Path) -> SceneSetting:
-    """The setting of the scene that a recording's name or folder tells."""
+    """Return the setting of the scene that a recording's name or folder tells."""
     folder = path.resolve().parent
     files = [place / SETTINGS for place in (folder, folder.parent, folder.parent.parent)]
     file = next((file for file in files if file.is_file()), None)

@@ -47,7 +47,7 @@ def _cameras_in(folder: Path) -> str:
 
 
 def _parts(path: Path) -> list[str]:
-    """The path as texts and numbers in turn."""
+    """Return the path as texts and numbers in turn."""
     return re.split(r"(\d{1,18})", str(path))
 
 

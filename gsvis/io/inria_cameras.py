@@ -18,7 +18,7 @@ __all__ = ["read_inria_cameras"]
 
 
 def read_inria_cameras(path: Path, content: list[Any]) -> Views:
-    """The posed images of a `cameras.json`.
+    """Return the posed images of a `cameras.json`.
 
     Args:
         path: The file, for messages.

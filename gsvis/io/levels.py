@@ -211,7 +211,7 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
 
 
 def _check_ply(file: Path, info: LevelsInfo, level: int) -> Path:
-    """The PLY of a level, its content that of the map."""
+    """Return the PLY of a level, its content that of the map."""
     path = file.parent / info.files[level]  # links may lead anywhere: the digest says what is there
     try:
         digest = digest_of(path)

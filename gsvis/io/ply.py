@@ -96,7 +96,7 @@ def _refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
 
 
 def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
-    """The f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
+    """Return the f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
 
     Raises:
         FormatError: If a property is missing or the number of f_rest columns fits no SH degree.

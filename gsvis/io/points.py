@@ -123,7 +123,7 @@ def _read_ply(header: PlyHeader, stream: BufferedReader) -> PointCloud:
 
 
 def _white(header: PlyHeader, vertex: Element) -> float | None:
-    """The value of white in the colors of a PLY; None where it has none."""
+    """Return the value of white in the colors of a PLY; None where it has none."""
     assert vertex.row is not None
     have = [name for name in _COLORS if name in vertex.properties]
     if not have:

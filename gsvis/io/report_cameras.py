@@ -36,7 +36,7 @@ def describe_cameras(cameras: Cameras) -> list[dict[str, Any]]:
 
 
 def holds_own_cameras(content: Any) -> bool:
-    """Whether a JSON value is a document of gsvis that may hold cameras."""
+    """Return whether a JSON value is a document of gsvis that may hold cameras."""
     return isinstance(content, dict) and content.get("format") in _FORMATS
 
 

@@ -102,7 +102,7 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 
 def _is_streamed(path: Path) -> bool:
-    """Whether this is a streamed SOG scene: by file name in a folder, by content otherwise."""
+    """Return whether this is a streamed SOG scene: by file name in a folder, by content otherwise."""
     if path.is_dir():
         return (path / "lod-meta.json").is_file()
     if path.suffix.lower() != ".json":
@@ -117,7 +117,7 @@ def _is_streamed(path: Path) -> bool:
 
 
 def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
-    """The reader for a file or folder that is no streamed SOG."""
+    """Return the reader for a file or folder that is no streamed SOG."""
     if path.is_dir():
         if not (path / "meta.json").is_file():
             raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json", scene_remedy(path))

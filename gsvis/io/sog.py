@@ -146,7 +146,7 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
 
 
 def _plane(meta: SogMeta, store: Store, budget: Budget, key: str, index: int = 0) -> U8:
-    """(N, 4) first pixels of a plane with one pixel for each Gaussian."""
+    """Return (N, 4) first pixels of a plane with one pixel for each Gaussian."""
     pixels = _image(meta, store, budget, key, index)
     if pixels.shape[0] * pixels.shape[1] < meta.count:
         raise FormatError(
@@ -159,7 +159,7 @@ def _plane(meta: SogMeta, store: Store, budget: Budget, key: str, index: int = 0
 
 
 def _image(meta: SogMeta, store: Store, budget: Budget, key: str, index: int) -> U8:
-    """(H, W, 4) a plane, after its declared size has been claimed."""
+    """Return (H, W, 4) a plane, after its declared size has been claimed."""
     name = meta.files[key][index]
     data = store.read(name, budget)
     width, height = plane_size(store.path, name, data)
@@ -168,7 +168,7 @@ def _image(meta: SogMeta, store: Store, budget: Budget, key: str, index: int) ->
 
 
 def _look_up(meta: SogMeta, key: str, pixels: U8, channels: int) -> F32:
-    """(N, channels) values that the bytes of a plane stand for."""
+    """Return (N, channels) values that the bytes of a plane stand for."""
     table = meta.table(key, channels)
     _check_index(meta, key, int(pixels.max()), len(table), "codebook entries")
     return np.stack([table[:, c][pixels[:, c]] for c in range(channels)], axis=1)
@@ -194,7 +194,7 @@ def _means(meta: SogMeta, store: Store, budget: Budget) -> F32:
 
 
 def _higher(meta: SogMeta, store: Store, budget: Budget) -> F32 | None:
-    """(N, K-1, 3) higher coefficients by palette and label."""
+    """Return (N, K-1, 3) higher coefficients by palette and label."""
     part = meta.fields.child("shN")
     bands = part.integer("bands", 0, 3) if "bands" in part else None
     if bands == 0:

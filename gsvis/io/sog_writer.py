@@ -64,7 +64,7 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 
 def _as_plane(values: U8) -> U8:
-    """(H, W, 4) image with one pixel for each row; missing channels are 0 and alpha is 255."""
+    """Return (H, W, 4) image with one pixel for each row; missing channels are 0 and alpha is 255."""
     width = 4 * math.ceil(math.sqrt(len(values)) / 4)
     height = 4 * math.ceil(len(values) / width / 4)
     pixels = np.zeros((height * width, 4), np.uint8)
@@ -85,7 +85,7 @@ def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
 
 
 def _quats(quats: F32) -> U8:
-    """(N, 4) bytes: the three smaller components, and 252 plus the place of the largest."""
+    """Return (N, 4) bytes: the three smaller components, and 252 plus the place of the largest."""
     largest = np.abs(quats).argmax(axis=1)
     positive = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -quats, quats)
     others = np.array([[c for c in range(4) if c != place] for place in range(4)])

@@ -213,7 +213,7 @@ def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8
 
 
 def _positions(header: _Header, stream: U8) -> F32:
-    """(N, 3) coordinates: half floats in version 1, then 24-bit fixed point."""
+    """Return (N, 3) coordinates: half floats in version 1, then 24-bit fixed point."""
     turn = np.diag(_TURN).astype(np.float32)
     if header.version == 1:
         with np.errstate(all="ignore"):
@@ -224,21 +224,21 @@ def _positions(header: _Header, stream: U8) -> F32:
 
 
 def _look_up_bytes(stream: U8, table: F32, shape: tuple[int, ...]) -> F32:
-    """The value of each byte."""
+    """Return the value of each byte."""
     values = np.empty(stream.size, np.float32)
     look_up(stream, table, values)
     return values.reshape(shape)
 
 
 def _first_three(stream: U8) -> F32:
-    """(N, 4) wxyz of three bytes x, y, z with w >= 0, versions 1 and 2."""
+    """Return (N, 4) wxyz of three bytes x, y, z with w >= 0, versions 1 and 2."""
     three = stream.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1.0
     xyzw = largest_from_three(three, np.full(len(three), 3))
     return xyzw[:, [3, 0, 1, 2]] * np.array([1, 1, -1, -1], np.float32)
 
 
 def _smallest_three(stream: U8) -> F32:
-    """(N, 4) wxyz of 32 bits: the place of the largest of xyzw, then sign and 9 bits for each other."""
+    """Return (N, 4) wxyz of 32 bits: the place of the largest of xyzw, then sign and 9 bits for each other."""
     codes = np.arange(1024)
     size = (codes & 0x1FF).astype(np.float32) * np.float32(_SQRT_HALF / 0x1FF)
     bits = stream.view("<u4").astype(np.uint32, copy=False)

@@ -83,7 +83,7 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
 
 
 def _some(names: list[str]) -> str:
-    """A few names and how many more."""
+    """Return a few names and how many more."""
     shown = ", ".join(names[:3])
     return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
 
@@ -158,7 +158,7 @@ def _scene(tree: _Tree, name: str) -> Gaussians:
 
 
 def _pieces(tree: _Tree, file: int, runs: list[tuple[int, int]]) -> Gaussians:
-    """The Gaussians of one file that the runs name, in file order.
+    """Return the Gaussians of one file that the runs name, in file order.
 
     Raises:
         FormatError: If a run ends behind the file or runs overlap.

@@ -20,7 +20,7 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] | None = None) -> Views:
-    """The posed images of a `transforms.json`.
+    """Return the posed images of a `transforms.json`.
 
     Args:
         path: The file, for messages.
@@ -56,7 +56,7 @@ def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] |
 def _intrinsics(
     path: Path, where: str, values: dict[str, Any], size: tuple[int, int] | None
 ) -> tuple[F64, tuple[int, int]]:
-    """The pinhole matrix of one frame and the image size it belongs to."""
+    """Return the pinhole matrix of one frame and the image size it belongs to."""
 
     def number(key: str) -> float | None:
         return None if values.get(key) is None else float(to_numbers(path, f"{where}: {key}", values[key], ()))

@@ -72,7 +72,7 @@ class Views:
 
 
 def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, int]) -> F64:
-    """(3, 3) intrinsics of two focal lengths and a principal point, all in pixels of an image of `size`.
+    """Return (3, 3) intrinsics of two focal lengths and a principal point, all in pixels of an image of `size`.
 
     Raises:
         FormatError: If a focal length is not positive, a number is not finite or a side is out of range.
@@ -87,7 +87,7 @@ def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, 
 
 
 def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64:
-    """(4, 4) camera from world, of a camera's axes and place in the world.
+    """Return (4, 4) camera from world, of a camera's axes and place in the world.
 
     Files print rotations with few digits, so the nearest true rotation is taken.
 
@@ -115,7 +115,7 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
 
 
 def read_json(path: Path_) -> Any:
-    """The value in a JSON file.
+    """Return the value in a JSON file.
 
     Raises:
         FormatError: If the file is not JSON.
@@ -125,7 +125,7 @@ def read_json(path: Path_) -> Any:
 
 
 def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F64:
-    """A float64 array of the given shape from a JSON value; () for a single number.
+    """Return a float64 array of the given shape from a JSON value; () for a single number.
 
     Raises:
         FormatError: If it is something else, or not finite.

@@ -80,7 +80,7 @@ class DirectionCdf:
 
     @classmethod
     def of(cls, sets: U8) -> DirectionCdf:
-        """The distribution of direction sets (N, 10), N > 0."""
+        """Return the distribution of direction sets (N, 10), N > 0."""
         return cls(len(sets), directions.direction_cdf(directions.direction_fractions(sets)))
 
     @property
@@ -148,7 +148,7 @@ class Settling:
 
     @classmethod
     def of(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
-        """The figures of one distribution and of the one a step before."""
+        """Return the figures of one distribution and of the one a step before."""
         return cls(
             cameras=cameras,
             seen=cdf.seen,

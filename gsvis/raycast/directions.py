@@ -40,13 +40,13 @@ F64 = NDArray[np.float64]
 
 
 def icosphere_faces() -> F64:
-    """(80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
+    """Return (80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
     vertices, faces = icosphere(1)
     return np.asarray(vertices[faces])
 
 
 def face_of(directions: ArrayLike) -> NDArray[np.int64]:
-    """The face that holds each direction.
+    """Return the face that holds each direction.
 
     Args:
         directions: (D, 3) from the Gaussian to the eye, any non-zero length.

@@ -73,7 +73,7 @@ class Contributions:
 
     @staticmethod
     def concatenate(parts: list[Contributions]) -> Contributions:
-        """The contributions of several lots of rays as one."""
+        """Return the contributions of several lots of rays as one."""
         if len(parts) == 1:
             return parts[0]
         counts = np.concatenate([np.diff(part.ray_offsets) for part in parts] or [np.zeros(0, np.int64)])
@@ -148,7 +148,7 @@ class Tracer:
         return picked
 
     def first_hit(self, rays_o: ArrayLike, rays_d: ArrayLike) -> FirstHits:
-        """The first proxy each ray meets.
+        """Return the first proxy each ray meets.
 
         Args:
             rays_o: (R, 3) origins, world frame.

@@ -53,11 +53,11 @@ class Approximations:
         self.reference = np.stack([self._draw(view, None) for view in range(len(cameras))])
 
     def images(self, epsilon: float) -> F32:
-        """(C, H, W, 3) with the terms that change a channel by more than epsilon."""
+        """Return (C, H, W, 3) with the terms that change a channel by more than epsilon."""
         return np.stack([self._draw(view, epsilon) for view in range(len(self._cameras))])
 
     def ladder(self, epsilons: ArrayLike, *, progress: Progress = silent) -> F32:
-        """(C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
+        """Return (C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
 
         Args:
             epsilons: (E,), such as the rungs of a rule.
@@ -72,7 +72,7 @@ class Approximations:
         return out
 
     def shares(self, epsilon: float) -> NDArray[np.float64]:
-        """(C,) active terms of all terms, for each view's eye; 0 where there are no terms."""
+        """Return (C,) active terms of all terms, for each view's eye; 0 where there are no terms."""
         counts = [int((found > np.float32(epsilon)).sum()) for found in self._contributions]
         return np.asarray(counts) / max(1, len(self._contributions[0]))
 

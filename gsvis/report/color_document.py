@@ -34,7 +34,7 @@ _PICTURES = {
 
 
 def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
         fitted: The colors, with their quality.
@@ -94,7 +94,7 @@ def _quality(fitted: FittedColors) -> ColorQuality:
 
 
 def _views(quality: ColorQuality) -> dict[str, int]:
-    """The views that are shown, by their role."""
+    """Return the views that are shown, by their role."""
     order = np.argsort(quality.all_terms.psnr, kind="stable")
     roles = {"worst": int(order[0])}
     if len(order) > 1:

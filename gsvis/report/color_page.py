@@ -19,7 +19,7 @@ _MEASURES = (("psnr", "PSNR, dB", 1), ("ssim", "SSIM", 4), ("flip", "FLIP", 4))
 
 
 def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
         fitted: The colors, with their quality.

@@ -44,7 +44,7 @@ class Spheres:
 
 
 def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None) -> Spheres:
-    """The Gaussians whose color depends most on direction, among those that images show, fitted ever closer.
+    """Return the Gaussians whose color depends most on direction, among those that images show, fitted ever closer.
 
     Args:
         fitted: A scene and its colors.
@@ -98,7 +98,7 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
 
 
 def _pick_different(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:
-    """The first few of an order whose base colors differ, so that the rows do not all look alike."""
+    """Return the first few of an order whose base colors differ, so that the rows do not all look alike."""
     chosen: list[int] = []
     candidates = order[: 200 * count]
     for least in (0.5, 0.2, 0.0):

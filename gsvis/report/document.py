@@ -62,7 +62,7 @@ class Subject:
 
 
 def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
         analysis: The figures.

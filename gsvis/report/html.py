@@ -33,7 +33,7 @@ class Figure:
 
 
 def filled(template: str, **parts: str) -> str:
-    """A page of this package with its parts, which are HTML, and the common style filled in.
+    """Return a page of this package with its parts, which are HTML, and the common style filled in.
 
     Args:
         template: File name beside this module.
@@ -45,7 +45,7 @@ def filled(template: str, **parts: str) -> str:
 
 
 def figure(figure: Figure, alternative: str, caption: str) -> str:
-    """A picture with its caption; `caption` is HTML, `alternative` is text."""
+    """Return a picture with its caption; `caption` is HTML, `alternative` is text."""
     image = f"<img src='{_data(figure.light)}' alt='{escape(alternative, quote=True)}'>"
     if figure.dark is not None:
         source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"
@@ -54,7 +54,7 @@ def figure(figure: Figure, alternative: str, caption: str) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; its cells are HTML. The first column names the row."""
+    """Return a table; its cells are HTML. The first column names the row."""
     head = "".join(f"<th scope='col'>{cell}</th>" for cell in header)
     body = "".join(
         f"<tr><th scope='row'>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows
@@ -63,7 +63,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def tiles(found: Sequence[tuple[str, str, str]]) -> str:
-    """The items of the list of large figures: value, what it is, what it is compared with; all text."""
+    """Return the items of the list of large figures: value, what it is, what it is compared with; all text."""
     return "".join(
         f"<li><strong>{escape(value)}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
         for value, told, beside in found
@@ -82,7 +82,7 @@ def described(document: dict[str, Any]) -> str:
 
 
 def plain(value: Any) -> str:
-    """A value of a parameter as text."""
+    """Return a value of a parameter as text."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

@@ -49,7 +49,7 @@ class Ground:
 
     @classmethod
     def of(cls, g: Gaussians, up: ArrayLike, eyes: ArrayLike | None = None) -> Ground:
-        """The map of a scene, N > 0.
+        """Return the map of a scene, N > 0.
 
         Args:
             g: The scene.
@@ -71,7 +71,7 @@ class Ground:
         return cls(right, onward, places, np.stack([low - margin, high + margin]))
 
     def project(self, points: F64) -> F64:
-        """(M, 2) map coordinates of (M, 3) points."""
+        """Return (M, 2) map coordinates of (M, 3) points."""
         return np.asarray(points @ np.stack([self.right, self.onward]).T)
 
     @property

@@ -20,7 +20,7 @@ _ROLES = {"most": "most", "median": "the median share", "least": "least"}
 
 
 def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
         analysis: The figures.

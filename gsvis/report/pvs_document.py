@@ -38,7 +38,7 @@ _BRIGHTER = 8.0  # how much differences are enlarged in the picture of them
 
 
 def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
         quality: What was measured.
@@ -86,7 +86,7 @@ def _describe_store(store: VisibilityStore) -> dict[str, Any]:
 
 
 def still_growing(store: VisibilityStore) -> NDArray[np.bool_]:
-    """(C,) cells that were left at the largest number of viewpoints while their sets still grew."""
+    """Return (C,) cells that were left at the largest number of viewpoints while their sets still grew."""
     most, limit = store.info.config.get("max_viewpoints"), store.info.config.get("growth")
     if not isinstance(most, int) or not isinstance(limit, int | float):
         return np.zeros(len(store), bool)
@@ -167,7 +167,7 @@ def _figures(
 
 
 def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict[str, NDArray[np.float32]]:
-    """The image that loses the most: of the full scene, of the set, and what differs."""
+    """Return the image that loses the most: of the full scene, of the set, and what differs."""
     m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
     camera = quality.camera(int(m), int(v))
     held = np.zeros(store.gaussians, bool)

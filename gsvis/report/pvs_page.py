@@ -17,7 +17,7 @@ _WORST = 8  # cells listed
 
 
 def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
         quality: What was measured.
@@ -40,7 +40,7 @@ def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
 
 
 def spelled(value: float | None, unit: str) -> str:
-    """A figure with its unit: shares in percent, as many digits as tell good from very good."""
+    """Return a figure with its unit: shares in percent, as many digits as tell good from very good."""
     if value is None:
         return ""
     if unit == "share":
@@ -49,12 +49,12 @@ def spelled(value: float | None, unit: str) -> str:
 
 
 def format_target(target: float, unit: str) -> str:
-    """A target with its unit, in as few digits as it has."""
+    """Return a target with its unit, in as few digits as it has."""
     return f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
 
 
 def _target(measure: Measure, which: int) -> str:
-    """The target of a mean (0) or a worst value (1) and whether it is met; empty without one."""
+    """Return the target of a mean (0) or a worst value (1) and whether it is met; empty without one."""
     target = measure.targets[which]
     if target is None:
         return ""

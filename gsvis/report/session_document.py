@@ -84,7 +84,7 @@ class Simulation:
 
 
 def session_document(simulation: Simulation) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
         simulation: What was simulated.

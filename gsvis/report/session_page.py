@@ -20,7 +20,7 @@ Rows = list[tuple[str, ...]]
 
 
 def session_page(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
         simulation: What was simulated.
@@ -81,7 +81,7 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
 
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
-    """A sentence for each visit whose views do not all show something; text."""
+    """Return a sentence for each visit whose views do not all show something; text."""
     told = []
     for visit in document["visits"]:
         count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]

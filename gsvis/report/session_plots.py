@@ -169,7 +169,7 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewin
 
 
 def _with_content(session: Viewing, values: F64) -> F64:
-    """(S,) values of the steps, NaN where there was nothing to see: a gap in the curve."""
+    """Return (S,) values of the steps, NaN where there was nothing to see: a gap in the curve."""
     return np.where(session.content, values, np.nan)
 
 

@@ -67,7 +67,7 @@ def sphere_figure(
     title: str = "",
     theme: Theme = LIGHT,
 ) -> bytes:
-    """The figure as PNG bytes; see `draw_sphere_figure`."""
+    """Return the figure as PNG bytes; see `draw_sphere_figure`."""
 
     def draw(axes: Axes, theme: Theme) -> None:
         draw_sphere_figure(axes, theme, function, fit, errors=errors, counts=counts, title=title)
@@ -154,7 +154,7 @@ def _count(fit: SphereFit, terms: int) -> int:
 
 
 def _values(function: Callable[[F64], ArrayLike], fit: SphereFit, counts: Sequence[int], points: F64) -> F64:
-    """(1 + counts, P, P) of the truth and the fits."""
+    """Return (1 + counts, P, P) of the truth and the fits."""
     flat = points.reshape(-1, 3)
     truth = _check.floats("function", function(flat), (len(flat),), np.float64)
     fits = [fit.evaluate(flat, _count(fit, k)) for k in counts]

@@ -50,7 +50,7 @@ DARK = Theme("#1a2029", "#e8ecf2", "#9aa5b4", "#2f3845", "#75a6ff", "#ff9d4d", "
 
 
 def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple[float, float] = (5.2, 3.5)) -> bytes:
-    """A plot as PNG bytes.
+    """Return a plot as PNG bytes.
 
     Args:
         draw: Draws on the axes it is given.

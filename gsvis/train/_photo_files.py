@@ -48,7 +48,7 @@ def quiet_pillow() -> Iterator[None]:
 
 
 def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
-    """The posed images of a folder of photographs, and where its images may lie.
+    """Return the posed images of a folder of photographs, and where its images may lie.
 
     Args:
         path: The folder of a COLMAP model or one above it, a `transforms.json`, or the folder with one.
@@ -94,7 +94,7 @@ def _size_of_first(file: Path, content: dict[str, Any], folders: Sequence[Path])
 
 
 def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
-    """The file of each view, all from the folder that holds most of them.
+    """Return the file of each view, all from the folder that holds most of them.
 
     Raises:
         FormatError: If one is missing; up to five are named.
@@ -114,7 +114,7 @@ def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
 
 
 def _place(file: Any, folder: Path, name: str) -> Path | None:
-    """The image of that name in a folder, without the folder or the suffix of its name if need be."""
+    """Return the image of that name in a folder, without the folder or the suffix of its name if need be."""
     inner = name if ".." not in name and not name.startswith("/") else Path(name).name
     path = folder / safe_name(file, f"image {name!r}", inner)
     for place in (path, folder / path.name):
@@ -176,7 +176,7 @@ def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
 
 
 def _fits(told: Size, have: Size, factor: int) -> bool:
-    """Whether an image is the factor-th part of what the model says, rounded in either direction."""
+    """Return whether an image is the factor-th part of what the model says, rounded in either direction."""
     if not 1 <= factor <= _MOST_SHRUNK:
         return False
     return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(told, have, strict=True))

@@ -60,12 +60,12 @@ class PosedImages:
         return f"PosedImages({len(self)} of {self.cameras.width} x {self.cameras.height})"
 
     def __getitem__(self, index: Any) -> PosedImages:
-        """The views at a slice, a mask, an index array, or one integer (one view)."""
+        """Return the views at a slice, a mask, an index array, or one integer (one view)."""
         where = np.arange(len(self))[index].reshape(-1)
         return PosedImages(self.cameras[where], self.images[where])
 
     def image(self, index: int) -> NDArray[np.float32]:
-        """(H, W, 3) of one view, 1 is white."""
+        """Return (H, W, 3) of one view, 1 is white."""
         image = self.images[index]
         return np.asarray(image / np.float32(255.0) if image.dtype == np.uint8 else image, np.float32)
 

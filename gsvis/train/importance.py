@@ -107,7 +107,7 @@ def _gradients(g: Gaussians, views: PosedImages, background: ArrayLike, progress
 
 
 def most_important(gaussians: Gaussians, importance: ArrayLike, count: int) -> NDArray[np.bool_]:
-    """The most important Gaussians, equal ones in the order of their content, so that no permutation counts.
+    """Return the most important Gaussians, equal ones in the order of their content, so that no permutation counts.
 
     Args:
         gaussians: N Gaussians.

@@ -27,7 +27,7 @@ _ROUNDS = 200
 
 
 def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
-    """A faint ball at each point, as large as its neighbors are far.
+    """Return a faint ball at each point, as large as its neighbors are far.
 
     The scale is the root mean square distance to the 3 nearest points at other places (to those there are, if fewer),
     the opacity 0.1, the color that of the point from every side.
@@ -128,7 +128,7 @@ def _box_of(cameras: Cameras) -> tuple[F64, F64]:
 
 
 def _is_seen(cameras: Cameras, points: F64) -> NDArray[np.bool_]:
-    """(N,) whether a point is inside the image of at least one camera."""
+    """Return (N,) whether a point is inside the image of at least one camera."""
     seen = np.zeros(len(points), bool)
     for pose, k in zip(cameras.viewmats, cameras.Ks, strict=True):
         rest = np.flatnonzero(~seen)

@@ -286,7 +286,7 @@ def _subsets(
 
 
 def _halve(cameras: Cameras) -> Cameras:
-    """The same at half the size: enough to choose by, and quicker."""
+    """Return the same at half the size: enough to choose by, and quicker."""
     width, height = max(cameras.width // 2, 1), max(cameras.height // 2, 1)
     scale = np.array([width / cameras.width, height / cameras.height, 1.0])
     return Cameras(cameras.viewmats, cameras.Ks * scale[:, None], width, height, cameras.names)

@@ -43,7 +43,7 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) ->
 
 
 def loss_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """The same from its parts, on every device; the slow twin of the kernels."""
+    """Return the same from its parts, on every device; the slow twin of the kernels."""
     difference = (image - target).abs().mean()
     return (1.0 - ssim_weight) * difference + ssim_weight * (1.0 - ssim(image, target, padding="same"))
 

@@ -57,7 +57,7 @@ def merged(g: Gaussians, count: int) -> Gaussians:
 
 
 def _cells_for(g: Gaussians, count: int) -> I64:
-    """(N,) the voxel of each Gaussian, 0 to at least count - 1, with as few voxels as bisection finds."""
+    """Return (N,) the voxel of each Gaussian, 0 to at least count - 1, with as few voxels as bisection finds."""
     if not 1 <= count <= len(g):
         raise ValueError(f"count: expected 1 to {len(g)}, got {count}")
     means = g.means.astype(np.float64)
@@ -80,7 +80,7 @@ def _cells_for(g: Gaussians, count: int) -> I64:
 
 
 def occupied_voxels(points: F64, side: float) -> I64:
-    """(N,) which occupied voxel each of the (N, 3) points lies in, numbered from 0, for cubes of a side."""
+    """Return (N,) which occupied voxel each of the (N, 3) points lies in, numbered from 0, for cubes of a side."""
     steps = np.clip(np.floor(points / side), -_SIDE, _SIDE - 1).astype(np.int64) + _SIDE
     keys = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]
     return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64).reshape(-1)

@@ -71,7 +71,7 @@ class Parameters:
         return GaussianTensors(v["means"], v["quats"], scales, opacities, v["sh0"], v["shN"])
 
     def gaussians(self) -> Gaussians:
-        """The scene as it stands, in NumPy, a copy."""
+        """Return the scene as it stands, in NumPy, a copy."""
         with torch.no_grad():
             now = self.activate()
             return Gaussians(**{name: part.cpu().numpy().copy() for name, part in vars(now).items()})

@@ -147,7 +147,7 @@ def _resize(views: Views, sizes: list[Size]) -> Views:
 
 
 def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
-    """The size to shrink to."""
+    """Return the size to shrink to."""
     found = sorted(set(views.sizes))
     least = min(width for width, _ in found), min(height for _, height in found)
     if size is None:
@@ -185,7 +185,7 @@ def _check_memory(count: int, width: int, height: int) -> None:
 
 
 def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np.uint8], int]:
-    """(C, H, W, 3) uint8 of the images, and how many of them were transparent anywhere."""
+    """Return (C, H, W, 3) uint8 of the images, and how many of them were transparent anywhere."""
     pixels = np.empty((len(files), size[1], size[0], 3), np.uint8)
 
     def read(index: int) -> tuple[bool, FormatError | None]:
@@ -217,7 +217,7 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
 
 
 def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
-    """(H, W, 3) of one image at a size, and whether it was transparent anywhere."""
+    """Return (H, W, 3) of one image at a size, and whether it was transparent anywhere."""
     transparent = False
     try:
         with open_regular(path) as file, Image.open(file) as image:

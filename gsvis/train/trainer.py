@@ -121,7 +121,7 @@ class Trainer:
         }
 
     def view_of(self, step: int) -> int:
-        """The view that a step draws: all once in each round, in an order of its own."""
+        """Return the view that a step draws: all once in each round, in an order of its own."""
         turn, place = divmod(step, len(self.views))
         return int(np.random.default_rng([self.config.seed, turn]).permutation(len(self.views))[place])
 
@@ -201,7 +201,7 @@ class Trainer:
             self.record()
 
     def gaussians(self) -> Gaussians:
-        """The scene as it stands, frozen rows exactly as they were given."""
+        """Return the scene as it stands, frozen rows exactly as they were given."""
         whole = self.parameters.gaussians()
         if self._frozen is None or len(self._frozen) == 0:
             return whole
@@ -251,12 +251,12 @@ def extent_of(cameras: Cameras) -> float:
 
 
 def hash_of(seed: int, step: int) -> int:
-    """A seed for torch from the run's own and a step."""
+    """Return a seed for torch from the run's own and a step."""
     return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0]) >> 1
 
 
 def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:
-    """The same Gaussians with SH cut or filled up with zeros to a degree."""
+    """Return the same Gaussians with SH cut or filled up with zeros to a degree."""
     have, want = gaussians.shN.shape[1], (degree + 1) ** 2 - 1
     if have == want:
         return gaussians
