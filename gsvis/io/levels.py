@@ -100,7 +100,7 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
     try:
         kept = json.loads(json.dumps(dict(extra or {}), allow_nan=False))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"extra: expected what JSON can say, got {error}") from error
+        raise ValueError(f"extra: expected JSON values, got {error}") from error
     with atomic_folder(folder, last=(MAP,)) as partial:
         rows = []
         for k, name in enumerate(levels.names):

@@ -79,7 +79,7 @@ class PackageInfo:
         try:
             kept = json.loads(json.dumps(dict(self.provenance), allow_nan=False))
         except (TypeError, ValueError) as error:
-            raise ValueError(f"provenance: expected what JSON can say, got {error}") from error
+            raise ValueError(f"provenance: expected JSON values, got {error}") from error
         object.__setattr__(self, "provenance", kept)
 
 

@@ -31,8 +31,7 @@ class Gaussians:
     """Store N 3D Gaussians, validated, read-only, activated.
 
     Contiguous float32 arrays are used without a copy: do not write to them afterward. Torch tensors are accepted
-        from any
-    device; those that require a gradient are copied.
+    from any device; those that require a gradient are copied.
 
     Args:
         means: (N, 3) centers, scene units.

@@ -176,7 +176,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
         save_srbf(tmp_path / "a", g[:4], colors)
     with pytest.raises(ValueError, match="precision: expected None for quantized colors"):
         save_srbf(tmp_path / "a", g, quantize(colors), precision="wire")
-    with pytest.raises(ValueError, match="provenance: expected what JSON can say"):
+    with pytest.raises(ValueError, match="provenance: expected JSON values"):
         save_srbf(tmp_path / "a", g, colors, provenance={"x": float("nan")})
     assert not list(tmp_path.iterdir())
 

@@ -202,5 +202,5 @@ def test_a_level_whose_name_is_no_file_name_is_refused(tmp_path: Path, name: str
 
 
 def test_extra_is_json(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="extra: expected what JSON can say"):
+    with pytest.raises(ValueError, match="extra: expected JSON values"):
         save_levels(levels_of(10), tmp_path, {"x": float("nan")})
