@@ -1,4 +1,4 @@
-"""`cameras.json` of INRIA's 3DGS: a JSON list of the training cameras, beside the trained model.
+"""Read `cameras.json` of INRIA's 3DGS: a JSON list of the training cameras, beside the trained model.
 
 `rotation` is world from camera in OpenCV axes and `position` the viewpoint in the world. The file states no
 principal point: it is the middle of the image.
@@ -22,7 +22,7 @@ def read_inria_cameras(path: Path, content: list[Any]) -> Views:
 
     Args:
         path: The file, for messages.
-        content: What it holds.
+        content: Its JSON value.
 
     Raises:
         FormatError: If a key is missing or malformed.

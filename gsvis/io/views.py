@@ -1,7 +1,7 @@
-"""Posed images as a file lists them: names, poses, intrinsics and sizes, checked once for all camera formats.
+"""Store posed images as a file lists them: names, poses, intrinsics and sizes, with the checks of all camera formats.
 
-OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, `Cameras`
-may not: the change from one to the other happens here. This module knows no format.
+OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, `Cameras` may
+not: this module converts one into the other. It knows no format.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 Path_ = str | PathLike[str]
 
 MAX_SIDE = 1 << 20
-"""Pixels; a longer side is taken for a broken file."""
+"""Largest side in pixels; a longer side means a broken file."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Views:
     """C posed images in the order of their file.
 
     Args:
-        path: The file they come from, for messages.
+        path: Path of their file, for messages.
         names: C image names.
         viewmats: C matrices (4, 4), camera from world.
         Ks: C matrices (3, 3), pixels of that image.
@@ -46,7 +46,7 @@ class Views:
     sizes: list[tuple[int, int]]
 
     def cameras(self, size: tuple[int, int] | None = None) -> Cameras:
-        """One `Cameras`, sorted by name; `size` (width, height) rescales all images to one size.
+        """Return one `Cameras`, sorted by name; `size` (width, height) rescales all images to one size.
 
         Raises:
             FormatError: If there is no image, if sizes are mixed and `size` is None, or if intrinsics are unusable.
@@ -89,7 +89,7 @@ def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, 
 def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64:
     """Return (4, 4) camera from world, of a camera's axes and place in the world.
 
-    Files print rotations with few digits, so the nearest true rotation is taken.
+    Files print rotations with few digits, so the nearest true rotation is used.
 
     Args:
         path: The file, for messages.
@@ -102,7 +102,7 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
     """
     if not (np.isfinite(rotation).all() and np.isfinite(position).all()):
         raise FormatError(path, where, "finite numbers in a pose", "NaN or infinity")
-    with np.errstate(all="ignore"):  # enormous numbers become infinity or NaN, which is refused
+    with np.errstate(all="ignore"):  # huge numbers become infinity or NaN, which is rejected
         defect = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if not defect <= 1e-2 or np.linalg.det(rotation) < 0:
         told = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
@@ -128,7 +128,7 @@ def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F
     """Return a float64 array of the given shape from a JSON value; () for a single number.
 
     Raises:
-        FormatError: If it is something else, or not finite.
+        FormatError: If it has another shape or type, or is not finite.
     """
     expected = "a number" if not shape else f"{' x '.join(map(str, shape))} numbers"
     try:

@@ -24,7 +24,7 @@ def distances(points, eye, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def flip(points, eye, lengths, radius, out):
-    """Write the spherical flip p + 2 (R - |p|) p / |p| of points seen from the eye into out (N, 3), rounded as Open3D."""
+    """Write the spherical flip p + 2 (R - |p|) p / |p| of points seen from the eye into out (N, 3)."""
     for i in prange(len(points)):
         x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
         twice = 2.0 * (radius - lengths[i])
