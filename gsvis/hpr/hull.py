@@ -79,7 +79,7 @@ class Hull:
 
     @property
     def vertices(self) -> I64:
-        """Return (K,) int64, the vertices other than the origin, ascending."""
+        """(K,) int64, the vertices other than the origin, ascending."""
         used = np.zeros(len(self.places), bool)
         used[self.corners.reshape(-1)] = True
         return np.sort(self.order[used[:-1]])

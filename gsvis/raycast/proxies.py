@@ -92,7 +92,7 @@ class EllipsoidProxies:
 
     @cached_property
     def template(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return vertices (V, 3) and faces (F, 3) of the unit proxy, whose inscribed sphere has radius 1."""
+        """Vertices (V, 3) and faces (F, 3) of the unit proxy, whose inscribed sphere has radius 1."""
         vertices, faces = icosphere(0 if self.faces_per_proxy == 20 else 1)
         corners = vertices[faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -94,7 +94,7 @@ class Sheet:
 
     @property
     def snapped(self) -> list[tuple[F64, F64]]:
-        """Return the holes with their rims moved to the nearest lattice lines."""
+        """The holes with their rims moved to the nearest lattice lines."""
         low, steps = np.array(self.low), self.steps
         return [
             (low + np.round((a - low) / steps) * steps, low + np.round((b - low) / steps) * steps)

@@ -89,17 +89,17 @@ class HeadPath:
 
     @property
     def forwards(self) -> F64:
-        """Return (T, 3) unit view directions."""
+        """(T, 3) unit view directions."""
         return np.ascontiguousarray(rotations_from_quats(self.quats)[:, :, 2])
 
     @property
     def head_ups(self) -> F64:
-        """Return (T, 3) unit directions out of the top of the head."""
+        """(T, 3) unit directions out of the top of the head."""
         return np.ascontiguousarray(-rotations_from_quats(self.quats)[:, :, 1])
 
     @property
     def upright(self) -> F64:
-        """Return (3,) `up` if it is known, else the mean direction out of the top of the head."""
+        """(3,) `up` if it is known, else the mean direction out of the top of the head."""
         if self.up is not None:
             return self.up
         mean = self.head_ups.mean(axis=0)

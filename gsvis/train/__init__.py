@@ -1,4 +1,4 @@
-"""Training: from photographs or a finished scene to Gaussians, and to quality levels that share them."""
+"""Training: from photos or a finished scene to Gaussians, and to quality levels that share them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs torch when it is asked for."""
+    """Import names that need torch on first use."""
     if name in ("TrainResult", "Trainer", "train"):
         from gsvis._extras import require
 

@@ -1,7 +1,7 @@
-"""Photographs with a reconstruction, ready to train on: checked first, then read and shrunk.
+"""Load photos with a reconstruction for training: check first, then read and shrink.
 
-What comes out is `PosedImages` sorted by name, 8 bits a channel, sRGB as stored; intrinsics go with the size that the
-images have in the end, pixel centers at +0.5. Poses, and the points beside them, stay in the frame of the model.
+The result is `PosedImages` sorted by name, 8 bits per channel, sRGB as stored. Intrinsics fit the final size of the
+images, with pixel centers at +0.5. Poses, and the points beside them, stay in the frame of the model.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ __all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
 Size = tuple[int, int]
 
 FEWEST_VIEWS = 8
-"""Fewer photographs do not tell a scene."""
+"""Least number of photos for a scene."""
 
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
 _THREADS = 2
-_MEMORY_SHARE = 0.5  # of what the machine has, for images
+_MEMORY_SHARE = 0.5  # largest share of the machine's memory for images
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Photos:
-    """Photographs and what is known about the scene in them.
+    """Photos and the points of their reconstruction.
 
     Attributes:
         views: Images and cameras, sorted by name.
-        points: Points of the reconstruction; None where it has none.
-        remarks: What was done to the images that the user may not expect, a sentence each.
+        points: Points of the reconstruction; None if there are none.
+        remarks: Changes to the images that the user may not expect, one sentence each.
     """
 
     views: PosedImages
@@ -70,27 +70,27 @@ def load_photos(
     size: Size | None = None,
     progress: Progress = silent,
 ) -> Photos:
-    """Read photographs and the model that posed them.
+    """Read photos and the model that posed them.
 
-    Everything that headers tell is checked before the first image is decoded. Images are taken as they are stored: an
-    EXIF orientation is ignored, as COLMAP does. Transparency is blended over black. Images are shrunk by Pillow's
-    Lanczos filter, which weighs all pixels under it.
+    All headers are checked before the first image is decoded. Images are used as stored: an EXIF orientation is
+    ignored, as in COLMAP. Transparency is blended over black. Pillow's Lanczos filter, which weights all pixels under
+    it, shrinks the images.
 
     Args:
         folder: A COLMAP model (its folder, or one above it), a `transforms.json`, or the folder with one.
-        images: Folder of the photographs, as it is or inside `folder`; None looks in `images` beside the model. If all
-            are the same whole part of what the model says, as those in `images_4`, intrinsics are rescaled.
+        images: Folder of the photos, as given or inside `folder`; None looks in `images` beside the model. If all
+            are smaller than in the model by one whole factor, as in `images_4`, intrinsics are rescaled.
         downscale: Factor to shrink the images by, at least 1.
         size: (width, height) in pixels to shrink them to instead; needed when their sizes differ.
         progress: Called for every image; stage "photos".
 
     Returns:
-        The photographs, sorted by name.
+        The photos, sorted by name.
 
     Raises:
         FileNotFoundError: If there is no such folder.
-        FormatError: If there is no model, it is malformed or distorted, or images are missing, unreadable, cut short
-            or of another size than the model says.
+        FormatError: If there is no model, it is malformed or distorted, or images are missing, unreadable,
+            truncated or of a size that does not fit the model.
         SceneError: If there are fewer than 8 of them.
         ValueError: If a size or factor is out of range.
 
@@ -138,7 +138,7 @@ def _check_target(downscale: float | None, size: Size | None) -> None:
 
 
 def _resize(views: Views, sizes: list[Size]) -> Views:
-    """The same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they simply scale."""
+    """Return the same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they scale."""
     ratios = [
         np.array([have[0] / told[0], have[1] / told[1], 1.0]) for told, have in zip(views.sizes, sizes, strict=True)
     ]
@@ -171,7 +171,7 @@ def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
 
 
 def _check_memory(count: int, width: int, height: int) -> None:
-    """Refuse what would not fit beside everything else."""
+    """Raise if the images would not fit into memory beside everything else."""
     needed = 3 * count * width * height
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -185,7 +185,7 @@ def _check_memory(count: int, width: int, height: int) -> None:
 
 
 def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np.uint8], int]:
-    """Return (C, H, W, 3) uint8 of the images, and how many of them were transparent anywhere."""
+    """Return (C, H, W, 3) uint8 images, and how many of them had any transparency."""
     pixels = np.empty((len(files), size[1], size[0], 3), np.uint8)
 
     def read(index: int) -> tuple[bool, FormatError | None]:
@@ -217,7 +217,7 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
 
 
 def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
-    """Return (H, W, 3) of one image at a size, and whether it was transparent anywhere."""
+    """Return one image (H, W, 3) at a size, and whether it had any transparency."""
     transparent = False
     try:
         with open_regular(path) as file, Image.open(file) as image:

@@ -38,7 +38,7 @@ inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
 
 @intrinsic
 def _multiply_tile(typing_context, rows, first, panels, panel, out):
-    """out[first + s, panel * WIDTH + a] = rows[first + s] . panels[panel, :, a] for the ROWS x WIDTH of a tile."""
+    """Compute out[first + s, panel * WIDTH + a] = rows[first + s] . panels[panel, :, a] for a tile ROWS x WIDTH."""
     del typing_context
     signature = types.void(rows, types.int64, panels, types.int64, out)
 

@@ -34,7 +34,7 @@ def unpack_quats(bits, table, columns, signs, out):
 
 @njit(cache=True, nogil=True)
 def unpack_fixed_points(stream, factors, out):
-    """Write (N, 3) coordinates from (9 N,) bytes: little-endian signed 24-bit integers, times `factors` of each axis."""
+    """Write (N, 3) coordinates of (9 N,) bytes: little-endian signed 24-bit integers, times `factors` of each axis."""
     at = 0
     for i in range(len(out)):
         for axis in range(3):

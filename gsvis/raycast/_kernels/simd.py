@@ -18,7 +18,7 @@ __all__ = ["meets_eight"]
 
 @intrinsic
 def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
-    """Slab test of a ray against the eight child boxes of a node.
+    """Test a ray (slab test) against the eight child boxes of a node.
 
     Args:
         typing_context: The typing context of numba, unused.
