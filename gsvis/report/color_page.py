@@ -1,4 +1,4 @@
-"""The report on colors as one HTML page that needs nothing else: images inside, no script, no network."""
+"""The report on colors as one self-contained HTML page: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gsvis.report.spheres import COUNTS
 __all__ = ["DIFFERENCE", "color_page"]
 
 DIFFERENCE = 8.0
-"""How much differences are enlarged in pictures of them."""
+"""Factor by which pictures of differences are brightened."""
 
 _MEASURES = (("psnr", "PSNR, dB", 1), ("ssim", "SSIM", 4), ("flip", "FLIP", 4))
 
@@ -24,7 +24,7 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
     Args:
         fitted: The colors, with their quality.
         document: The content of `report.json`.
-        figures: Plots and pictures by name; what is absent is left out of the page.
+        figures: Plots and pictures by name; missing ones are omitted from the page.
     """
     return filled(
         "color_page.html",
@@ -46,7 +46,7 @@ def _lead(document: dict[str, Any]) -> str:
     if not terms["total"]:
         return (
             f"<p class='lead'>The {document['gaussians']:,} Gaussians of this scene have base colors and no terms:"
-            " nothing of what is sent depends on direction.</p>"
+            " no color depends on direction.</p>"
         )
     return (
         f"<p class='lead'>Each of the {document['gaussians']:,} Gaussians has a base color and"
@@ -82,7 +82,7 @@ def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
         if measure in quality["all_terms"]:
             header += [told, "worst"]
     text = table(header, rows)
-    for role, told in (("worst", "The view that comes out worst"), ("median", "A view in the middle")):
+    for role, told in (("worst", "The worst view"), ("median", "The median view")):
         if f"{role}_sh" in figures:
             row = next(each for each in quality["cameras"] if each["role"] == role)
             text += f"<h3>{told}</h3>" + _pictures(role, row, figures)
@@ -104,7 +104,7 @@ def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str
         ("sh", "SH, as the scene came."),
         ("srbf", f"Base colors and all terms: {row['psnr']:.1f} dB."),
         ("base", f"Base colors alone: {row['base_psnr']:.1f} dB."),
-        ("difference", f"What differs between the first two, brightened {DIFFERENCE:g} times."),
+        ("difference", f"Difference of the first two, brightened {DIFFERENCE:g} times."),
     )
     drawn = "".join(figure(figures[f"{role}_{name}"], told, told) for name, told in shown)
     return f"<div class='pair'>{drawn}</div>"
@@ -134,9 +134,9 @@ def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     quality, epsilon = document["quality"], document["epsilon"]
     if "active" not in figures:
-        return "<p>There are no terms to leave out.</p>"
+        return "<p>The colors have no terms.</p>"
     shares = "Share of all terms that change a channel of their Gaussian by more than epsilon, as an eye sees it."
-    kept = f"What leaving out the others costs, against all terms. The target is {ACTIVE_TARGET:g} dB."
+    kept = f"Quality with active terms only, against all terms. The target is {ACTIVE_TARGET:g} dB."
     low, high = PAPER_EPSILONS
     text = "<div class='pair'>"
     text += figure(figures["active"], "Share of active terms by epsilon", shares)
@@ -183,7 +183,7 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     rows[-1] = (rows[-1][0], rows[-1][1], "", "")
     caption = "Bytes of a Gaussian's color, before any further compression. Geometry is the same in all cases."
     return (
-        figure(figures["bytes"], "Bytes of a color, by how it is sent", caption)
+        figure(figures["bytes"], "Bytes of a color, by encoding", caption)
         + table(("color", "bytes a Gaussian", "MB in all", "of SH in 32 bits"), rows)
         + f"<p>The file, with geometry in 32 bits a number, takes {document['file_bytes'] / 1e6:.2f} MB.</p>"
     )

@@ -1,4 +1,4 @@
-"""A report on disk: `report.json`, the plots and pictures as PNG files, and `report.html` with all of it inside."""
+"""Write a report: `report.json`, the plots and pictures as PNG files, and `report.html` with all of it inside."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ _PICTURES = {"visible.png", "cdf.png", "settling.png", "map_directions.png"} | {
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What a report is about, besides the figures.
+    """Context of a report, besides the figures.
 
     Attributes:
-        title: The scene's name.
+        title: Name of the scene.
         gaussians: The scene.
         up: (3,) its up axis, for maps.
-        cameras_from: Where the cameras come from, as a phrase.
+        cameras_from: Source of the cameras, as a phrase.
         command: The exact command that makes this report again.
-        version: Of gsvis.
-        facts: What inspection found, as `SceneReport.as_dict()` gives it.
+        version: Version of gsvis.
+        facts: Results of the inspection, as `SceneReport.as_dict()` returns them.
         parameters: All parameters by name.
-        seconds: How long each stage took, by its name.
-        differs: What keeps the paper's figures, means over the training views of captures of one subject, from being
-            compared with these; empty where they can be.
+        seconds: Duration of each stage, by name.
+        differs: Why the paper's figures, means over the training views of captures of one subject, cannot be
+            compared with these; empty if they can.
     """
 
     title: str
@@ -66,7 +66,7 @@ def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
 
     Args:
         analysis: The figures.
-        subject: What they are about.
+        subject: Context of the report.
     """
     return {
         "format": "gsvis-report",
@@ -90,17 +90,17 @@ def write_report(
     *,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Draw everything and write the folder, whole or not at all.
+    """Draw everything and write the folder, atomically.
 
     Args:
-        folder: Made if missing; files in it that are not of a report stay.
+        folder: Created if missing; files in it that do not belong to a report are kept.
         analysis: The figures.
-        subject: What they are about.
-        pictures: Rendered views, as `picture_views` gives them.
+        subject: Context of the report.
+        pictures: Rendered views, as `picture_views` returns them.
         progress: Called with stage "writing".
 
     Returns:
-        What was written as `report.json`.
+        The content of `report.json`.
 
     Raises:
         OSError: If the folder cannot be written.
@@ -111,14 +111,14 @@ def write_report(
     with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(partial_folder, figures.values(), document, page(analysis, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+        (folder / stale).unlink(missing_ok=True)  # belongs to an earlier report
     return document
 
 
 def _figures(
     analysis: Analysis, subject: Subject, pictures: list[ViewPicture], progress: Progress
 ) -> dict[str, Figure]:
-    """All plots, maps and pictures by name, each plot drawn for light and for dark pages."""
+    """Return all plots, maps and pictures by name, each plot drawn for light and for dark pages."""
     cameras, comparable = analysis.cameras, not subject.differs
     ground = Ground.of(subject.gaussians, subject.up, cameras.viewpoints)
     plots: dict[str, tuple[Any, tuple[float, float]]] = {

@@ -1,6 +1,6 @@
-"""Pieces of a report page: its style, pictures with captions, tables.
+"""Build the parts of a report page: its style, pictures with captions, tables.
 
-Text that comes from outside is escaped here or by the caller, as each function says.
+Text from outside is escaped here or by the caller, as each function states.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class Figure:
     """A picture of a report.
 
     Attributes:
-        file: Its name on disk.
+        file: File name.
         light: PNG bytes, for light pages and on disk.
-        dark: PNG bytes for dark pages; None where one serves both.
+        dark: PNG bytes for dark pages; None if one serves both.
     """
 
     file: str
@@ -33,11 +33,11 @@ class Figure:
 
 
 def filled(template: str, **parts: str) -> str:
-    """Return a page of this package with its parts, which are HTML, and the common style filled in.
+    """Fill the parts and the common style into a page template of this package; parts are HTML.
 
     Args:
         template: File name beside this module.
-        parts: By the names in it.
+        parts: Parts by their names in the template.
     """
     here = files("gsvis.report")
     style = (here / "page.css").read_text(encoding="utf-8")
@@ -63,7 +63,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def tiles(found: Sequence[tuple[str, str, str]]) -> str:
-    """Return the items of the list of large figures: value, what it is, what it is compared with; all text."""
+    """Return the list of large figures: value, meaning, comparison; all text."""
     return "".join(
         f"<li><strong>{escape(value)}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
         for value, told, beside in found
@@ -71,7 +71,7 @@ def tiles(found: Sequence[tuple[str, str, str]]) -> str:
 
 
 def described(document: dict[str, Any]) -> str:
-    """How a report was made: its command and parameters."""
+    """Return how a report was made: its command and parameters."""
     shown = [(name, plain(value)) for name, value in document["parameters"].items()]
     return (
         f"<pre><code>{escape(document['command'])}</code></pre>"
@@ -82,7 +82,7 @@ def described(document: dict[str, Any]) -> str:
 
 
 def plain(value: Any) -> str:
-    """Return a value of a parameter as text."""
+    """Return the value of a parameter as text."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

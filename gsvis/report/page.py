@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: images inside, no script, no network, light and dark."""
+"""The report as one self-contained HTML page: images inside, no script, no network, light and dark."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from gsvis.report.html import tiles as listed
 __all__ = ["page"]
 
 _AGAIN = (
-    "<p>All cameras are in <code>report.json</code>. The first of them again, every pixel the same:"
-    " <code>gsvis render SCENE --camera report.json --index 0 -o view.png</code>. All figures of all views again:"
-    " <code>gsvis analyze SCENE --cameras report.json -o again</code>.</p>"
+    "<p>All cameras are in <code>report.json</code>. To render the first of them again, identical in every pixel:"
+    " <code>gsvis render SCENE --camera report.json --index 0 -o view.png</code>. To compute all figures of all views"
+    " again: <code>gsvis analyze SCENE --cameras report.json -o again</code>.</p>"
 )
 _ROLES = {"most": "most", "median": "the median share", "least": "least"}
 
@@ -76,7 +76,7 @@ def _tiles(analysis: Analysis, differs: str) -> str:
 
 
 def _explain_paper(differs: str) -> str:
-    """Why the paper's figures do not stand beside these."""
+    """Return why the paper's figures are not shown beside these."""
     return (
         f"<p>The paper's figures ({PAPER['mean_visible']:.2%} visible in a view on average) are means over the training"
         f" views of Tanks &amp; Temples. They do not compare with these: {escape(differs)}.</p>"
@@ -200,7 +200,7 @@ def _explain_settling(analysis: Analysis, figures: dict[str, Figure]) -> str:
     header = ("cameras", "seen at all", "&lt; 41.25%", "&lt; 60%", "&lt; 41.25%, of seen", "&lt; 60%, of seen", "moved")
     caption = (
         "The gathered shares after the first 1/8, 1/4, 1/2 and all of the cameras, taken in random order."
-        " In the table, moved tells by how much the curve did, at most, since the step before."
+        " In the table, moved is the largest change of the curve since the step before."
     )
     drawn = "settling" in figures
     return (
@@ -241,4 +241,4 @@ def _scene(analysis: Analysis, scene: dict[str, Any]) -> str:
         ]
     problems = scene.get("problems", [])
     listed = "".join(f"<li>{escape(problem)}</li>" for problem in problems)
-    return table(("scene", ""), rows) + (f"<p>What looks wrong with it:</p><ul>{listed}</ul>" if listed else "")
+    return table(("scene", ""), rows) + (f"<p>Possible problems:</p><ul>{listed}</ul>" if listed else "")

@@ -1,4 +1,4 @@
-"""The report on simulated sessions as one HTML page that needs nothing else: images inside, no script, no network."""
+"""The report on simulated sessions as one self-contained HTML page: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
     """Return the whole page.
 
     Args:
-        simulation: What was simulated.
+        simulation: The simulation.
         document: The content of `report.json`.
         figures: Plots and pictures by name.
     """
@@ -43,10 +43,10 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
 
 
 def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows]:
-    """Header and rows of the table of a visit: a figure in each row, a system in each column; all text.
+    """Return header and rows of the table of a visit: one figure per row, one system per column; all text.
 
     Args:
-        systems: As the document has them.
+        systems: Systems, as in the document.
     """
 
     def cells(key: str, spell: Any) -> list[str]:
@@ -81,7 +81,7 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
 
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
-    """Return a sentence for each visit whose views do not all show something; text."""
+    """Return a sentence for each visit with views that show nothing; text."""
     told = []
     for visit in document["visits"]:
         count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
@@ -214,15 +214,15 @@ def _explain_assumptions(document: dict[str, Any]) -> str:
     config, link = document["config"], document["link"]
     text = (
         "<ul>"
-        f"<li>The link takes {1000 * link['round_trip']:g} ms there and back and loses nothing; time begins when the"
-        " client asks for the scene, on an open connection.</li>"
-        f"<li>The client says where it is every {1000 * config['tick']:g} ms and confirms what arrives. What has"
-        " arrived is drawn at once: time to decode and to draw is not counted.</li>"
+        f"<li>The link has a round trip of {1000 * link['round_trip']:g} ms and loses nothing; time begins when the"
+        " client requests the scene, on an open connection.</li>"
+        f"<li>The client sends its pose every {1000 * config['tick']:g} ms and confirms what arrives. Arrived data is"
+        " drawn at once: time to decode and to draw is not counted.</li>"
         f"<li>Images have {config['width']} x {config['height']} pixels and a field of view of {config['fov']:g}°, and"
         f" are compared every {1000 * config['tick']:g} ms for {config['fine']:g} s, then every {config['every']:g} s;"
         " each stands for the time until the next.</li>"
-        f"<li>A view counts where it shows something: where black is worse than {CONTENT_DB:g} dB against the full"
-        " scene. Elsewhere black would pass for an image, and curves have a gap.</li>"
+        f"<li>A view counts if it shows something: if black is worse than {CONTENT_DB:g} dB against the full scene."
+        " Otherwise black would pass for an image; curves have a gap there.</li>"
     )
     for visit in document["visits"]:
         name = escape(visit["scene"]["name"])

@@ -1,6 +1,6 @@
-"""Colors and type of plots, once for light and once for dark pages, and how a figure becomes PNG bytes.
+"""Colors and fonts of plots, for light and for dark pages, and the conversion of a figure to PNG bytes.
 
-Figures are drawn on Agg canvases of their own: no screen is needed and the settings of matplotlib are put back.
+Figures use their own Agg canvases: no screen is needed, and the settings of matplotlib are restored.
 """
 
 from __future__ import annotations
