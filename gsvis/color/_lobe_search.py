@@ -82,12 +82,12 @@ class LobeSearch:
         self.squares = np.einsum("ad,ad->a", self.dictionary, self.dictionary)
         self.nothing = Fit(1.0, np.zeros((0, 3)), np.zeros(0), self.target)
 
-    def on(self, v: F64) -> Fit:
+    def fit(self, v: F64) -> Fit:
         """Fit intensities to these lobes and leave the lobes unchanged."""
         solved = self._solve(self._rows(v)) if len(v) else None
         return self.nothing if solved is None else self._fit(v, solved)
 
-    def extended(self, fit: Fit, rng: np.random.Generator | None = None) -> Fit:
+    def extend(self, fit: Fit, rng: np.random.Generator | None = None) -> Fit:
         """Add the lobe that helps most beside the current ones, or with `rng` a random good one; refine all."""
         starts, gains = self._gains(fit)
         if rng is None:
@@ -95,17 +95,17 @@ class LobeSearch:
         else:
             chances = (gains / gains.max()) ** _SHARPNESS
             chosen = int(rng.choice(len(starts), p=chances / chances.sum()))
-        return self.refined(np.concatenate([fit.v, starts[chosen : chosen + 1]]))
+        return self.refine(np.concatenate([fit.v, starts[chosen : chosen + 1]]))
 
-    def reduced(self, fit: Fit) -> Fit:
+    def reduce(self, fit: Fit) -> Fit:
         """Remove the lobe whose removal raises the error least; refine the rest."""
         rows = self._rows(fit.v)
         gram = rows @ rows.T
         gram.flat[:: len(rows) + 1] += self.ridge
         growth = fit.intensities**2 / np.linalg.inv(gram).diagonal()
-        return self.refined(np.delete(fit.v, int(growth.argmin()), axis=0))
+        return self.refine(np.delete(fit.v, int(growth.argmin()), axis=0))
 
-    def refined(self, v: F64) -> Fit:
+    def refine(self, v: F64) -> Fit:
         """Move all lobes to a nearby optimum: Levenberg-Marquardt with the intensities eliminated (Kaufman)."""
         rows = self._rows(v)
         now = self._solve(rows) if len(v) else None

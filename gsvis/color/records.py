@@ -125,7 +125,7 @@ class Grids:
                 raise ValueError(f"{name}: expected a range within [{low:g}, {high:g}], got {pair[0]:g} to {pair[1]:g}")
 
     @classmethod
-    def of(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
+    def from_colors(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
         """Return the narrowest ranges that hold all values of these colors, so that nothing is clipped."""
         turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
         ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
@@ -281,7 +281,7 @@ def quantize(
         >>> packed.nbytes, packed.dequantize().base.round(3).tolist()
         (4, [[0.0, 0.5, 1.0]])
     """
-    own = Grids.of(colors, precision)
+    own = Grids.from_colors(colors, precision)
     g = own if grids is None else grids
     if grids is not None:
         _within(own, grids)
@@ -320,7 +320,7 @@ def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *,
         precision: A name from `PRECISIONS`, or a `Precision`.
         refit: Adapt intensities as `quantize` does; False leaves them unchanged.
     """
-    g = Grids.of(colors, precision)
+    g = Grids.from_colors(colors, precision)
     places, decay_places = _round_lobes(colors, g)
     centers, decays = _centers_of(places, g), g.decay_table()[decay_places]
     intensities = _project(colors, _lobes(centers, decays)) if refit else colors.intensities

@@ -199,10 +199,10 @@ def _sweep(search: LobeSearch, fits: dict[int, Fit], high: int, rng: np.random.G
     """Extend fits up to `high` lobes and reduce them again; each number of lobes keeps the best."""
     for k in range(high):
         exact = fits[k].error <= 1e-13
-        _keep(fits, k + 1, fits[k] if exact else search.extended(fits[k], rng))
+        _keep(fits, k + 1, fits[k] if exact else search.extend(fits[k], rng))
     for k in range(high, 1, -1):
         if len(fits[k]) == k:
-            _keep(fits, k - 1, search.reduced(fits[k]))
+            _keep(fits, k - 1, search.reduce(fits[k]))
 
 
 def _keep(fits: dict[int, Fit], k: int, fit: Fit) -> None:
@@ -219,7 +219,7 @@ def _pursue(search: LobeSearch, limit: int) -> list[Fit]:
         weights=search.roots**2,
     )
     chosen = search.starts[codes.atoms[0, : codes.counts[0]]]
-    return [search.on(chosen[:k]) for k in range(len(chosen) + 1)]
+    return [search.fit(chosen[:k]) for k in range(len(chosen) + 1)]
 
 
 def _stack(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:

@@ -111,7 +111,7 @@ def calibrate_radius(
     if low == 0.0:
         raise ValueError("points: expected a point away from the viewpoint, got none")
     if weights is not None:
-        judge = _by_weights(cloud, eye, _checked(weights, len(cloud)), tau)
+        judge = _by_weights(cloud, eye, _check_weights(weights, len(cloud)), tau)
     else:
         judge, low = _by_two_eyes(cloud, eye, recall)
     return search_radius(judge, low, low * _more_than_one(most), recall=recall, steps=steps)
@@ -162,7 +162,7 @@ def search_radius(
     return Calibration(chosen.radius, chosen.recall, chosen.precision, chosen.count, tuple(tried))
 
 
-def measured(radius: float, ids: I64, weights: F64, tau: float) -> Trial:
+def measure_points(radius: float, ids: I64, weights: F64, tau: float) -> Trial:
     """Return the quality of a set of points ids (K,) by weights (N,) whose sum is above 0."""
     held = weights[ids]
     precision = float(np.count_nonzero(held >= tau)) / len(ids) if len(ids) else 0.0
@@ -172,7 +172,7 @@ def measured(radius: float, ids: I64, weights: F64, tau: float) -> Trial:
 def _by_weights(cloud: F64, eye: F64, weights: F64, tau: float) -> Callable[[float], Trial]:
     if not 0.0 < tau <= 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1], got {tau!r}")
-    return lambda radius: measured(radius, hidden_point_removal(cloud, eye, radius), weights, tau)
+    return lambda radius: measure_points(radius, hidden_point_removal(cloud, eye, radius), weights, tau)
 
 
 def _by_two_eyes(cloud: F64, eye: F64, recall: float | None) -> tuple[Callable[[float], Trial], float]:
@@ -206,7 +206,7 @@ class _Disjoint(Trial):
         return self.recall
 
 
-def _checked(weights: ArrayLike, count: int) -> F64:
+def _check_weights(weights: ArrayLike, count: int) -> F64:
     array: F64 = _check.floats("weights", weights, ("N",), np.float64)
     if len(array) != count:
         raise ValueError(f"weights: expected {count}, one for each point, got {len(array)}")

@@ -34,7 +34,7 @@ def hybrid(
 
     Args:
         g: The scene.
-        splats: The same scene, laid out by `Splats.of`.
+        splats: The same scene, laid out by `Splats.from_gaussians`.
         viewpoint: (3,) the eye.
         size: Pixels along a side of the six faces of the z-buffer.
         tau: Least weight of a visible Gaussian, in (0, 1).
@@ -48,7 +48,7 @@ def hybrid(
     """
     if splats.total != len(g):
         raise ValueError(
-            f"splats: expected those of this scene of {len(g)} Gaussians, got {splats.total}; use Splats.of"
+            f"splats: expected those of this scene of {len(g)} Gaussians, got {splats.total}; use Splats.from_gaussians"
         )
     if not 0.0 < tau < 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1), got {tau!r}")

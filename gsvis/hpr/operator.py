@@ -51,7 +51,7 @@ def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float)
     """
     cloud = _check.floats("points", points, ("N", 3), np.float64)
     eye = _check.floats("viewpoint", viewpoint, (3,), np.float64)
-    flips, elsewhere = flipped(cloud, eye, radius)
+    flips, elsewhere = flip_points(cloud, eye, radius)
     seen = hull_vertices(flips)
     if elsewhere is None:
         return seen
@@ -59,7 +59,7 @@ def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float)
     return np.union1d(elsewhere[seen], at_eye)
 
 
-def flipped(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
+def flip_points(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
     """Return flips (M, 3) of the points not at the eye, relative to the eye, and their indices (None: all).
 
     Raises:

@@ -45,7 +45,7 @@ class Splats:
     total: int
 
     @classmethod
-    def of(cls, g: Gaussians) -> Splats:
+    def from_gaussians(cls, g: Gaussians) -> Splats:
         """Lay out a scene. Rows are ordered by content, so that no result depends on the order of the scene."""
         ids = _in_order(g, np.flatnonzero(g.opacities >= MIN_ALPHA))
         near = np.zeros((len(ids), 8), np.float32)

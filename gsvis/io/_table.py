@@ -22,7 +22,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.limits import Budget, read_whole
 
-__all__ = ["Table", "listed", "read_table"]
+__all__ = ["Table", "join_names", "read_table"]
 
 _CHUNK = 1 << 20
 _LONGEST_LINE = 1 << 16
@@ -72,7 +72,7 @@ class Table:
         if missing:
             others = [name for name in counts if name not in names and name not in known]
             what = ("columns " if len(names) > 1 else "a column ") + ", ".join(names)
-            got = f"no {', '.join(missing)}" + (f"; unexpected: {listed(others)}" if others else "")
+            got = f"no {', '.join(missing)}" + (f"; unexpected: {join_names(others)}" if others else "")
             raise FormatError(self.path, f"line {self.lines[0]}", what, got)
         repeated = next((name for name in names if counts[name] > 1), None)
         if repeated is not None:
@@ -100,7 +100,7 @@ class Table:
         return values
 
 
-def listed(names: list[str], most: int = 16) -> str:
+def join_names(names: list[str], most: int = 16) -> str:
     """Return the names for a message; long names are cut, and names beyond the first `most` only counted."""
     shown = ", ".join(repr(name[:40]) if len(name) > 40 or not name.isprintable() else name for name in names[:most])
     return shown + (f" and {len(names) - most:,} more" if len(names) > most else "")

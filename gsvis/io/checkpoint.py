@@ -45,7 +45,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.limits import open_regular
 from gsvis.io._build import exp_scales, format_error, sh0_from_rgb, sigmoid
-from gsvis.io._table import listed
+from gsvis.io._table import join_names
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["from_gsplat", "is_checkpoint", "load_checkpoint"]
@@ -92,7 +92,7 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
     if missing:
         remedy = "; colors of an appearance module cannot be read" if {"features", "colors"} <= {*names} else ""
         wanted = ", ".join((*_GEOMETRY, *colors))
-        raise ValueError(f"splats: expected {wanted}, got no {', '.join(missing)} but {listed(names)}{remedy}")
+        raise ValueError(f"splats: expected {wanted}, got no {', '.join(missing)} but {join_names(names)}{remedy}")
     raw = {name: _check.plain(splats[name]) for name in (*_GEOMETRY, *colors) if name in names}
     if np.ndim(raw["opacities"]) == 2 and np.shape(raw["opacities"])[1] == 1:
         raw["opacities"] = np.reshape(raw["opacities"], -1)
@@ -163,7 +163,7 @@ def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str
     """Return the values of the Gaussians by their names, in either layout."""
     name = _structure_name(archive)
     if name is None:
-        raise FormatError(path, "zip", "data.pkl", listed(archive.namelist()), "is this a checkpoint of torch?")
+        raise FormatError(path, "zip", "data.pkl", join_names(archive.namelist()), "is this a checkpoint of torch?")
     found = _gaussians_of(path, _unpickle(path, archive, name))
     records = _Records(path, archive, name.removesuffix("data.pkl"))
     return {key: records.array(key, tensor) for key, tensor in found.items()}
@@ -192,7 +192,7 @@ def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tens
         if name in wanted and isinstance(value, _Tensor):
             found[name] = value
     if "means" not in found:
-        raise FormatError(path, "data.pkl", _KNOWN, f"keys {listed([str(key) for key in content])}")
+        raise FormatError(path, "data.pkl", _KNOWN, f"keys {join_names([str(key) for key in content])}")
     return found
 
 

@@ -142,8 +142,8 @@ class _Bytes:
         (number,) = self.take("<Q", f"the number of {what}")
         rest = len(self.data) - self.at
         if number * least > rest:
-            told = f"a count of {number:,} and {rest:,} bytes to hold them"
-            raise FormatError(self.path, f"byte {self.at - 8:,}", f"a possible number of {what}", told)
+            got = f"a count of {number:,} and {rest:,} bytes to hold them"
+            raise FormatError(self.path, f"byte {self.at - 8:,}", f"a possible number of {what}", got)
         return int(number)
 
     def need(self, size: int, what: str) -> None:
@@ -215,8 +215,8 @@ def _cameras_txt(path: Path) -> dict[int, Camera]:
             expected = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"
             raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
         if len(values) != counts.get(model, len(values)):
-            told = f"{len(values)} parameters"
-            raise FormatError(path, f"line {number}", f"{counts[model]} parameters of {model}", told)
+            got = f"{len(values)} parameters"
+            raise FormatError(path, f"line {number}", f"{counts[model]} parameters of {model}", got)
         cameras[key] = camera
     return cameras
 

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._table import Table, listed, read_table
+from gsvis.io._table import Table, join_names, read_table
 from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
 from gsvis.scene.paths import HeadPath
 
@@ -166,7 +166,8 @@ def _time_column(table: Table) -> str:
     if time is None:
         missing = [name for name in COLUMNS if name not in table.header]
         others = [name for name in table.header if name not in COLUMNS and name not in _UNREAD]
-        got = f"no {', '.join([*missing, ' or '.join(TIMES)])}" + (f"; unexpected: {listed(others)}" if others else "")
+        unexpected = f"; unexpected: {join_names(others)}" if others else ""
+        got = f"no {', '.join([*missing, ' or '.join(TIMES)])}" + unexpected
         raise FormatError(table.path, f"line {table.lines[0]}", f"columns {', '.join(COLUMNS)}, {TIMES[0]}", got)
     return time
 
@@ -236,7 +237,7 @@ def _setting_of(path: Path) -> SceneSetting:
     for name in names:
         if name in settings:
             return settings[name]
-    known, got = listed(sorted(settings)), " or ".join(map(repr, dict.fromkeys(names)))
+    known, got = join_names(sorted(settings)), " or ".join(map(repr, dict.fromkeys(names)))
     raise FormatError(path, "", f"the name of a scene of {SETTINGS} ({known})", got, "pass setting=SceneSetting(...)")
 
 

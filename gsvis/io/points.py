@@ -130,9 +130,9 @@ def _white(header: PlyHeader, vertex: Element) -> float | None:
         return None
     kinds = {vertex.row[name].str[1:] for name in have}
     if len(have) < 3 or len(kinds) > 1 or not kinds <= set(_WHITE):
-        told = ", ".join(f"{name} {vertex.row[name].name}" for name in have)
+        got = ", ".join(f"{name} {vertex.row[name].name}" for name in have)
         expected = "red, green and blue alike, of type uchar, ushort, float or double"
-        raise FormatError(header.path, "element vertex", expected, told)
+        raise FormatError(header.path, "element vertex", expected, got)
     return _WHITE[kinds.pop()]
 
 
@@ -157,8 +157,8 @@ def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colo
     outside = ~((colors >= 0.0) & (colors <= 1.0)).all(axis=1)
     if outside.any():
         row = int(outside.argmax())
-        told = " ".join(f"{x:g}" for x in colors[row])
-        raise FormatError(header.path, where(row), "colors from 0 to white (1 where they are floats)", told)
+        text = " ".join(f"{x:g}" for x in colors[row])
+        raise FormatError(header.path, where(row), "colors from 0 to white (1 where they are floats)", text)
 
 
 def _not_finite(means: NDArray[Any]) -> int | None:

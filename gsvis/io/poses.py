@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
-from gsvis.io._table import Table, listed, read_table
+from gsvis.io._table import Table, join_names, read_table
 from gsvis.io.eyenav import COLUMNS as EYENAV_COLUMNS
 from gsvis.io.eyenav import is_eyenav, path_of_recording
 from gsvis.scene.paths import HeadPath
@@ -47,7 +47,7 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
         return path_of_recording(table)
     if not set(COLUMNS) & set(table.header):
         known = f"columns {','.join(COLUMNS)} or those of EyeNavGS ({', '.join(EYENAV_COLUMNS)}, Timestamp or timestep)"
-        raise FormatError(path, f"line {table.lines[0]}", known, listed(table.header))
+        raise FormatError(path, f"line {table.lines[0]}", known, join_names(table.header))
     return _path_of(table)
 
 

@@ -15,7 +15,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import open_regular, read_whole
-from gsvis.io._table import listed
+from gsvis.io._table import join_names
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy
 from gsvis.io.ply import load_ply, save_ply
@@ -112,7 +112,8 @@ def _is_streamed(path: Path) -> bool:
         "meta.json",
         "lod-meta.json",
     ):
-        raise FormatError(path, "", _KNOWN, f"JSON with keys {listed(list(fields.value))}", scene_remedy(path.parent))
+        keys = join_names(list(fields.value))
+        raise FormatError(path, "", _KNOWN, f"JSON with keys {keys}", scene_remedy(path.parent))
     return "tree" in fields or "filenames" in fields or path.name == "lod-meta.json"
 
 

@@ -63,9 +63,9 @@ def _intrinsics(
 
     distorted = [key for key in _DISTORTION if number(key)]
     if distorted or "FISHEYE" in str(values.get("camera_model", "")).upper():
-        told = f"distortion {' '.join(distorted)}" if distorted else str(values["camera_model"])
+        got = f"distortion {' '.join(distorted)}" if distorted else str(values["camera_model"])
         remedy = "undistort the images, for example with `colmap image_undistorter`, and use the model that it writes"
-        raise FormatError(path, where, "a pinhole camera", told, remedy)
+        raise FormatError(path, where, "a pinhole camera", got, remedy)
     width, height = number("w"), number("h")
     if width is None or height is None:
         if size is None:

@@ -56,9 +56,9 @@ class Views:
         if size is None:
             found = sorted(set(self.sizes))
             if len(found) > 1:
-                told = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
+                text = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
                 remedy = "give one size to rescale to, size=(width, height) or --width and --height"
-                raise FormatError(self.path, "", "images of one size", f"{len(found)} sizes: {told}", remedy)
+                raise FormatError(self.path, "", "images of one size", f"{len(found)} sizes: {text}", remedy)
             size = found[0]
         order = sorted(range(len(self.names)), key=self.names.__getitem__)
         factors = np.ones((len(order), 3))
@@ -105,8 +105,8 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
     with np.errstate(all="ignore"):  # huge numbers become infinity or NaN, which is rejected
         defect = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if not defect <= 1e-2 or np.linalg.det(rotation) < 0:
-        told = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
-        raise FormatError(path, where, "a rotation (orthonormal columns, determinant 1)", told)
+        text = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
+        raise FormatError(path, where, "a rotation (orthonormal columns, determinant 1)", text)
     u, _, vt = np.linalg.svd(rotation)
     pose = np.eye(4)
     pose[:3, :3] = (u @ vt).T

@@ -79,7 +79,7 @@ class DirectionCdf:
     values: F64
 
     @classmethod
-    def of(cls, sets: U8) -> DirectionCdf:
+    def from_sets(cls, sets: U8) -> DirectionCdf:
         """Return the distribution of direction sets (N, 10), N > 0."""
         return cls(len(sets), directions.direction_cdf(directions.direction_fractions(sets)))
 
@@ -147,7 +147,7 @@ class Settling:
     change: float | None
 
     @classmethod
-    def of(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
+    def from_cdfs(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
         """Return the figures of a distribution, with its change from the one a step before."""
         return cls(
             cameras=cameras,
@@ -178,7 +178,7 @@ class Agreement:
     traced_confirmed: float
 
     @classmethod
-    def of(cls, gathered: U8, traced: U8) -> Agreement:
+    def from_sets(cls, gathered: U8, traced: U8) -> Agreement:
         """Compare two direction sets (M, 10) of the same Gaussians, M > 0."""
         index = directions.jaccard(gathered, traced)
         either = (gathered | traced).any(axis=1)
@@ -341,7 +341,9 @@ def analyze(
     rng = np.random.default_rng(config.seed)
     sample = np.sort(rng.choice(len(g), min(config.traced_sample, len(g)), replace=False))
     visible, sets, settling = _from_cameras(tracer, cameras, config.tau, rng.permutation(len(cameras)), progress)
-    found = Analysis(config, len(g), len(tracer.proxies), cameras, visible, sets, DirectionCdf.of(sets), settling)
+    found = Analysis(
+        config, len(g), len(tracer.proxies), cameras, visible, sets, DirectionCdf.from_sets(sets), settling
+    )
     if len(sample) == 0 or navigable is None:
         why = "no sample was requested" if navigable is not None else "no navigable space was given"
         return replace(found, untraced_because=why)
@@ -360,9 +362,9 @@ def analyze(
         found,
         sample=sample,
         traced_sets=traced,
-        traced=DirectionCdf.of(traced),
+        traced=DirectionCdf.from_sets(traced),
         solid_angles=angles,
-        agreement=Agreement.of(sets[sample], traced),
+        agreement=Agreement.from_sets(sets[sample], traced),
     )
 
 
@@ -383,8 +385,8 @@ def _from_cameras(
         visible[c] = np.count_nonzero(weights[0] >= np.float32(tau))
         sets |= directions.seen_directions(g, weights, camera.viewpoints, tau)
         if done in stops:
-            cdf = DirectionCdf.of(sets)
-            settling.append(Settling.of(done, cdf, before))
+            cdf = DirectionCdf.from_sets(sets)
+            settling.append(Settling.from_cdfs(done, cdf, before))
             before = cdf
         progress("cameras", done, total)
     return visible, sets, tuple(settling)

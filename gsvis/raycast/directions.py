@@ -140,7 +140,7 @@ def trace_directions(
     Raises:
         ValueError: If an id is out of range.
     """
-    chosen = tracer.chosen(ids)
+    chosen = tracer.check_ids(ids)
     sets = np.zeros((len(chosen), NUM_FACES // 8), np.uint8)
     progress("directions", 0, len(chosen))
     for start in range(0, len(chosen), _CHUNK):
@@ -178,7 +178,7 @@ def solid_angle_fractions(
     Raises:
         ValueError: If an id is out of range.
     """
-    chosen = tracer.chosen(ids)
+    chosen = tracer.check_ids(ids)
     rays, areas = face_directions(rays_per_face), face_shares(rays_per_face)
     fractions = np.zeros(len(chosen))
     progress("directions", 0, rays_per_face)

@@ -133,7 +133,7 @@ class Tracer:
         """(min_alpha, max_alpha, min_transmittance), as the kernels take them."""
         return self.proxies.min_alpha, MAX_ALPHA, MIN_TRANSMITTANCE
 
-    def chosen(self, ids: ArrayLike | None) -> NDArray[np.int64]:
+    def check_ids(self, ids: ArrayLike | None) -> NDArray[np.int64]:
         """Return checked ids of Gaussians; None means all.
 
         Raises:

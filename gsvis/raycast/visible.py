@@ -92,7 +92,7 @@ def visible_from(
     """
     _check.one_of("sampling", sampling, ("pixels", "gaussians"))
     points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
-    chosen = tracer.chosen(ids)
+    chosen = tracer.check_ids(ids)
     weights = np.zeros((len(points), len(chosen)), np.float32)
     progress("viewpoints", 0, len(points))
     for v, point in enumerate(points):

@@ -22,7 +22,7 @@ from gsvis.report.document import Subject
 from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 
 __all__ = ["color_document", "write_color_report"]
 
@@ -120,7 +120,7 @@ def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
         plots["spheres"] = (partial(draw_spheres, spheres=spheres), (7.6, 0.25 + 1.08 * rows))
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", min(done, steps - 1), steps)
     for role, view in _views(quality).items():
         for name, image in _pictures(fitted, quality, view).items():

@@ -7,7 +7,7 @@ from typing import Any
 
 from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
-from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
+from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
 from gsvis.report.spheres import COUNTS
 
 __all__ = ["DIFFERENCE", "color_page"]
@@ -26,7 +26,7 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
         document: The content of `report.json`.
         figures: Plots and pictures by name; missing ones are omitted from the page.
     """
-    return filled(
+    return fill_template(
         "color_page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
@@ -37,7 +37,7 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
         active=_active(document, figures),
         bytes=_bytes(document, figures),
         spheres=_spheres(fitted, figures),
-        how=described(document),
+        how=describe_run(document),
     )
 
 
@@ -78,14 +78,14 @@ def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
                 cells += [f"{quality[key][measure][which]:.{digits}f}" for which in ("mean", "worst")]
         rows.append(cells)
     header = ["against SH"]
-    for measure, told, _ in _MEASURES:
+    for measure, label, _ in _MEASURES:
         if measure in quality["all_terms"]:
-            header += [told, "worst"]
+            header += [label, "worst"]
     text = table(header, rows)
-    for role, told in (("worst", "The worst view"), ("median", "The median view")):
+    for role, label in (("worst", "The worst view"), ("median", "The median view")):
         if f"{role}_sh" in figures:
             row = next(each for each in quality["cameras"] if each["role"] == role)
-            text += f"<h3>{told}</h3>" + _pictures(role, row, figures)
+            text += f"<h3>{label}</h3>" + _pictures(role, row, figures)
     if "first_terms" in figures:
         caption = (
             "Terms come one by one, the most useful of each Gaussian first. Below the number is how many that makes of"
@@ -106,7 +106,7 @@ def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str
         ("base", f"Base colors alone: {row['base_psnr']:.1f} dB."),
         ("difference", f"Difference of the first two, brightened {DIFFERENCE:g} times."),
     )
-    drawn = "".join(figure(figures[f"{role}_{name}"], told, told) for name, told in shown)
+    drawn = "".join(figure(figures[f"{role}_{name}"], label, label) for name, label in shown)
     return f"<div class='pair'>{drawn}</div>"
 
 
@@ -192,10 +192,10 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
     if "spheres" not in figures:
         return ""
-    told = ", ".join(str(k) for k in COUNTS)
+    text = ", ".join(str(k) for k in COUNTS)
     caption = (
         "Gaussians whose color depends much on direction, as spheres that show what an eye on that side would see:"
-        f" by SH, by the base color, and by {told} terms ({escape(fitted.colors.variant)}). Below each is its mean"
+        f" by SH, by the base color, and by {text} terms ({escape(fitted.colors.variant)}). Below each is its mean"
         " squared error over all directions. The terms were fitted for this picture, over the whole sphere."
     )
     return (

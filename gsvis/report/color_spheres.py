@@ -93,8 +93,8 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
         middle = (c + 0.5) * _STEP
         axes.text(middle, -12, name, ha="center", va="bottom", fontsize=8, fontweight="bold", color=theme.ink)
         for m in range(rows if c else 0):
-            told = f"{spheres.errors[m, c - 1]:.1e}"
-            axes.text(middle, m * _ROW + _SIDE + 5, told, ha="center", va="top", fontsize=7, color=theme.muted)
+            text = f"{spheres.errors[m, c - 1]:.1e}"
+            axes.text(middle, m * _ROW + _SIDE + 5, text, ha="center", va="top", fontsize=7, color=theme.muted)
 
 
 def _pick_different(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:

@@ -20,7 +20,7 @@ from gsvis.report.maps import Ground, draw_directions, draw_seen_map
 from gsvis.report.page import page
 from gsvis.report.pictures import ViewPicture, png_of
 from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["Subject", "report_document", "write_report"]
@@ -120,7 +120,7 @@ def _figures(
 ) -> dict[str, Figure]:
     """Return all plots, maps and pictures by name, each plot drawn for light and for dark pages."""
     cameras, comparable = analysis.cameras, not subject.differs
-    ground = Ground.of(subject.gaussians, subject.up, cameras.viewpoints)
+    ground = Ground.from_scene(subject.gaussians, subject.up, cameras.viewpoints)
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
         "visible": (partial(draw_visible, analysis=analysis, published=comparable), (5.2, 2.9)),
         "cdf": (partial(draw_cdf, analysis=analysis, published=comparable), (5.2, 4.0)),
@@ -136,6 +136,6 @@ def _figures(
     figures = {f"view_{p.role}": Figure(f"view_{p.role}.png", png_of(p.image)) for p in pictures}
     progress("writing", 0, len(plots))
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, len(plots))
     return figures

@@ -14,7 +14,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-__all__ = ["Figure", "described", "figure", "filled", "plain", "table", "tiles"]
+__all__ = ["Figure", "describe_run", "figure", "fill_template", "plain", "table", "tiles"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Figure:
     dark: bytes | None = None
 
 
-def filled(template: str, **parts: str) -> str:
+def fill_template(template: str, **parts: str) -> str:
     """Fill the parts and the common style into a page template of this package; parts are HTML.
 
     Args:
@@ -65,12 +65,12 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def tiles(found: Sequence[tuple[str, str, str]]) -> str:
     """Return the list of large figures: value, meaning, comparison; all text."""
     return "".join(
-        f"<li><strong>{escape(value)}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
-        for value, told, beside in found
+        f"<li><strong>{escape(value)}</strong><span>{escape(label)}</span><small>{escape(beside)}</small></li>"
+        for value, label, beside in found
     )
 
 
-def described(document: dict[str, Any]) -> str:
+def describe_run(document: dict[str, Any]) -> str:
     """Return how a report was made: its command and parameters."""
     shown = [(name, plain(value)) for name, value in document["parameters"].items()]
     return (

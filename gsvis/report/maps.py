@@ -48,7 +48,7 @@ class Ground:
     box: F64
 
     @classmethod
-    def of(cls, g: Gaussians, up: ArrayLike, eyes: ArrayLike | None = None) -> Ground:
+    def from_scene(cls, g: Gaussians, up: ArrayLike, eyes: ArrayLike | None = None) -> Ground:
         """Return the map of a scene, N > 0.
 
         Args:

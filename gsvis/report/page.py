@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
-from gsvis.report.html import Figure, described, figure, filled, table
+from gsvis.report.html import Figure, describe_run, figure, fill_template, table
 from gsvis.report.html import tiles as listed
 
 __all__ = ["page"]
@@ -28,7 +28,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         figures: Plots, maps and pictures by name.
     """
     differs = document["paper"]["differs"] or ""
-    return filled(
+    return fill_template(
         "page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
@@ -38,7 +38,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         views=_views(analysis, figures),
         directions=_directions(analysis, figures, differs),
         scene=_scene(analysis, document["scene"]),
-        how=described(document) + _AGAIN,
+        how=describe_run(document) + _AGAIN,
     )
 
 
@@ -67,11 +67,11 @@ def _tiles(analysis: Analysis, differs: str) -> str:
     way = analysis.traced or analysis.gathered
     named = "traced outward" if analysis.traced else f"gathered from {len(analysis.cameras):,} cameras"
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
-        told = f"seen from less than {limit} of the 80 directions, {named}"
+        text = f"seen from less than {limit} of the 80 directions, {named}"
         more = [] if differs else [f"paper: {PAPER[published]:.1%}"]
         if analysis.solid_angles is not None:
             more.insert(0, f"by solid angle: {analysis.below_solid_angle(faces / 80.0):.1%}")
-        tiles.append((f"{way.below(faces):.1%}", told, "; ".join(more)))
+        tiles.append((f"{way.below(faces):.1%}", text, "; ".join(more)))
     return listed(tiles)
 
 

@@ -59,7 +59,7 @@ def picture_views(
     for index, role in sorted(roles.items(), key=lambda item: ("most", "median", "least").index(item[1])):
         camera = cameras[index]
         visible = visible_in(tracer, camera)[0] >= np.float32(analysis.config.tau)
-        pictures.append(ViewPicture(role, index, ray_image(tracer, camera.resized(*size)), visible))
+        pictures.append(ViewPicture(role, index, ray_image(tracer, camera.resize(*size)), visible))
         progress("pictures", len(pictures), len(roles))
     return pictures
 

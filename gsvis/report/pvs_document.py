@@ -29,7 +29,7 @@ from gsvis.report.pvs_plots import (
     draw_trades,
     draw_viewpoints,
 )
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["pvs_document", "write_pvs_report"]
@@ -130,7 +130,7 @@ def _figures(
     """Return all plots, maps and pictures by name, plots for light and for dark pages."""
     grid = store.grid
     rim = 0.5 * grid.cell_size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    ground = Ground.of(subject.gaussians, subject.up, (grid.centers[:, None] + rim).reshape(-1, 3))
+    ground = Ground.from_scene(subject.gaussians, subject.up, (grid.centers[:, None] + rim).reshape(-1, 3))
     shares = store.visible_counts / max(store.gaussians, 1)
     missing = np.full(len(grid), np.nan)
     missing[quality.cells] = np.maximum(1.0 - quality.weighted_recall[..., 0].mean(axis=1), LEAST_MISSING)
@@ -158,7 +158,7 @@ def _figures(
     progress("writing", 0, steps)
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, steps)
     for name, image in _worst_image(quality, store, subject.gaussians).items():
         figures[name] = Figure(f"{name}.png", png_of(image))

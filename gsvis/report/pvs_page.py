@@ -9,9 +9,9 @@ import numpy as np
 
 from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
-from gsvis.report.html import Figure, described, figure, filled, table, tiles
+from gsvis.report.html import Figure, describe_run, figure, fill_template, table, tiles
 
-__all__ = ["format_target", "pvs_page", "spelled"]
+__all__ = ["format_target", "format_value", "pvs_page"]
 
 _WORST = 8  # number of listed cells
 
@@ -24,7 +24,7 @@ def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
         document: The content of `report.json`.
         figures: Plots and maps by name.
     """
-    return filled(
+    return fill_template(
         "pvs_page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
@@ -35,11 +35,11 @@ def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
         classes=_classes(quality, figures),
         worst=_worst(quality, figures),
         store=_store(document["store"]),
-        how=described(document),
+        how=describe_run(document),
     )
 
 
-def spelled(value: float | None, unit: str) -> str:
+def format_value(value: float | None, unit: str) -> str:
     """Format a figure with its unit; shares in percent get more digits near 100%."""
     if value is None:
         return ""
@@ -75,14 +75,14 @@ def _lead(quality: Quality, document: dict[str, Any]) -> str:
 def _tiles(quality: Quality, store: dict[str, Any]) -> str:
     by_key = {each.key: each for each in quality.figures()}
     shown = [(f"{store['visible_share']['mean']:.1%}", "of the scene is visible from a cell, on average", "")]
-    for key, told in (
+    for key, label in (
         ("weighted_recall", "of the light at a fresh viewpoint is in the cell's set, on average"),
         ("psnr", "images from the set against the full scene, on average"),
         ("size_over_dense", "times the size of what many viewpoints see"),
     ):
         if key in by_key:
             measure = by_key[key]
-            shown.append((spelled(measure.mean, measure.unit), told, f"target: {_target(measure, 0)}"))
+            shown.append((format_value(measure.mean, measure.unit), label, f"target: {_target(measure, 0)}"))
     return tiles(shown)
 
 
@@ -117,8 +117,8 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
     config, count = quality.config, quality.psnr[..., 0].size
     rows = []
     for each in quality.figures():
-        worst = f"{spelled(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
-        rows.append((each.told, spelled(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
+        worst = f"{format_value(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
+        rows.append((each.told, format_value(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
     good, least = (f"{1.0 - value:.1%}" for value in TARGETS["weighted_recall"] if value is not None)
     missed = (
         "Share of the light that the set misses, by measured cell and at each viewpoint; lower is better. The targets"
@@ -158,7 +158,7 @@ def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
                 f"{each.gaussians:,.0f}",
                 f"{each.bytes / 1e6:.2f}",
                 f"{each.saved / 1e6:.2f}" if each.least_class else "",
-                spelled(each.weighted_recall, "share"),
+                format_value(each.weighted_recall, "share"),
                 f"{each.psnr:.1f}",
                 f"{each.psnr_worst:.1f}",
                 f"{each.lost:.1f}" if each.least_class else "",
@@ -185,8 +185,8 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
         row = [
             f"cell {int(quality.cells[m])}",
             f"{x:.2f}, {y:.2f}, {z:.2f}",
-            spelled(float(quality.weighted_recall[m, :, 0].mean()), "share"),
-            spelled(float(quality.weighted_recall[m, :, 0].min()), "share"),
+            format_value(float(quality.weighted_recall[m, :, 0].mean()), "share"),
+            format_value(float(quality.weighted_recall[m, :, 0].min()), "share"),
             f"{quality.psnr[m, :, 0].mean():.1f}",
             f"{quality.psnr[m, :, 0].min():.1f}",
             f"{quality.ceiling[m].min():.1f}",
@@ -204,7 +204,7 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
     return (
         table(header, rows)
         + "<div class='three'>"
-        + "".join(figure(figures[name], told, told) for name, told in pictures)
+        + "".join(figure(figures[name], label, label) for name, label in pictures)
         + "</div>"
     )
 

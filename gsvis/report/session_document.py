@@ -26,7 +26,7 @@ from gsvis.report.session_plots import (
     draw_shares,
     draw_start,
 )
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
 from gsvis.simulate.viewing import Viewing
@@ -172,7 +172,7 @@ def _figures(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
     progress("writing", 0, len(plots))
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, len(plots))
     for v, visit in enumerate(simulation.visits):
         names = ["", *(session.playback.name for session in visit.sessions)]

@@ -6,7 +6,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from gsvis.abr.qoe import FIRST_FRAME_DB
-from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
+from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
 from gsvis.report.session_plots import PAPER_SENT
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.viewing import GOOD_DB
@@ -27,7 +27,7 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
         document: The content of `report.json`.
         figures: Plots and pictures by name.
     """
-    return filled(
+    return fill_template(
         "session_page.html",
         title=escape(simulation.title),
         version=escape(document["gsvis"]),
@@ -38,7 +38,7 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
         sent=_explain_sent(document, figures),
         figures=_tables(document),
         assumed=_explain_assumptions(document),
-        how=described(document),
+        how=describe_run(document),
     )
 
 
@@ -82,21 +82,21 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
     """Return a sentence for each visit with views that show nothing; text."""
-    told = []
+    remarks = []
     for visit in document["visits"]:
         count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
         if some == 0:
-            told.append(
+            remarks.append(
                 f"The path sees nothing of {name} in any of {count:,} views: there is nothing to compare."
                 " Is the path in the frame of the scene?"
             )
         elif some < count:
-            told.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
-    return told
+            remarks.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
+    return remarks
 
 
 def _lead(document: dict[str, Any]) -> str:
-    remarks = "".join(f"<p class='lead'><strong>{escape(told)}</strong></p>" for told in content_remarks(document))
+    remarks = "".join(f"<p class='lead'><strong>{escape(remark)}</strong></p>" for remark in content_remarks(document))
     link, config, visits = document["link"], document["config"], document["visits"]
     first = visits[0]["systems"]
     others = " and ".join(escape(s["system"]) for s in first[1:])
@@ -120,13 +120,13 @@ def _tiles(document: dict[str, Any]) -> str:
         return "; ".join(f"{s['system']}: {_or_never(s['figures'][key], spell)}" for s in rest)
 
     shown = []
-    for key, told, spell in (
+    for key, label, spell in (
         ("seconds_to_first_image", f"to a first image of {FIRST_FRAME_DB:g} dB", lambda v: f"{v:.1f} s"),
         ("seconds_to_good_image", f"to an image of {GOOD_DB:g} dB", lambda v: f"{v:.1f} s"),
         ("latency", "from a pose to its image, on average", lambda v: f"{v:.3f} s"),
         ("score", "quality of experience of a step", lambda v: f"{v:.2f}"),
     ):
-        shown.append((_or_never(ours["figures"][key], spell), told, beside(key, spell)))
+        shown.append((_or_never(ours["figures"][key], spell), label, beside(key, spell)))
     return tiles(shown)
 
 
@@ -152,8 +152,8 @@ def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
             found = figures.get(f"shown_{v}_{round(1000 * t)}_{k}")
             if found is None:
                 continue
-            told = "The full scene." if not name else f"{name}: {_quality_at(visit, k - 1, t)}."
-            drawn += figure(found, told, escape(told))
+            label = "The full scene." if not name else f"{name}: {_quality_at(visit, k - 1, t)}."
+            drawn += figure(found, label, escape(label))
         text += f"<h3>{escape(visit.title)} after {t:g} s</h3><div class='pair'>{drawn}</div>"
     return text
 

@@ -80,10 +80,10 @@ def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
         seen = _with_content(session, session.psnr)
         times, values = np.append(session.times, session.config.seconds), np.append(seen, seen[-1])
         axes.step(times, values, where="post", color=color, linestyle=style, linewidth=2.0, label=session.playback.name)
-    for level, told in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
+    for level, label in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
         axes.axhline(level, color=theme.muted, linewidth=1.2, dashes=(5, 2))
         axes.annotate(
-            f"{told}, {level:g} dB", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-2, 3),
+            f"{label}, {level:g} dB", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-2, 3),
             textcoords="offset points", ha="right", va="bottom", color=theme.muted, fontsize=9,
         )  # fmt: skip
     axes.set_xlim(0.0, end)
@@ -112,13 +112,13 @@ def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
     if terms:
         marks += [(30.0, PAPER_SENT["terms"], "paper's SRBFs"), (0.0, PAPER_SENT["terms_first"], "")]
     end = visits[0][0].config.seconds
-    for x, y, told in marks:
+    for x, y, label in marks:
         if x > end + 1e-9:
             continue
         axes.plot([x], [y], marker="D", markersize=7, color=theme.published, clip_on=False, zorder=5, linestyle="none")
-        if told:
+        if label:
             axes.annotate(
-                f"{told} {y:.1%}", (x, y), xytext=(-9, 0), textcoords="offset points", ha="right", va="center",
+                f"{label} {y:.1%}", (x, y), xytext=(-9, 0), textcoords="offset points", ha="right", va="center",
                 color=theme.published, fontsize=9, fontweight="bold",
                 bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 0.5},
             )  # fmt: skip

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color.sphere import SphereFit
-from gsvis.report.theme import LIGHT, Theme, drawn
+from gsvis.report.theme import LIGHT, Theme, draw_png
 
 __all__ = ["COUNTS", "SIDES", "draw_sphere_figure", "sphere_directions", "sphere_figure"]
 
@@ -72,7 +72,7 @@ def sphere_figure(
     def draw(axes: Axes, theme: Theme) -> None:
         draw_sphere_figure(axes, theme, function, fit, errors=errors, counts=counts, title=title)
 
-    return drawn(draw, theme, (1.27 * (1 + len(counts)) + 0.75, 5.75))
+    return draw_png(draw, theme, (1.27 * (1 + len(counts)) + 0.75, 5.75))
 
 
 def draw_sphere_figure(
@@ -99,9 +99,9 @@ def draw_sphere_figure(
     Raises:
         ValueError: If a number of terms exceeds the fit, or the number of errors does not match.
     """
-    told = [float(fit.errors[_count(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
-    if len(told) != len(counts):
-        raise ValueError(f"errors: expected {len(counts)}, one for each number of terms, got {len(told)}")
+    mean_errors = [float(fit.errors[_count(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
+    if len(mean_errors) != len(counts):
+        raise ValueError(f"errors: expected {len(counts)}, one for each number of terms, got {len(mean_errors)}")
     values = np.stack([_values(function, fit, counts, sphere_directions(side)[1]) for side in SIDES])
     cover = sphere_directions()[0]
     low, high = (float(v) for v in np.quantile(values[:, 0][:, cover > 0.5], [0.001, 0.999]))
@@ -127,7 +127,7 @@ def draw_sphere_figure(
         axes.add_patch(Circle(center, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.5, clip_on=False))
     axes.imshow(canvas, interpolation="bilinear")
     axes.set_axis_off()
-    _label(axes, theme, counts, told)
+    _label(axes, theme, counts, mean_errors)
     if title:
         axes.set_title(title, color=theme.ink, fontsize=11, fontweight="bold", pad=22)
     for norm, name, place, label in (

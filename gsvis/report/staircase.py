@@ -28,7 +28,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import parse_json
 from gsvis.files.limits import read_whole
 from gsvis.progress import Progress, silent
-from gsvis.report.html import filled, plain, table
+from gsvis.report.html import fill_template, plain, table
 
 __all__ = ["PERSON_RULE", "load_staircase_result", "write_staircase_page"]
 
@@ -229,7 +229,7 @@ def _page(
         " rests where 75% are right; the result is the geometric mean of the last turning points."
     )
     script = (files("gsvis.report") / "staircase.js").read_text(encoding="utf-8")
-    return filled(
+    return fill_template(
         "staircase.html",
         title=escape(title),
         version=escape(str(provenance.get("gsvis", ""))),

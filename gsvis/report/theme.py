@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-__all__ = ["DARK", "LIGHT", "Theme", "drawn"]
+__all__ = ["DARK", "LIGHT", "Theme", "draw_png"]
 
 _DPI = 220
 
@@ -49,7 +49,9 @@ LIGHT = Theme("#ffffff", "#1c2430", "#667080", "#e4e8ee", "#2463d6", "#d2600a", 
 DARK = Theme("#1a2029", "#e8ecf2", "#9aa5b4", "#2f3845", "#75a6ff", "#ff9d4d", "#ff7ac6", "#525d6c")
 
 
-def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple[float, float] = (5.2, 3.5)) -> bytes:
+def draw_png(
+    draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple[float, float] = (5.2, 3.5)
+) -> bytes:
     """Return a plot as PNG bytes.
 
     Args:

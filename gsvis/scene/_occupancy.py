@@ -63,7 +63,9 @@ class Occupancy:
     clear: Mask
 
     @classmethod
-    def of(cls, seen: Gaussians, low: F64, high: F64, resolution: int, max_alpha: float, clearance: float) -> Occupancy:
+    def from_gaussians(
+        cls, seen: Gaussians, low: F64, high: F64, resolution: int, max_alpha: float, clearance: float
+    ) -> Occupancy:
         """Build the grid over a box, with `resolution` voxels along its longest side.
 
         Raises:

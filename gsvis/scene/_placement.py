@@ -74,7 +74,7 @@ class Walk:
     forwards: F64
 
     @classmethod
-    def of(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> Walk:
+    def from_path(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> Walk:
         up = path.upright
         mean = path.positions.mean(axis=0)
         spread = path.positions - mean

@@ -232,7 +232,7 @@ class Cameras:
         """(C, 3) unit view directions, world frame."""
         return np.asarray(self.viewmats[:, 2, :3])
 
-    def resized(self, width: int, height: int) -> Cameras:
+    def resize(self, width: int, height: int) -> Cameras:
         """Return the same views at another resolution."""
         _check.positive_int("width", width)
         _check.positive_int("height", height)

@@ -124,11 +124,11 @@ class NavigableSpace:
         axis = axis_vector(guess_up(g)[0]) if up is None else axis_vector(up) if isinstance(up, str) else up
         axis = _check.unit_vectors("up", np.reshape(np.asarray(axis, np.float64), (1, -1)))[0]
         low, high = robust_box(seen, coverage, points)
-        space = Occupancy.of(seen, low, high, resolution, max_alpha, clearance)
+        space = Occupancy.from_gaussians(seen, low, high, resolution, max_alpha, clearance)
         free, rule, enclosed = space.choose(axis, points)
         if not enclosed and not len(points) and has_no_floaters(seen):
             margin = 0.5 * float((high - low).max()) * (1.0 - np.abs(axis))
-            space = Occupancy.of(seen, low - margin, high + margin, resolution, max_alpha, clearance)
+            space = Occupancy.from_gaussians(seen, low - margin, high + margin, resolution, max_alpha, clearance)
             free, rule = space.largest_part(), "free, around a lone object"
         return cls(space.origin, space.voxel_size, free, axis, space.occupied, space.targets(seen), rule)
 

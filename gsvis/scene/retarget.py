@@ -159,15 +159,15 @@ def _finish(
 
 
 def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -> tuple[Similarity, str]:
-    walk = Walk.of(path, navigable, config.yaws)
+    walk = Walk.from_path(path, navigable, config.yaws)
     search = Search(navigable, config.enough, config.placements, config.choices)
     voxels = np.flatnonzero(navigable.free)
     order = np.random.default_rng(config.seed).permutation(len(voxels))[: 8 * config.placements]
     cells = np.stack(np.unravel_index(voxels[order], navigable.free.shape), axis=1)
     places = navigable.origin + navigable.voxel_size * (cells + 0.5)
-    scale, told = config.scale, "given scale"
+    scale, rule = config.scale, "given scale"
     if scale is None and config.meters_per_unit is not None and path.meters_per_unit is not None:
-        scale, told = path.meters_per_unit / config.meters_per_unit, "natural scale"
+        scale, rule = path.meters_per_unit / config.meters_per_unit, "natural scale"
     stand = None  # eye height in units of the walk
     if config.eye_height is not None and path.meters_per_unit is not None and config.scale is None:
         stand = config.eye_height / path.meters_per_unit
@@ -176,22 +176,22 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
         standing = floors.at_height(stand, scale) if floors is not None else None
         found = best_placement(walk, search, scale, places, standing)
         if found is not None and stand is not None:
-            told += f", standing with the eyes at {config.eye_height:g} m"
+            rule += f", standing with the eyes at {config.eye_height:g} m"
         elif stand is not None:
-            told += f", floating: no place {config.eye_height:g} m above a floor"
+            rule += f", floating: no place {config.eye_height:g} m above a floor"
         found = found or best_placement(walk, search, scale, places, None)
         assert found is not None
-        return found.similarity, told
+        return found.similarity, rule
     for height in (stand, None) if stand is not None else (None,):
         found = _largest(walk, search, config.shrink, places, floors, height)
         if found is not None:
             break
     assert found is not None  # a walk within one voxel is always inside
-    told = f"largest scale with {config.enough:g} of the positions inside, or {config.shrink:g} of it to see more"
+    rule = f"largest scale with {config.enough:g} of the positions inside, or {config.shrink:g} of it to see more"
     if stand is None:
-        return found.similarity, told
+        return found.similarity, rule
     standing_as = f"standing as if {config.eye_height:g} m above what lies below"
-    return found.similarity, f"{told}, {'floating: no floor' if height is None else standing_as}"
+    return found.similarity, f"{rule}, {'floating: no floor' if height is None else standing_as}"
 
 
 def _largest(

@@ -12,7 +12,7 @@ from gsvis.train.initial import gaussians_from_points, random_points
 from gsvis.train.level_quality import LevelQuality, measure_levels
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 from gsvis.train.likeness import ViewLikeness, measure_views
-from gsvis.train.merge import merged
+from gsvis.train.merge import merge_gaussians
 from gsvis.train.photos import Photos, load_photos
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ __all__ = [
     "load_photos",
     "measure_levels",
     "measure_views",
-    "merged",
+    "merge_gaussians",
     "most_important",
     "prune",
     "random_points",

@@ -23,7 +23,7 @@ from gsvis.io.folders import cameras_remedy
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 
-__all__ = ["FAULTS", "MODES", "find_files", "find_views", "named", "quiet_pillow", "read_sizes", "whole_factor"]
+__all__ = ["FAULTS", "MODES", "find_files", "find_views", "join_names", "quiet_pillow", "read_sizes", "whole_factor"]
 
 Size = tuple[int, int]
 
@@ -70,9 +70,9 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
         return read_colmap(model), given or [place for folder in above for place in (folder / "images", folder)]
     file = path / "transforms.json" if path.is_dir() else path
     if not file.is_file() or file.suffix.lower() != ".json":
-        told = "a folder without either" if path.is_dir() else "another file"
+        got = "a folder without either" if path.is_dir() else "another file"
         remedy = cameras_remedy(path) if path.is_dir() else ""
-        raise FormatError(path, "", _KNOWN, told, remedy or "make one with COLMAP, and give its folder")
+        raise FormatError(path, "", _KNOWN, got, remedy or "make one with COLMAP, and give its folder")
     content = read_json(file)
     if not isinstance(content, dict):
         raise FormatError(file, "", "a transforms.json", f"JSON of {type(content).__name__}")
@@ -103,13 +103,13 @@ def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
     counts = [sum(place is not None for place in places) for places in held]
     if not counts or max(counts) == 0:
         looked = ", ".join(dict.fromkeys(str(folder) for folder in folders))
-        told = f"none of them in {looked}"
-        raise FormatError(views.path, "", f"the {len(views.names):,} images it names", told, "say where with --images")
+        text = f"none of them in {looked}"
+        raise FormatError(views.path, "", f"the {len(views.names):,} images it names", text, "say where with --images")
     best = counts.index(max(counts))
     missing = [name for name, place in zip(views.names, held[best], strict=True) if place is None]
     if missing:
-        told = f"{len(missing):,} of {len(views.names):,} missing: {named(missing)}"
-        raise FormatError(folders[best], "", f"the images that {Path(views.path).name} names", told)
+        text = f"{len(missing):,} of {len(views.names):,} missing: {join_names(missing)}"
+        raise FormatError(folders[best], "", f"the images that {Path(views.path).name} names", text)
     return [place for place in held[best] if place is not None]
 
 
@@ -140,8 +140,8 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
                 mode, size = image.mode, image.size
                 held = os.fstat(file.fileno()).st_size
         except FAULTS as error:
-            told = "something else" if "cannot identify" in str(error) else str(error) or type(error).__name__
-            raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", told, "is it damaged?") from error
+            text = "something else" if "cannot identify" in str(error) else str(error) or type(error).__name__
+            raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", text, "is it damaged?") from error
         if mode not in MODES:
             remedy = "convert the images to 8-bit RGB"
             raise FormatError(path, "", "gray or RGB with 8 bits a channel", f"Pillow's mode {mode}", remedy)
@@ -161,28 +161,28 @@ def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
         FormatError: If the sizes differ from the model's by no single whole factor; the message names up to five.
     """
     pairs = list(zip(views.sizes, sizes, strict=True))
-    factors = {max(1, round(told[0] / have[0])) for told, have in pairs}
-    best = max(sorted(factors), key=lambda k: sum(_fits(told, have, k) for told, have in pairs))
-    wrong = [i for i, (told, have) in enumerate(pairs) if not _fits(told, have, best)]
+    factors = {max(1, round(stated[0] / have[0])) for stated, have in pairs}
+    best = max(sorted(factors), key=lambda k: sum(_fits(stated, have, k) for stated, have in pairs))
+    wrong = [i for i, (stated, have) in enumerate(pairs) if not _fits(stated, have, best)]
     if not wrong:
         return best
     (width, height), have = pairs[wrong[0]]
     expected = f"{width} x {height} as the model says, or that divided by one number for all"
-    told = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
+    got = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
     remedy = "give the images that the model was made of, undistorted with it, or evenly shrunk from those"
     if have == (height, width):
         remedy = "the model is of turned images: write their EXIF orientation into the pixels"
-    raise FormatError(views.path, f"images {named([views.names[i] for i in wrong])}", expected, told, remedy)
+    raise FormatError(views.path, f"images {join_names([views.names[i] for i in wrong])}", expected, got, remedy)
 
 
-def _fits(told: Size, have: Size, factor: int) -> bool:
+def _fits(stated: Size, have: Size, factor: int) -> bool:
     """Return whether an image is the factor-th part of the model's size, rounded in either direction."""
     if not 1 <= factor <= _MOST_SHRUNK:
         return False
-    return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(told, have, strict=True))
+    return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(stated, have, strict=True))
 
 
-def named(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Return up to five names, and the number of the others."""
     more = f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else ""
     return ", ".join(map(repr, names[:_SHOWN])) + more

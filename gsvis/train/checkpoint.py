@@ -120,8 +120,8 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArr
             raise FormatError(path, "format", _FORMAT, repr(header.raw("format"))[:60])
         version = header.integer("version", 1, 1 << 30)
     except FormatError as error:
-        told = f"{error.where}: {error.got}" if error.where else error.got
-        raise FormatError(path, "", "a checkpoint of gsvis", told, _AGAIN) from error
+        got = f"{error.where}: {error.got}" if error.where else error.got
+        raise FormatError(path, "", "a checkpoint of gsvis", got, _AGAIN) from error
     if version > _VERSION:
         raise FormatError(path, "version", f"at most {_VERSION}", str(version), "update gsvis")
     return header.value, arrays

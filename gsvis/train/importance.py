@@ -68,7 +68,7 @@ def importance(
         )
     pixels = max(len(cameras), 1) * cameras.width * cameras.height
 
-    def told(stage: str, done: int, total: int) -> None:
+    def report(stage: str, done: int, total: int) -> None:
         progress("importance", done, total)
 
     if method == "weight":
@@ -80,9 +80,9 @@ def importance(
         return summed / pixels
     if method == "gradient":
         assert isinstance(views, PosedImages)
-        return _gradients(gaussians, views, background, told) / pixels
+        return _gradients(gaussians, views, background, report) / pixels
     images = views.images if method == "error" and isinstance(views, PosedImages) else None
-    effects = removal_effects(gaussians, cameras, images=images, background=background, progress=told)
+    effects = removal_effects(gaussians, cameras, images=images, background=background, progress=report)
     return {"removal": effects.squared, "absolute": effects.absolute, "error": effects.error_change}[method] / pixels
 
 
@@ -182,7 +182,7 @@ def prune(
     progress("prune", 0, total)
     for turn, size in zip(turns, schedule, strict=True):
 
-        def told(stage: str, done: int, of: int, before: int = before) -> None:
+        def report(stage: str, done: int, of: int, before: int = before) -> None:
             if done:
                 progress("prune", before + done, total)
 
@@ -190,7 +190,7 @@ def prune(
         if size < len(kept):
             left = gaussians[kept]
             presence = np.full(len(left), size / len(left), np.float32)
-            effects = removal_effects(left, cameras[turn], background=background, presence=presence, progress=told)
+            effects = removal_effects(left, cameras[turn], background=background, presence=presence, progress=report)
             found = effects.squared / max(effects.pixels, 1)
             values = found if looks is None else found + 0.5 * values
             stays = most_important(left, values, size)

@@ -55,8 +55,8 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
     places, of_point = np.unique(points.means.astype(np.float64), axis=0, return_inverse=True)
     if len(places) < 2:
-        told = f"{len(points):,} at {len(places)}"
-        raise ValueError(f"points: expected points at 2 places or more, got {told}; random_points makes some")
+        got = f"{len(points):,} at {len(places)}"
+        raise ValueError(f"points: expected points at 2 places or more, got {got}; random_points makes some")
     near, _ = cKDTree(places).query(places, k=min(_NEIGHBORS, len(places) - 1) + 1)
     apart = np.sqrt((near[:, 1:] ** 2).mean(axis=1))  # the first is the point itself
     size = float(np.ptp(places, axis=0).max())

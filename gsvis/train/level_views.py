@@ -76,11 +76,11 @@ def draw_views(
     found: list[PosedImages] = []
     for cameras in [each.cameras(g, space) for each in asked]:
 
-        def told(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
+        def report(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
             if done or not before:
                 progress(stage, before + done, total)
 
-        found.append(render_views(g, cameras, progress=told))
+        found.append(render_views(g, cameras, progress=report))
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene show nothing of it; is the up axis right?")
     told_space = f"drawn at random where eyes may be ({space.rule})"

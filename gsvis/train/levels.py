@@ -32,7 +32,7 @@ from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import prune
-from gsvis.train.merge import merged
+from gsvis.train.merge import merge_gaussians
 
 __all__ = ["LevelsConfig", "TrainedLevels", "train_levels"]
 
@@ -213,7 +213,7 @@ def train_levels(
         name = config.names[k]
         stays = masks[frozen]
 
-        def told(stage: str, done: int, of: int, name: str = name) -> None:
+        def report(stage: str, done: int, of: int, name: str = name) -> None:
             progress(f"train {name}", done, of)
 
         if begun == frozen:  # no Gaussians of its own
@@ -222,12 +222,12 @@ def train_levels(
             continue
         result = train(
             views,
-            merged(scene[~stays], begun - frozen),
+            merge_gaussians(scene[~stays], begun - frozen),
             config.training(total, scene.sh_degree),
             frozen=scene[stays],
             held_out=held_out,
             checkpoint=None if work is None else Path(work) / f"{name}.checkpoint",
-            progress=told,
+            progress=report,
         )
         owns.append(result.gaussians[frozen:])
         histories[name] = result.history
@@ -251,11 +251,11 @@ def _subsets(
     cameras = _halve(views.cameras) if choose_by is None else choose_by
     looks = len(views) if config.looks is None and choose_by is not None else config.looks
 
-    def chosen() -> list[Mask]:
+    def choose() -> list[Mask]:
         return prune(scene, cameras, counts, share=config.prune_share, looks=looks, progress=progress)
 
     if work is None:
-        return dict(zip(counts, chosen(), strict=True))
+        return dict(zip(counts, choose(), strict=True))
     path = Path(work) / "subsets.npz"
     shape = cameras.width, cameras.height
     rules = [scene_hash(scene), counts, config.prune_share, looks, shape]
@@ -271,15 +271,15 @@ def _subsets(
             if found == key and bits.sum(axis=1).tolist() != counts:
                 raise ValueError("masks of other sizes")
         except (FormatError, KeyError, TypeError, ValueError) as error:
-            told = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
-            raise FormatError(path, "", "the chosen subsets", told, "delete it to choose anew") from error
+            got = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
+            raise FormatError(path, "", "the chosen subsets", got, "delete it to choose anew") from error
         if found != key:
             raise ValueError(
                 f"work: expected {os.fspath(work)} to be of the same scene, views and sizes, got another run's; "
                 "delete it to begin anew, or name another folder"
             )
         return dict(zip(counts, bits, strict=True))
-    masks = chosen()
+    masks = choose()
     packed = np.packbits(np.stack(masks), axis=1)
     save_arrays(path, {"key": np.frombuffer(key.encode(), np.uint8), "masks": packed})
     return dict(zip(counts, masks, strict=True))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 
-__all__ = ["merge_by_cell", "merged", "occupied_voxels"]
+__all__ = ["merge_by_cell", "merge_gaussians", "occupied_voxels"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -21,7 +21,7 @@ _MOST_OPAQUE = 0.996  # the largest value of a byte
 _KNUD_THOMSEN = 1.6  # surface of an ellipsoid to about 1%
 
 
-def merged(g: Gaussians, count: int) -> Gaussians:
+def merge_gaussians(g: Gaussians, count: int) -> Gaussians:
     """Merge a scene into `count` Gaussians: one for each occupied voxel of a grid.
 
     - The grid has its corner at the median of the centers. Its side is bisected until the occupied voxels are at least
@@ -88,7 +88,7 @@ def occupied_voxels(points: F64, side: float) -> I64:
 
 
 def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
-    """Merge the Gaussians of each cell into one, by the rules of `merged`.
+    """Merge the Gaussians of each cell into one, by the rules of `merge_gaussians`.
 
     Args:
         g: N Gaussians.

@@ -23,7 +23,7 @@ from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent
 from gsvis.scene.points import PointCloud
-from gsvis.train._photo_files import FAULTS, find_files, find_views, named, quiet_pillow, read_sizes, whole_factor
+from gsvis.train._photo_files import FAULTS, find_files, find_views, join_names, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
 __all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
@@ -140,7 +140,8 @@ def _check_target(downscale: float | None, size: Size | None) -> None:
 def _resize(views: Views, sizes: list[Size]) -> Views:
     """Return the same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they scale."""
     ratios = [
-        np.array([have[0] / told[0], have[1] / told[1], 1.0]) for told, have in zip(views.sizes, sizes, strict=True)
+        np.array([have[0] / stated[0], have[1] / stated[1], 1.0])
+        for stated, have in zip(views.sizes, sizes, strict=True)
     ]
     ks = [k * ratio[:, None] for k, ratio in zip(views.Ks, ratios, strict=True)]
     return Views(views.path, views.names, views.viewmats, ks, sizes)
@@ -152,21 +153,21 @@ def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
     least = min(width for width, _ in found), min(height for _, height in found)
     if size is None:
         if len(found) > 1:
-            told = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
+            got = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
             remedy = f"give one to shrink all to, such as --size {least[0]}x{least[1]}"
-            raise FormatError(views.path, "", "images of one size", f"{len(found)} sizes: {told}", remedy)
+            raise FormatError(views.path, "", "images of one size", f"{len(found)} sizes: {got}", remedy)
         size = max(1, round(least[0] / (downscale or 1.0))), max(1, round(least[1] / (downscale or 1.0)))
         if min(size) < _LEAST_SIDE:
-            told = f"{size[0]} x {size[1]}"
+            got = f"{size[0]} x {size[1]}"
             if min(least) < _LEAST_SIDE:
-                raise FormatError(views.path, "", f"images of at least {_LEAST_SIDE} pixels a side", told)
-            raise ValueError(f"downscale: expected images of at least {_LEAST_SIDE} pixels a side, got {told}")
+                raise FormatError(views.path, "", f"images of at least {_LEAST_SIDE} pixels a side", got)
+            raise ValueError(f"downscale: expected images of at least {_LEAST_SIDE} pixels a side, got {got}")
     if size[0] > least[0] or size[1] > least[1]:
         name = next(
             n for n, have in zip(views.names, views.sizes, strict=True) if size[0] > have[0] or size[1] > have[1]
         )
-        told = f"{size[0]} x {size[1]}, which is more than {name!r} has"
-        raise ValueError(f"size: expected at most {least[0]} x {least[1]}, got {told}")
+        got = f"{size[0]} x {size[1]}, which is more than {name!r} has"
+        raise ValueError(f"size: expected at most {least[0]} x {least[1]}, got {got}")
     return size[0], size[1]
 
 
@@ -208,9 +209,9 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     if len(broken) > 1:
-        names = named([Path(error.path).name for error in broken])
-        told = f"{len(broken):,} that cannot be read: {names}"
-        raise FormatError(files[0].parent, "", "whole images", told, broken[0].got)
+        names = join_names([Path(error.path).name for error in broken])
+        got = f"{len(broken):,} that cannot be read: {names}"
+        raise FormatError(files[0].parent, "", "whole images", got, broken[0].got)
     if broken:
         raise broken[0]
     return pixels, count
@@ -230,8 +231,8 @@ def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
             else:
                 rgb = image.convert("RGB")
     except FAULTS as error:
-        told = str(error) or type(error).__name__
-        raise FormatError(path, "", "a whole image", told, "is it damaged? copy it again") from error
+        got = str(error) or type(error).__name__
+        raise FormatError(path, "", "a whole image", got, "is it damaged? copy it again") from error
     if rgb.size != size:
         rgb = rgb.resize(size, Image.Resampling.LANCZOS)
     return np.asarray(rgb), transparent

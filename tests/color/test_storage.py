@@ -97,7 +97,7 @@ def test_the_header_tells_what_is_in_the_file(saved: tuple[Path, Gaussians, Srbf
     assert info.nbytes == path.stat().st_size
     packed = quantize(colors, "coarse")
     save_srbf(path, g, packed)
-    assert srbf_info(path).grids == packed.grids == Grids.of(packed.dequantize(), "coarse")
+    assert srbf_info(path).grids == packed.grids == Grids.from_colors(packed.dequantize(), "coarse")
 
 
 def test_any_arrow_client_reads_it(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
