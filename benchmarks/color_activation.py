@@ -98,7 +98,7 @@ class View:
     full: NDArray[np.float32]
 
     @classmethod
-    def of(cls, subject: Subject, camera: Cameras) -> View:
+    def from_subject(cls, subject: Subject, camera: Cameras) -> View:
         largest = view_weights(subject.g, camera).largest[0]
         ids = np.flatnonzero(largest >= np.float32(WalkConfig.tau))
         return cls(camera, ids, np.minimum(largest[ids], 1.0), subject.image(camera))
@@ -135,9 +135,9 @@ def main() -> None:
     subject = Subject(g, colors, Evaluator(colors))
     log(f"{g}, {colors}: {colors.num_terms / max(1, len(g)):.2f} terms a Gaussian")
 
-    views = [View.of(subject, camera) for camera in cameras_of(space, 4, 2, size)]
+    views = [View.from_subject(subject, camera) for camera in cameras_of(space, 4, 2, size)]
     found = {rule: calibration(subject, views, weighted, options.epsilon) for rule, weighted in RULES.items()}
-    views = [View.of(subject, camera) for camera in cameras_of(space, options.cameras, 1, size)]
+    views = [View.from_subject(subject, camera) for camera in cameras_of(space, options.cameras, 1, size)]
     rows = {}
     for rule, weighted in RULES.items():
         curve = by_epsilon(subject, views, weighted, sorted({*EPSILONS, found[rule]["epsilon"]}))

@@ -70,10 +70,10 @@ def main() -> None:
         flat = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
         colors = fit_srbf(flat, None, FitConfig(variant="hsl", max_terms=0)).colors
     single = Levels.single(g)
-    permutation = PackageOrder.of(single).permutation
+    permutation = PackageOrder.from_levels(single).permutation
     levels, colors = in_package_order(single), colors[permutation]
     packed = quantize(colors, "wire")
-    contents = Contents.of(levels, packed)
+    contents = Contents.from_levels(levels, packed)
     cost = measure_cost(levels, colors, packed, cameras)
     with tempfile.TemporaryDirectory() as place:
         with write_package(Path(place) / "s.gsvis", levels, packed) as package:

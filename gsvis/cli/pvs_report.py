@@ -108,7 +108,7 @@ def _command_line(command: PvsReport) -> str:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """What was measured, the figures beside their targets, and what faint classes are worth."""
-    from gsvis.report.pvs_page import format_target, spelled
+    from gsvis.report.pvs_page import format_target, format_value
 
     store, quality = document["store"], document["quality"]
     config, share = quality["config"], store["visible_share"]
@@ -122,7 +122,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     ]
     figures = []
     for each in quality["figures"].values():
-        mean, worst = (spelled(each[which], each["unit"]) for which in ("mean", "worst"))
+        mean, worst = (format_value(each[which], each["unit"]) for which in ("mean", "worst"))
         wanted = [(each[f"target_{which}"], each[f"met_{which}"]) for which in ("mean", "worst")]
         beside = "; ".join("" if target is None else format_target(target, each["unit"]) for target, _ in wanted)
         verdicts = [met for _, met in wanted if met is not None]
@@ -132,7 +132,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         (
             "whole set" if not each["least_class"] else f"weights from {each['least_weight']:.3g}",
             size_of(round(each["bytes"])),
-            spelled(each["weighted_recall"], "share"),
+            format_value(each["weighted_recall"], "share"),
             f"{each['psnr']:.1f} dB",
             "" if each["lost_per_megabyte"] is None else f"{each['lost_per_megabyte']:.2f}",
         )

@@ -242,7 +242,7 @@ class Package:
     def _widths(self) -> tuple[int, int, int]:
         """Bytes of a record, of axes and of a term."""
         grids = self.manifest.grids
-        return RECORD_BYTES, 2 * grids.kind.num_axes, TermLayout.of(grids).nbytes
+        return RECORD_BYTES, 2 * grids.kind.num_axes, TermLayout.from_grids(grids).nbytes
 
     def _budget(self) -> Budget:
         """Memory for all parts together, by their real size; a part that is named twice counts once."""

@@ -82,7 +82,7 @@ class SceneArrays:
     config: PvsConfig
 
     @classmethod
-    def of(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
+    def from_levels(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
         """The arrays themselves."""
         arrays = {name: getattr(levels.union, name) for name in _SHAPES}
         return cls(key, arrays | {name: getattr(levels, name) for name in _MEMBERSHIP}, config)

@@ -1,4 +1,4 @@
-"""The two Embree engines behind one small interface: first face of a ray, and all faces where the engine lists them.
+"""Wrap the two Embree engines in one small interface: the first face of a ray, and all faces if the engine lists them.
 
 Both trace the same float32 triangles. Distances are in scene units along unit directions; a miss is inf and face -1.
 """
@@ -22,19 +22,19 @@ I64 = NDArray[np.int64]
 
 
 class Engine(Protocol):
-    """What a tracer needs of an engine."""
+    """Interface between a tracer and an engine."""
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
-        """Distance (R,) and face (R,) of the first hit of each ray; inf and -1 for a miss."""
+        """Return distance (R,) and face (R,) of the first hit of each ray; inf and -1 for a miss."""
         ...
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
-        """Ray (H,) and face (H,) of every hit, rays in order."""
+        """Return ray (H,) and face (H,) of every hit, rays in order."""
         ...
 
 
 class Open3dEngine:
-    """Embree through Open3D's RaycastingScene, on all cores."""
+    """Use Embree through Open3D's RaycastingScene, on all cores."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
         get_num_threads()  # starts numba's threads before open3d brings a TBB that numba finds too old, and says so
@@ -52,19 +52,19 @@ class Open3dEngine:
             self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
-        """See `Engine`."""
+        """Return first hits; see `Engine`."""
         answer = self._scene.cast_rays(_rays32(rays_o, rays_d))
         faces = answer["primitive_ids"].numpy()
         return _hits(answer["t_hit"].numpy(), np.where(faces == self._scene.INVALID_ID, -1, faces.astype(np.int64)))
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
-        """See `Engine`."""
+        """Return all hits; see `Engine`."""
         answer = self._scene.list_intersections(_rays32(rays_o, rays_d))
         return answer["ray_ids"].numpy().astype(np.int64), answer["primitive_ids"].numpy().astype(np.int64)
 
 
 class EmbreexEngine:
-    """Embree through embreex, one core, first hits alone."""
+    """Use Embree through embreex: one core, first hits only."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -75,15 +75,15 @@ class EmbreexEngine:
         self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
-        """See `Engine`."""
+        """Return first hits; see `Engine`."""
         if self._mesh is None:
             return np.full(len(rays_o), np.inf), np.full(len(rays_o), -1, np.int64)
         answer = self._scene.run(rays_o.astype(np.float32), rays_d.astype(np.float32), output=True)
         return _hits(answer["tfar"], answer["primID"].astype(np.int64))
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
-        """Not offered: embreex answers with one hit a ray, and restarting behind it loses coincident faces."""
-        raise BackendError("engine 'embreex' lists first hits alone; use engine='open3d' or search='hierarchy'")
+        """Raise: embreex returns one hit per ray, and restarting behind it loses coincident faces."""
+        raise BackendError("engine 'embreex' lists first hits only; use engine='open3d' or search='hierarchy'")
 
 
 ENGINES: dict[str, type[Open3dEngine] | type[EmbreexEngine]] = {"open3d": Open3dEngine, "embreex": EmbreexEngine}

@@ -1,4 +1,4 @@
-"""Reports: plots, pictures, one JSON document and one self-contained page of what an analysis found."""
+"""Reports: plots, pictures, one JSON document and one self-contained page for the results of an analysis."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what brings the rasterizer, and what needs matplotlib, when it is asked for."""
+    """Import names that need the rasterizer or matplotlib on first use."""
     if name in ("Approximations", "flip_difference"):
         from gsvis.report import approximations
 

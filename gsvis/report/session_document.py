@@ -1,4 +1,4 @@
-"""The report on simulated sessions on disk: `report.json`, plots and pictures as PNG, `report.html` with all inside."""
+"""Write the report on simulated sessions: `report.json`, plots and pictures as PNG, `report.html` with all inside."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _PLOTS = ("qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start")
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """One scene, from the moment at which it is asked for.
+    """One scene, from the moment of its request.
 
     Attributes:
-        title: The scene's name.
-        sessions: Of every system, ours first.
-        compared_with: What the full scene is, in words.
+        title: Name of the scene.
+        sessions: Sessions of every system, ours first.
+        compared_with: Description of the full scene.
         path: Facts on the path, ready for JSON.
         scene: Facts on the scene, ready for JSON.
-        pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene under the name "".
+        pictures: (seconds, system, (H, W, 3) image) shown; the full scene has the name "".
     """
 
     title: str
@@ -50,15 +50,15 @@ class Visit:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Visits one after the other over one link.
+    """Consecutive visits over one link.
 
     Attributes:
-        visits: In their order.
-        link: As it is at the beginning of the first.
+        visits: The visits, in order.
+        link: The link at the start of the first visit.
         command: The exact command that makes this report again.
-        version: Of gsvis.
+        version: Version of gsvis.
         parameters: All parameters by name.
-        seconds: How long each stage took, by its name.
+        seconds: Duration of each stage, by name.
     """
 
     visits: tuple[Visit, ...]
@@ -70,15 +70,15 @@ class Simulation:
 
     @property
     def title(self) -> str:
-        """The names of the scenes."""
+        """Names of the scenes."""
         return ", then ".join(dict.fromkeys(visit.title for visit in self.visits))
 
 
 def session_document(simulation: Simulation) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
-        simulation: What was simulated.
+        simulation: The simulation.
     """
     link, config = simulation.link, simulation.visits[0].sessions[0].config
     end = config.seconds * len(simulation.visits)
@@ -114,15 +114,15 @@ def session_document(simulation: Simulation) -> dict[str, Any]:
 def write_session_report(
     folder: str | os.PathLike[str], simulation: Simulation, *, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Draw everything and write the folder, whole or not at all.
+    """Draw everything and write the folder, atomically.
 
     Args:
-        folder: Made if missing; files in it that are not of a report stay.
-        simulation: What was simulated.
+        folder: Created if missing; files in it that do not belong to a report are kept.
+        simulation: The simulation.
         progress: Called with stage "writing".
 
     Returns:
-        What was written as `report.json`.
+        The content of `report.json`.
 
     Raises:
         ValueError: If there is no visit.
@@ -143,7 +143,7 @@ def write_session_report(
         *folder.glob("shown_*_*_*.png"),
     ]:
         if stale.name not in kept:
-            stale.unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+            stale.unlink(missing_ok=True)  # belongs to an earlier report
     return document
 
 
@@ -169,7 +169,7 @@ def _plots(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
         draw_shares,
         draw_start,
     )
-    from gsvis.report.theme import DARK, LIGHT, drawn
+    from gsvis.report.theme import DARK, LIGHT, draw_png
 
     visits = [visit.sessions for visit in simulation.visits]
     trace = simulation.link.trace
@@ -185,6 +185,6 @@ def _plots(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
     progress("writing", 0, len(plots))
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, len(plots))
     return figures

@@ -80,7 +80,7 @@ def test_the_folder_of_parts_is_listed_once_while_parts_are_written(
 @pytest.mark.parametrize("variant", ["rgb", "hsl", "axes", "axis", "yuv"])
 def test_what_is_read_is_what_was_written(tmp_path: Path, variant: str) -> None:
     levels, (_, colors) = levels_of(), colors_of(400, variant)
-    made = Contents.of(levels, colors)
+    made = Contents.from_levels(levels, colors)
     with written(tmp_path / "s.gsvis", variant=variant) as package:
         read = package.contents
         for name in ("records", "term_counts", "term_records", "axes", "chunk_levels", "starts"):
@@ -131,7 +131,7 @@ def test_gaussians_in_one_place_are_ordered_by_what_they_are() -> None:
 
 def test_the_order_is_by_level_and_in_a_chunk_by_what_is_likely_to_be_seen() -> None:
     levels = levels_of(3000)
-    order = orders.PackageOrder.of(levels)
+    order = orders.PackageOrder.from_levels(levels)
     np.testing.assert_array_equal(order.permutation, np.arange(3000))
     keys = levels.first.astype(int) * 16 - levels.last
     assert np.all(np.diff(keys) >= 0)

@@ -123,8 +123,8 @@ def test_the_page_is_whole_and_needs_nothing_else(kept: tuple[FittedColors, Path
     assert len(outline.alternatives) == len(PLOTS | VIEWS)
     assert not {"script", "b"} & set(outline.tags)  # the title's markup is text
     text = " ".join(" ".join(outline.words).split())
-    for told in (AWKWARD, "gsvis <x> & y", f"{fitted.colors.num_terms:,}", "0.12 MB", "model observer"):
-        assert told in text
+    for label in (AWKWARD, "gsvis <x> & y", f"{fitted.colors.num_terms:,}", "0.12 MB", "model observer"):
+        assert label in text
 
 
 def test_the_same_again_and_no_pictures_of_an_earlier_report(

@@ -224,13 +224,13 @@ def test_a_report_is_the_same_every_time(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (0.6, 0.0, 0.8)])
 def test_a_map_is_seen_from_above(up: tuple[float, float, float]) -> None:
     g = made()[1].gaussians
-    ground = Ground.of(g, up)
+    ground = Ground.from_scene(g, up)
     assert np.cross(ground.right, ground.onward) == pytest.approx(up)
     assert ground.project(g.means.astype(float)) == pytest.approx(ground.places)
 
 
 def test_a_map_holds_eyes_far_outside() -> None:
-    ground = Ground.of(made()[1].gaussians, (0, 0, 1), np.array([[100.0, -50.0, 3.0]]))
+    ground = Ground.from_scene(made()[1].gaussians, (0, 0, 1), np.array([[100.0, -50.0, 3.0]]))
     assert np.all(ground.box[1] > [100.0, -1.0])
     assert np.all(ground.box[0] < [0.0, -50.0])
 

@@ -84,8 +84,8 @@ def test_the_page_stands_alone(written: tuple[dict[str, Any], Path]) -> None:
     assert not {"script", "link"} & set(outline.tags)
     assert outline.tags.count("img") == len(PLOTS) + 6
     text = " ".join(" ".join(outline.words).split())
-    for told in (f"{AWKWARD} 0", "<a link> & more", "whole file", "never", "0 dB", "gsvis simulate <x> & y", "<kept>"):
-        assert told in text
+    for label in (f"{AWKWARD} 0", "<a link> & more", "whole file", "never", "0 dB", "gsvis simulate <x> & y", "<kept>"):
+        assert label in text
     assert "$" not in text.replace("$title", "")
 
 

@@ -176,7 +176,7 @@ def test_what_cannot_be_trained_is_refused(views: PosedImages, start: Gaussians)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"iterations": 0}, "iterations: expected"),
         ({"sh_degree": 4}, "sh_degree: expected 0 to 3, got 4"),
@@ -185,8 +185,8 @@ def test_what_cannot_be_trained_is_refused(views: PosedImages, start: Gaussians)
         ({"means_rate_end": float("nan")}, "means_rate_end: expected a finite number > 0"),
     ],
 )
-def test_configurations_that_make_no_sense_are_refused(change: dict[str, float], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_configurations_that_make_no_sense_are_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         replace(CONFIG, **change)  # type: ignore[arg-type]
 
 
