@@ -131,3 +131,15 @@ def test_the_image_copies_files_that_exist_and_are_sent() -> None:
         for source in sources.split():
             assert (ROOT / source).exists()
             assert f"!{source}" in ignored
+
+
+def test_pages_of_formats_name_the_versions_of_the_code() -> None:
+    from gsvis.package.manifest import FORMAT, VERSION
+    from gsvis.stream import PROTOCOL
+
+    assert f'| `format`, `version` | `"{FORMAT}"`, {VERSION} |' in read("docs/package.md")
+    wire = read("docs/streaming.md")
+    assert f"The version of the protocol is {PROTOCOL}." in wire
+    assert f"| `protocol` | {PROTOCOL} |" in wire
+    assert f"| u8 | version, {PROTOCOL};" in wire
+    assert f"**Packages and the protocol are version {VERSION}**" in read("CHANGELOG.md")

@@ -94,6 +94,25 @@ def test_every_page_of_the_tutorials_has_commands() -> None:
     assert sum(len(blocks(page)) for page in PAGES) > 30
 
 
+FENCED = re.compile(r"^```(?:sh)?\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+COMMANDS = [
+    (page.name, line)
+    for page in [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))]
+    for block in FENCED.findall(page.read_text(encoding="utf-8"))
+    for line in re.findall(r"^(?:[A-Z_]+=\S+ )?gsvis (.*?)(?: \| .*)?$", block, flags=re.MULTILINE)
+]
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS)
+def test_commands_that_pages_only_show_are_commands(page: str, line: str) -> None:
+    parse(words_of(line))
+
+
+def test_the_pages_show_commands() -> None:
+    assert {"README.md", "cli.md"} <= {page for page, _ in COMMANDS}
+    assert len(COMMANDS) > 30
+
+
 def cells_of(notebook: Path) -> list[dict[str, Any]]:
     found = json.loads(notebook.read_text(encoding="utf-8"))
     assert (found["nbformat"], found["nbformat_minor"]) == (4, 5)
