@@ -94,11 +94,12 @@ def test_every_page_of_the_tutorials_has_commands() -> None:
     assert sum(len(blocks(page)) for page in PAGES) > 30
 
 
-FENCED = re.compile(r"^```(?:sh)?\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 COMMANDS = [
     (page.name, line)
     for page in [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))]
-    for block in FENCED.findall(page.read_text(encoding="utf-8"))
+    for language, block in FENCED.findall(page.read_text(encoding="utf-8"))
+    if language in {"", "sh"}
     for line in re.findall(r"^(?:[A-Z_]+=\S+ )?gsvis (.*?)(?: \| .*)?$", block, flags=re.MULTILINE)
 ]
 
