@@ -37,7 +37,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
-gsvis COMMAND --help tells more, gsvis --version the version."""
+gsvis COMMAND --help lists options; gsvis --version prints the version."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
