@@ -61,7 +61,7 @@ def draw_png(
     """
     with rc_context(_style(theme)):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)
         draw(figure.add_subplot(), theme)
         out = io.BytesIO()
         canvas.print_png(out, metadata={"Software": None})  # the bytes of savefig, which draws twice
