@@ -54,7 +54,7 @@ def blank() -> bytes:
     """A plot without any content, as PNG bytes."""
     from gsvis.report import theme
 
-    return theme.drawn(lambda axes, colors: axes.set_axis_off())
+    return theme.draw_png(lambda axes, colors: axes.set_axis_off())
 
 
 @pytest.fixture
