@@ -51,6 +51,7 @@ class Page:
 
 
 PAGES = {
+<<<<<<< HEAD
     "trust": Page(
         "Trust",
         (
@@ -67,6 +68,10 @@ PAGES = {
             "startup",
         ),
     ),
+=======
+    "trust": Page("Trust", ("fuzz", "kill", "server_soak", "stress", "check_repeated", "suite", "mutations", "lowest")),
+    "install": Page("Installing and starting", ("install", "startup")),
+>>>>>>> h-extras2
     "formats": Page("Files", ("load_ply", "load_packed")),
     "visibility": Page(
         "What a view needs",
@@ -177,6 +182,21 @@ SECTIONS = (
                 ours="{0:.0f}; one since tested, the others change no result",
                 target="0",
             ),
+        ),
+    ),
+    Section(
+        "What does an install bring?",
+        "install",
+        (
+            Row(
+                "How much does the bare install bring?",
+                ("install: gsvis: packages", "install: gsvis: size"),
+                ours="{0:.0f} packages, {1:.0f} MB",
+                peer="`gsvis[all]`: 108 packages, 2338 MB",
+                target="≤ 30 packages, ≤ 800 MB",
+            ),
+            Row("How long does `import gsvis` take?", ("startup: import gsvis",), ours="{0:.2f} s"),
+            Row("And `gsvis --help`, beside other work?", ("startup: gsvis --help",), ours="{0:.1f} s"),
         ),
     ),
     Section(
