@@ -51,7 +51,6 @@ class Page:
 
 
 PAGES = {
-<<<<<<< HEAD
     "trust": Page(
         "Trust",
         (
@@ -64,14 +63,9 @@ PAGES = {
             "suite",
             "mutation",
             "lowest",
-            "install",
-            "startup",
         ),
     ),
-=======
-    "trust": Page("Trust", ("fuzz", "kill", "server_soak", "stress", "check_repeated", "suite", "mutations", "lowest")),
     "install": Page("Installing and starting", ("install", "startup")),
->>>>>>> h-extras2
     "formats": Page("Files", ("load_ply", "load_packed")),
     "visibility": Page(
         "What a view needs",
