@@ -107,7 +107,7 @@ def test_damage_inside_a_store_is_told_before_anything_is_written(
 ) -> None:
     data = bytearray(built[0].read_bytes())
     with VisibilityStore.open(built[0]) as store:
-        start = store._container.section("sets").offset
+        start = store._file.section("sets").offset
     data[start + 2] ^= 255
     bad = tmp_path / "bad.pvs"
     bad.write_bytes(bytes(data))
