@@ -7,9 +7,6 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gsvis import _check
 from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
@@ -29,32 +26,11 @@ from gsvis.report.session_plots import (
 from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
-from gsvis.simulate.viewing import Viewing
+from gsvis.simulate.visits import Visit
 
-__all__ = ["Simulation", "Visit", "session_document", "write_session_report"]
+__all__ = ["Simulation", "session_document", "write_session_report"]
 
 _PLOTS = ("qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start")
-
-
-@dataclass(frozen=True, eq=False)
-class Visit:
-    """One scene, from the moment at which it is asked for.
-
-    Attributes:
-        title: The scene's name.
-        sessions: Of every system, ours first.
-        compared_with: What the full scene is, in words.
-        path: Facts on the path, ready for JSON.
-        scene: Facts on the scene, ready for JSON.
-        pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene under the name "".
-    """
-
-    title: str
-    sessions: tuple[Viewing, ...]
-    compared_with: str
-    path: dict[str, Any] = field(default_factory=dict)
-    scene: dict[str, Any] = field(default_factory=dict)
-    pictures: tuple[tuple[float, str, NDArray[np.float32]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
