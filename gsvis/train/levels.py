@@ -272,11 +272,11 @@ def _subsets(
                 raise ValueError("masks of other sizes")
         except (FormatError, KeyError, TypeError, ValueError) as error:
             got = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
-            raise FormatError(path, "", "the chosen subsets", got, "delete it to choose anew") from error
+            raise FormatError(path, "", "the chosen subsets", got, "delete it to choose again") from error
         if found != key:
             raise ValueError(
-                f"work: expected {os.fspath(work)} to be of the same scene, views and sizes, got another run's; "
-                "delete it to begin anew, or name another folder"
+                f"work: expected {os.fspath(work)} to belong to the same scene, views and sizes, got another run's; "
+                "delete it to start again, or name another folder"
             )
         return dict(zip(counts, bits, strict=True))
     masks = choose()
