@@ -162,8 +162,8 @@ def same_length(**arrays: NDArray[Any]) -> int:
     """Return the common first length of the arrays, given by their names."""
     lengths = {name: len(array) for name, array in arrays.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ValueError(f"{' / '.join(lengths)}: expected one length for all, got {told}")
+        got = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ValueError(f"{' / '.join(lengths)}: expected one length for all, got {got}")
     return next(iter(lengths.values()))
 
 

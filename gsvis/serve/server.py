@@ -1,4 +1,4 @@
-"""A server: an application bound to an address, run until it is told to stop, here or in a thread of its own."""
+"""A server: an application bound to an address, run until it is asked to stop, here or in a thread of its own."""
 
 from __future__ import annotations
 
