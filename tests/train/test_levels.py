@@ -235,7 +235,7 @@ def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tm
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for other in others:
         with pytest.raises(
-            ValueError, match=r"work: expected .* of the same scene, views and sizes, got another run's"
+            ValueError, match=r"work: expected .* to the same scene, views and sizes, got another run's"
         ):
             train_levels(*other, work=tmp_path)
     for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
