@@ -111,7 +111,7 @@ def figures(found: Quality) -> list[dict[str, Any]]:
         pairs = (("mean", each.mean, each.targets[0]), (f"worst {each.worst_of}", each.worst, each.targets[1]))
         for label, reached, target in pairs:
             if reached is not None:
-                name = f"{each.told}, {label}"
+                name = f"{each.label}, {label}"
                 better = each.better or "lower"
                 listed.append({"name": name, "target": target, "reached": reached, "unit": each.unit, "better": better})
     return listed

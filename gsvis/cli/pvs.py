@@ -205,9 +205,9 @@ def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> Visib
         kept = done if stage == "cells" else kept
         status(stage, done, total)
 
-    g, told = plan.source.whole, progress
+    g, report = plan.source.whole, progress
     try:
-        return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=told)
+        return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=report)
     except KeyboardInterrupt:
         if not kept:
             raise
