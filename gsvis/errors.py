@@ -8,7 +8,8 @@
     │   └── MissingExtraError    an optional package is missing; names the extra (also an `ImportError`)
     └── OutputError       a file cannot be written: the disk is full, or the place is not ours (also an `OSError`)
 
-A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*.
+A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*. It is an `ArgumentError` where a command
+has another name for the argument.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import os
 from os import PathLike, fspath
 
 __all__ = [
+    "ArgumentError",
     "BackendError",
     "FormatError",
     "GsvisError",
@@ -33,6 +35,32 @@ _MOST_TEXT = 400
 
 class GsvisError(Exception):
     """Base of all errors that gsvis raises on purpose."""
+
+
+class ArgumentError(ValueError):
+    """An argument is bad; a command can name its option in place of the argument.
+
+    Args:
+        name: Name of the argument.
+        problem: What was expected and what came.
+        remedy: What the user can do about it. May be empty.
+
+    Examples:
+        >>> print(ArgumentError("shares", "expected at least one, got none").renamed("--levels", "name a share"))
+        --levels: expected at least one, got none; name a share
+    """
+
+    def __init__(self, name: str, problem: str, remedy: str = "") -> None:
+        self.name, self.problem, self.remedy = name, problem, remedy
+        super().__init__(f"{name}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+    def renamed(self, name: str, remedy: str = "") -> ArgumentError:
+        """Return the same error of an argument of another name, with another remedy if one is given."""
+        return type(self)(name, self.problem, remedy or self.remedy)
+
+    def __reduce__(self) -> tuple[type[ArgumentError], tuple[str, str, str]]:
+        """Pickled by its parts."""
+        return type(self), (self.name, self.problem, self.remedy)
 
 
 class FormatError(GsvisError):

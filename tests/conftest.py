@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,31 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip("no real data: set GSVIS_REALDATA to the folder that holds scenes/ and photos/")
     return folder
+
+
+@pytest.fixture(scope="module")
+def coarse_plots() -> Iterator[None]:
+    """Draw the plots of reports with few pixels."""
+    from gsvis.report import theme
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(theme, "_DPI", 40)
+        yield
+
+
+@pytest.fixture(scope="session")
+def blank() -> bytes:
+    """A plot without any content, as PNG bytes."""
+    from gsvis.report import theme
+
+    return theme.draw_png(lambda axes, colors: axes.set_axis_off())
+
+
+@pytest.fixture
+def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
+    """Leave the plots of reports blank, for tests that look at none: drawing takes most of a small report's time."""
+    for page in ("document", "color_document", "pvs_document", "session_document"):
+        monkeypatch.setattr(f"gsvis.report.{page}.drawn", lambda *arguments: blank)
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,7 @@ class CandidateIndex:
         links: Which Gaussians replace which.
     """
 
-    def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, cache: Cache | None = None) -> None:
+    def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, cache: Cache[Any] | None = None) -> None:
         if not 0.0 <= pixel < 1.0:
             raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
         self.index, self.cache = index, Cache(256 << 20) if cache is None else cache

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from gsvis import _check
 
@@ -220,6 +219,8 @@ def paired_difference(
     apart = a - b
     mean = float(apart.mean())
     if _check.one_of("method", method, ("t", "bootstrap")) == "t":
+        from scipy import stats  # here: it takes long to import, and few need it
+
         error = float(apart.std(ddof=1)) / np.sqrt(len(apart))
         reach = float(stats.t.ppf(0.5 + confidence / 2.0, len(apart) - 1)) * error
         low, high = mean - reach, mean + reach

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
 from gsvis.cli.source import (
@@ -46,6 +47,7 @@ def run_analyze(command: Analyze) -> None:
         FileNotFoundError: If a file is missing.
         OSError: If the report cannot be written.
     """
+    require("gsvis analyze", "matplotlib")
     check_source(command.scene, command.lod)
     check_report(command.out)
     given = _given_cameras(command)

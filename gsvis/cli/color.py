@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import tell_result
@@ -30,7 +31,6 @@ from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import OutputError, SceneError
-from gsvis.files.atomic import remove_partials
 from gsvis.files.limits import open_regular
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import space_hash
@@ -108,6 +108,7 @@ def _check_arguments(command: Color) -> ColorConfig:
             check_file(path)
             _check_no_input(name, path, command)
     if command.report is not None:
+        require("gsvis color --report", "matplotlib")
         check_report(command.report)
     written = [Path(path).absolute() for path in targets.values() if path is not None]
     if len(set(written)) < len(written):
@@ -221,16 +222,17 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
         epsilon, calibration = _epsilon(command, plan, colors, status)
         size = _write(command, plan, found, (epsilon, calibration))
     except KeyboardInterrupt:
-        if kept is None or not kept.exists():
+        if kept is None or not kept.folder.exists():
             raise
-        raise KeyboardInterrupt(f"what was found is kept in {kept.name}; the same command goes on from there") from None
+        raise KeyboardInterrupt(
+            f"what was found is kept in {kept.folder.name}; the same command goes on from there"
+        ) from None
     except OutputError as error:
-        if kept is None or not kept.exists():
+        if kept is None or not kept.folder.exists():
             raise
-        raise error.keeping(f"what was found is kept in {kept.name}") from error
+        raise error.keeping(f"what was found is kept in {kept.folder.name}") from error
     if kept is not None:
-        kept.unlink(missing_ok=True)
-        remove_partials(kept)
+        kept.remove()
     levels = plan.source.levels
     shown = None if levels is None else levels.member(len(levels) - 1)
     union = plan.source.union

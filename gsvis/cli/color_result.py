@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gsvis._extras import remedy_of
 from gsvis.cli.arguments import Color
 from gsvis.cli.source import Source, levels_spelled, summarize_levels
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
@@ -48,7 +49,7 @@ def tell_result(
             " pixels each."
         )
         if "flip" not in looked["all_terms"]:
-            lines.append(" FLIP was not asked: pip install 'gsvis[metrics]'.")
+            lines.append(f" FLIP was not asked: {remedy_of('flip_evaluator')}.")
     if command.report is not None and Path(command.report, "report.html").exists():
         lines.append(f" Report: {Path(command.report) / 'report.html'}")
     if command.staircase is not None and Path(command.staircase).exists():

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import record_of, tell_result
@@ -21,6 +22,7 @@ from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.errors import FormatError, OutputError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
+from gsvis.files.resume import folder_beside
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -69,6 +71,7 @@ def run_levels(command: Levels) -> None:
         OSError: If the folder cannot be written.
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
+    require("gsvis levels", "torch")
     config = _check_arguments(command)
     with Status() as status:
         plan = _plan(command, config, status)
@@ -80,13 +83,14 @@ def run_levels(command: Levels) -> None:
 
 def work_of(out: str, plan: str) -> Path:
     """The hidden folder beside the result that keeps a run which is not done; `plan` says which run."""
-    target = _target(out)
-    return target.with_name(f".{target.name}.partial-{hashlib.sha256(plan.encode()).hexdigest()[:12]}")
+    return folder_beside(_target(out), plan, hidden=True)
 
 
 def _begun(work: Path) -> bool:
     """Whether a folder of unfinished work holds anything to go on from."""
-    return (work / "subsets.npz").exists()
+    from gsvis.train.levels import SUBSETS
+
+    return (work / SUBSETS).exists()
 
 
 def _target(out: str) -> Path:

@@ -18,7 +18,7 @@ from gsvis.cli.pvs import local_workers, sets_config
 from gsvis.cli.source import check_folder, check_source, free_space, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
-from gsvis.errors import SceneError
+from gsvis.errors import ArgumentError, SceneError
 
 if TYPE_CHECKING:
     from gsvis.prepare import PrepareConfig
@@ -52,7 +52,7 @@ def run_prepare(command: Prepare) -> None:
         status("space", 0, 1)
         space = free_space(source, command.box, command.up)
         status("space", 1, 1)
-        work = WorkFolder(command.out).path
+        work = WorkFolder(command.out).folder
         if work.exists():
             status.line(f"what {work.name} keeps is taken from there, as far as it fits")
         about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}
@@ -67,9 +67,9 @@ def run_prepare(command: Prepare) -> None:
                         source.whole, command.out, space, config,
                         photos=command.photos, about=about, workers=workers, progress=progress,
                     )  # fmt: skip
-        except ValueError as error:
-            if str(error).startswith("shares:"):
-                raise ValueError(f"--levels{str(error)[6:]}; larger shares, or a finer --lod") from None
+        except ArgumentError as error:
+            if error.name == "shares":
+                raise error.renamed("--levels", "larger shares, or a finer --lod") from None
             raise
         except KeyboardInterrupt:
             if command.dry_run:
@@ -87,10 +87,8 @@ def run_prepare(command: Prepare) -> None:
 
 def _check_arguments(command: Prepare) -> PrepareConfig:
     """Everything about the arguments that can be known before work begins."""
-    from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
     from gsvis.prepare.colors import ColorConfig
-    from gsvis.prepare.work import WorkFolder
     from gsvis.scene.view_sampling import ViewSampling
 
     check_source(command.scene, command.lod)
@@ -99,15 +97,15 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     parse_up(command.up)
     _check_training(command)
     check_folder(Path(command.out).absolute().parent)
-    check_target(Path(command.out))
-    WorkFolder(command.out).check()
     sampling = view_sampling(command.views, command.size, command.seed)
     levels = None
     if command.levels and not is_levels(command.scene):
         try:
             levels = levels_config(command.levels, command.reuse, command.names, command.steps, command.seed)
+        except ArgumentError as error:
+            raise error.renamed("--levels" if error.name == "shares" else f"--{error.name}") from None
         except ValueError as error:
-            raise ValueError(f"--{error}".replace("--shares", "--levels")) from None
+            raise ValueError(f"--{error}") from None
         if command.photos is None:
             check_views(sampling, PrepareConfig.level_held_out)
     return PrepareConfig(

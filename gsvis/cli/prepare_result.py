@@ -34,29 +34,8 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
     for row, spread in zip(levels, (prepared.quality or {}).get("psnr", ()), strict=False):
         row["psnr"] = spread
     if command.json:
-        print_json(
-            {
-                "format": "gsvis-preparation",
-                "version": 1,
-                **_about(command, source, space),
-                "gaussians": m.gaussians,
-                "levels": levels,
-                "terms": m.terms,
-                "variant": m.grids.variant,
-                "up": list(m.info.up),
-                "meters_per_unit": m.info.meters_per_unit,
-                "cost": None if cost is None else asdict(cost),
-                "parts": prepared.parts,
-                "parts_kept": prepared.parts_kept,
-                "sizes": m.sizes(),
-                "bytes": prepared.nbytes,
-                "bytes_kept": prepared.nbytes_kept,
-                "stages": [asdict(stage) for stage in prepared.stages],
-                "work": None if command.discard else str(prepared.work),
-                "work_bytes": 0 if command.discard else prepared.work_bytes,
-                "remarks": list(prepared.remarks),
-            }
-        )
+        about = {"format": "gsvis-preparation", "version": 1, **_about(command, source, space)}
+        print_json({**about, **_document(command, prepared, levels)})
         return
     sizes = ", ".join(f"{row['name']} {row['gaussians']:,}" for row in levels)
     meters = m.info.meters_per_unit
@@ -91,6 +70,29 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
         facts("", stages),
         *(f" {remark}" for remark in prepared.remarks),
     )
+
+
+def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what --json prints of the package."""
+    m = prepared.manifest
+    return {
+        "gaussians": m.gaussians,
+        "levels": levels,
+        "terms": m.terms,
+        "variant": m.grids.variant,
+        "up": list(m.info.up),
+        "meters_per_unit": m.info.meters_per_unit,
+        "cost": None if m.info.cost is None else asdict(m.info.cost),
+        "parts": prepared.parts,
+        "parts_kept": prepared.parts_kept,
+        "sizes": m.sizes(),
+        "bytes": prepared.nbytes,
+        "bytes_kept": prepared.nbytes_kept,
+        "stages": [asdict(stage) for stage in prepared.stages],
+        "work": None if command.discard else str(prepared.work),
+        "work_bytes": 0 if command.discard else prepared.work_bytes,
+        "remarks": list(prepared.remarks),
+    }
 
 
 def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
 from gsvis.cli.source import Source, check_report, check_source, inspect_scene_of, load_source, navigable_space
@@ -30,6 +31,7 @@ def run_pvs_report(command: PvsReport) -> None:
         FileNotFoundError: If a file is missing.
         OSError: If the report cannot be written.
     """
+    require("gsvis pvs-report", "matplotlib")
     if not Path(command.store).exists():
         raise FileNotFoundError(2, "no such file or folder", command.store)
     check_source(command.scene, command.lod)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gsvis._check import plain
+from gsvis._extras import require
 from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
@@ -50,6 +51,8 @@ def run_render(command: Render) -> None:
         FileNotFoundError: If a file is missing.
         OSError: If the pictures cannot be written.
     """
+    if command.depth:
+        require("gsvis render --depth", "matplotlib")
     check_source(command.scene, command.lod)
     check_views(command)
     backend = _backend(command.backend)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gsvis._extras import has, remedy_of
 from gsvis.cli import version
 from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.source import check_report, check_source, load_source
@@ -71,6 +72,7 @@ def run_simulate(command: Simulate) -> None:
         show(
             *_tables(document),
             *(f" {told}" for told in content_remarks(document)),
+            *([] if has("matplotlib") else [f" Plots need matplotlib: {remedy_of('matplotlib')}."]),
             f" Report: {Path(command.out) / 'report.html'}",
         )
 

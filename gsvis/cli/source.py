@@ -167,13 +167,11 @@ def levels_spelled(source: Source) -> str:
 
 def inspect_scene_of(source: Source) -> dict[str, Any]:
     """What inspection says of a scene, as a dict; what is known of a built-in scene is not guessed."""
-    report = inspect_scene(source.gaussians).as_dict()
+    up = None
     if source.navigable is not None:
-        up = source.navigable.up
-        report["up"] = ("+" if up.sum() > 0 else "-") + "xyz"[int(np.abs(up).argmax())]
-        report["up_confidence"] = 1.0
-        report["problems"] = [each for each in report["problems"] if not each.startswith("the up axis")]
-    return report
+        known = source.navigable.up
+        up = ("+" if known.sum() > 0 else "-") + "xyz"[int(np.abs(known).argmax())]
+    return inspect_scene(source.gaussians, up=up).as_dict()
 
 
 def _title(path: Path, lod: int | None) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
 from gsvis.cli.source import check_file, check_new
@@ -67,6 +68,7 @@ def run_train(command: Train) -> None:
         OSError: If a file cannot be written.
         KeyboardInterrupt: With a word on how to go on, if the user has had enough.
     """
+    require("gsvis train", "torch")
     config = _check_arguments(command)
     with Status() as status:
         plan = _plan(command, config, status)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from gsvis.scene.icosphere import icosphere
 
@@ -107,6 +106,8 @@ class LobeSearch:
 
     def refine(self, v: F64) -> Fit:
         """Move all lobes to a nearby optimum: Levenberg-Marquardt with the intensities eliminated (Kaufman)."""
+        from scipy.linalg import lapack  # here: it takes long to import, and few need it
+
         rows = self._rows(v)
         now = self._solve(rows) if len(v) else None
         if now is None:
@@ -154,6 +155,8 @@ class LobeSearch:
 
     def _solve(self, rows: F64) -> _Solved | None:
         """Return the best intensities, refined once against rounding; None if the lobes are numerically dependent."""
+        from scipy.linalg import lapack
+
         gram = rows @ rows.T
         gram.flat[:: len(rows) + 1] += self.ridge
         factor, failed = lapack.dpotrf(gram, lower=1)
@@ -166,6 +169,8 @@ class LobeSearch:
         return _Solved(intensities, left, factor, float(left @ left + self.ridge * (intensities @ intensities)))
 
     def _move(self, v: F64, normal: F64, slope: F64, damping: float) -> tuple[F64, F64, _Solved] | None:
+        from scipy.linalg import lapack
+
         damped = normal.copy()
         diagonal = normal.diagonal()
         damped.flat[:: len(slope) + 1] = diagonal * (1.0 + damping) + 1e-13 * diagonal.max()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from gsvis.color.omp import LEAST_SHARE, SparseCodes
 from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
@@ -100,6 +99,8 @@ def refine(
     Returns:
         The error, and the (K, 3) lobes.
     """
+    from scipy.optimize import least_squares  # here: it takes long to import, and few need it
+
     points, root = np.asarray(directions, np.float64), np.sqrt(np.asarray(weights, np.float64))
     goal = np.asarray(targets, np.float64) * root[:, None]
 

@@ -126,7 +126,7 @@ def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
     file = ArrowFile(path, FORMAT, VERSION)
     info = _info(file)
     kind = VARIANTS[info.variant]
-    _check_schema(file, pa.schema(_schema(kind, info.grids)))
+    file.check_schema(pa.schema(_schema(kind, info.grids)))
     columns, counts = _read_columns(file)
     for what, claimed, found in (("gaussians", info.gaussians, len(counts)), ("terms", info.terms, int(counts.sum()))):
         if claimed != found:
@@ -214,15 +214,6 @@ def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
         return pa.array(values.astype(kind.to_pandas_dtype(), copy=False), kind)
     flat = values.reshape(-1).astype(kind.value_type.to_pandas_dtype(), copy=False)
     return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), type=kind)
-
-
-def _check_schema(file: ArrowFile, expected: pa.Schema) -> None:
-    if not file.schema.equals(expected):
-        for field in expected:
-            found = file.schema.field(field.name) if file.schema.names.count(field.name) == 1 else None
-            if found is None or not found.equals(field):
-                raise FormatError(file.path, f"column {field.name!r}", f"{field.type}", f"{found and found.type}")
-        raise FormatError(file.path, "columns", ", ".join(expected.names), ", ".join(file.schema.names)[:200])
 
 
 def _read_columns(file: ArrowFile) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:

@@ -1,6 +1,6 @@
-"""Bytes on disk that are no scene: atomic writes, locks, the Arrow container, limits, caches, kept results."""
+"""Bytes on disk that are no scene: atomic writes, locks, the Arrow container, limits, caches, one way to resume."""
 
-_MODULES = ("archive", "arrow", "atomic", "cache", "fields", "kept", "limits", "locks", "output")
+_MODULES = ("archive", "arrow", "atomic", "cache", "fields", "limits", "locks", "output", "resume", "sections")
 
 
 def __dir__() -> list[str]:

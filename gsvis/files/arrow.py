@@ -1,7 +1,10 @@
-"""Arrow IPC files that any Arrow client reads, with a mark of ours, every byte under a checksum, and bounded memory.
+"""Arrow IPC files that any Arrow client reads, with a header of ours, every byte under a checksum, and bounded memory.
 
-The schema's metadata hold a JSON header under `gsvis`, and under `checksum` the CRC-32 of the file with the digits of
-the checksum itself taken as zeros. Nothing but the schema is parsed before it fits. This module knows no columns.
+The schema's metadata hold a JSON header under `gsvis`, and one of two seals. A *whole* seal, under `checksum`, is the
+CRC-32 of the file with the digits of the checksum itself taken as zeros; it is checked when the file is opened. A
+*header* seal, under `gsvis-crc32`, is the CRC-32 of the header alone: opening reads a few kilobytes whatever the size
+of the file, batches are read when they are asked for, and rows bear checksums of their own that the caller checks.
+Nothing but the schema is parsed before the seal fits. This module knows no columns.
 """
 
 from __future__ import annotations
@@ -11,28 +14,34 @@ import mmap
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
-from gsvis.files.limits import Budget, open_regular
+from gsvis.files.limits import DAMAGED, Budget, open_regular
 
-__all__ = ["FAULTS", "ArrowFile", "count_uncompressed_bytes", "write_arrow"]
+__all__ = ["ArrowFile", "Seal", "write_arrow"]
+
+Seal = Literal["whole", "header"]
+_Read = TypeVar("_Read")
 
 _MAGIC = b"ARROW1"
-_HEADER, _CHECKSUM = b"gsvis", b"checksum"
+_HEADER, _CHECKSUM, _HEADER_CHECKSUM = b"gsvis", b"checksum", b"gsvis-crc32"
 _MARK = b'{"crc32" : "'  # the space sets it apart from every value that compact JSON can hold
 _DIGITS = 8
 _TAIL = 10  # length of the footer and magic
 _CHUNK = 1 << 24
-_AGAIN = "the file is damaged: copy or write it again"
-FAULTS = (pa.ArrowException, ValueError, OSError, struct.error, MemoryError, OverflowError)
+_BLOCK = np.dtype([("offset", "<i8"), ("metadata", "<i4"), ("padding", "<i4"), ("body", "<i8")])
+_FAULTS = (pa.ArrowException, ValueError, OSError, struct.error, MemoryError, OverflowError, StopIteration)
 """What Arrow and the code here raise at damaged bytes."""
 
 
@@ -42,6 +51,7 @@ def write_arrow(
     header: Mapping[str, Any],
     batches: Iterable[pa.RecordBatch],
     *,
+    seal: Seal = "whole",
     sweep: bool = True,
 ) -> None:
     """Write batches as they come, compressed with zstd, whole or not at all.
@@ -51,111 +61,164 @@ def write_arrow(
         fields: Of the schema that all batches have.
         header: What JSON can say; holds `format` and `version`.
         batches: Kept in memory one at a time.
+        seal: What the checksum covers: "whole" file, or the "header" alone where each row has a checksum of its own.
         sweep: As in `atomic_path`.
     """
-    text = json.dumps(dict(header), separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
-    schema = pa.schema(fields, metadata={_HEADER: text, _CHECKSUM: _MARK + b"0" * _DIGITS + b'"}'})
+    separators = (",", ":") if seal == "whole" else None
+    text = json.dumps(dict(header), separators=separators, sort_keys=True, allow_nan=False).encode()
+    mark = {_CHECKSUM: _MARK + b"0" * _DIGITS + b'"}'} if seal == "whole" else {_HEADER_CHECKSUM: _crc_text(text)}
+    schema = pa.schema(fields, metadata={_HEADER: text, **mark})
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
     with atomic_path(path, sweep=sweep) as partial:
         with pa.OSFile(os.fspath(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
             for batch in batches:
                 writer.write_batch(batch.replace_schema_metadata(schema.metadata))
-        with open(partial, "r+b") as file, mmap.mmap(file.fileno(), 0) as mapped, memoryview(mapped) as data:
-            places = _places(partial, data)
-            digits = b"%08x" % _checksum(data, places)
-            for place in places:
-                data[place : place + _DIGITS] = digits
+        if seal == "whole":
+            _seal_whole(partial)
 
 
 class ArrowFile:
-    """An open file of one format, its header and its schema checked and its checksum found to fit.
+    """An open file of one format, its header and its schema checked and its seal found to fit.
 
     Args:
         path: The file.
         name: The format that its header must name.
         version: The newest version that is known.
+        seal: What its checksum covers, as it was written.
 
     Attributes:
+        path: The file.
         header: The JSON header.
         schema: Of its batches, without metadata.
+        nbytes: Size of the file.
 
     Raises:
         FormatError: If it is another kind of file, of a newer version, cut or damaged.
         OSError: If it cannot be opened.
     """
 
-    def __init__(self, path: str | os.PathLike[str], name: str, version: int) -> None:
+    def __init__(self, path: str | os.PathLike[str], name: str, version: int, *, seal: Seal = "whole") -> None:
         self.path, self._name = _check.path("path", path), name
         with open_regular(self.path) as file:
-            head, self._size = file.read(len(_MAGIC)), os.fstat(file.fileno()).st_size
-        if head != _MAGIC or self._size < 16 + _TAIL:
-            got = f"{self._size} bytes" if _MAGIC.startswith(head) else f"a file that begins {head!r}"
+            head, self.nbytes = file.read(len(_MAGIC)), os.fstat(file.fileno()).st_size
+        if head != _MAGIC or self.nbytes < 16 + _TAIL:
+            got = f"{self.nbytes} bytes" if _MAGIC.startswith(head) else f"a file that begins {head!r}"
             raise FormatError(self.path, "byte 0", f"an Arrow file of format {name}", got)
         with pa.memory_map(os.fspath(self.path)) as source:
-            self._buffer = source.read_buffer()  # lives on without its source
-        self._size = self._buffer.size
+            self._buffer: pa.Buffer | None = source.read_buffer()  # lives on without its source
+        self.nbytes = self._buffer.size
         data = memoryview(self._buffer)
         if data[-len(_MAGIC) :] != _MAGIC:
-            raise FormatError(self.path, "", f"{_MAGIC.decode()} at the end", "another end", f"it was cut; {_AGAIN}")
-        self.header, self.schema = self._read_header(_schema_end(self.path, data), version)
-        places = _places(self.path, data)
-        if {bytes(data[place : place + _DIGITS]) for place in places} != {b"%08x" % _checksum(data, places)}:
-            raise FormatError(self.path, "", "bytes that fit their checksum", "other bytes", _AGAIN)
+            raise FormatError(self.path, "", f"{_MAGIC.decode()} at the end", "another end", f"it was cut; {DAMAGED}")
+        self.header, self.schema = self._read_header(_schema_end(self.path, data), version, seal)
+        if seal == "whole":
+            places = _places(self.path, data)
+            if {bytes(data[place : place + _DIGITS]) for place in places} != {b"%08x" % _checksum(data, places)}:
+                raise FormatError(self.path, "", "bytes that fit their checksum", "other bytes", DAMAGED)
+
+    def close(self) -> None:
+        """Close the file; no batch can be read afterward."""
+        self._buffer = None
 
     @property
-    def nbytes(self) -> int:
-        """Size of the file."""
-        return self._size
+    def closed(self) -> bool:
+        """Whether the file was closed."""
+        return self._buffer is None
 
-    def batches(self, budget: Budget) -> Iterator[pa.RecordBatch]:
-        """All batches, validated and without nulls; each claims what it will need before it is decompressed.
+    @property
+    def num_batches(self) -> int:
+        """Batches that the file lists.
 
         Raises:
-            FormatError: If a batch does not fit the schema, holds nulls, or needs more memory than the budget has.
+            FormatError: If the list is damaged.
         """
-        for where, message in self._messages():
-            try:
-                promised = count_uncompressed_bytes(message)
-            except FAULTS as error:
-                raise FormatError(self.path, where, "a record batch", str(error), _AGAIN) from error
-            budget.claim(promised, where)
-            try:
-                batch = pa.ipc.read_record_batch(message, self.schema)
-                batch.validate(full=True)
-            except FAULTS as error:
-                raise FormatError(self.path, where, "a valid record batch", str(error), _AGAIN) from error
-            for name, column in zip(batch.schema.names, batch.columns, strict=True):
-                if _has_nulls(column):
-                    raise FormatError(self.path, f"{where}, column {name!r}", "a value in every row", "none in some")
-            yield batch
+        return len(self._blocks)
 
-    def _messages(self) -> Iterator[tuple[str, pa.Message]]:
-        """All messages after the schema, and their names."""
-        number = -1
-        reader = pa.ipc.MessageReader.open_stream(self._buffer.slice(8))
-        while True:
-            where = f"batch {number}"
-            try:
-                message = reader.read_next_message()
-            except StopIteration:
-                return
-            except FAULTS as error:
-                raise FormatError(self.path, where, "an Arrow message", str(error), _AGAIN) from error
-            if number >= 0:
-                if message.type != "record batch":
-                    raise FormatError(self.path, where, "a record batch", f"a {message.type} message", _AGAIN)
-                yield where, message
-            number += 1
+    def check_schema(self, expected: pa.Schema) -> None:
+        """Raise unless the columns are as expected.
 
-    def _read_header(self, end: int, version: int) -> tuple[Fields, pa.Schema]:
-        try:
-            schema = pa.ipc.read_schema(self._buffer.slice(8, end - 8))
-            _ = schema.names  # those that are not UTF-8 raise here, not where an error lists them
-        except FAULTS as error:
-            raise FormatError(self.path, "byte 8", "an Arrow schema", str(error), _AGAIN) from error
-        text = (schema.metadata or {}).get(_HEADER)
-        if text is None:
+        Raises:
+            FormatError: Names the first column of another type.
+        """
+        if self.schema.equals(expected):
+            return
+        for field in expected:
+            found = self.schema.field(field.name) if self.schema.names.count(field.name) == 1 else None
+            if found is None or not found.equals(field):
+                raise FormatError(self.path, f"column {field.name!r}", f"{field.type}", f"{found and found.type}")
+        raise FormatError(self.path, "columns", ", ".join(expected.names)[:200], ", ".join(self.schema.names)[:200])
+
+    def batches(self, budget: Budget) -> Iterator[pa.RecordBatch]:
+        """Yield all batches; see `batch`."""
+        for number in range(self.num_batches):
+            yield self.batch(number, budget)
+
+    def batch(self, number: int, budget: Budget, where: str = "") -> pa.RecordBatch:
+        """Return one batch, validated and without nulls.
+
+        Args:
+            number: Which, from 0.
+            budget: Where the memory that it needs is claimed before it is decompressed.
+            where: Names the batch in errors; empty takes its number.
+
+        Raises:
+            FormatError: If the batch does not fit the schema, holds nulls, or needs more memory than the budget has.
+            ValueError: If the file was closed.
+        """
+        where = where or f"batch {number}"
+        message = self._guard(where, "an Arrow message", lambda: self._message(number))
+        if message.type != "record batch":
+            raise FormatError(self.path, where, "a record batch", f"a {message.type} message", DAMAGED)
+        budget.claim(self._guard(where, "a record batch", lambda: _count_uncompressed_bytes(message)), where)
+
+        def read() -> pa.RecordBatch:
+            found = pa.ipc.read_record_batch(message, self.schema)
+            found.validate(full=True)
+            return found
+
+        batch = self._guard(where, "a valid record batch", read)
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            if _has_nulls(column):
+                raise FormatError(self.path, f"{where}, column {name!r}", "a value in every row", "none in some")
+        return batch
+
+    @cached_property
+    def _blocks(self) -> NDArray[Any]:
+        """Where the batches lie, as the footer lists them."""
+        data = memoryview(self._opened())
+        start, end = _footer_start(self.path, data), len(data) - _TAIL
+        footer = bytes(data[start:end])
+        blocks: NDArray[Any] = self._guard("footer", "a list of batches", lambda: _listed_blocks(footer))
+        at, length = blocks["offset"], blocks["metadata"].astype(np.int64)
+        good = (at >= 8) & (at % 8 == 0) & (at <= start) & (length >= 8) & (blocks["body"] >= 0)
+        good &= (blocks["body"] <= start) & (at + length + np.minimum(blocks["body"], start) <= start)
+        if not good.all():
+            first = int(np.argmin(good))
+            raise FormatError(self.path, "footer", f"a place of batch {first} within the file", "another", DAMAGED)
+        return blocks
+
+    def _message(self, number: int) -> pa.Message:
+        offset, length, _, body = self._blocks[number].tolist()
+        return pa.ipc.read_message(self._opened().slice(offset, length + body))
+
+    def _opened(self) -> pa.Buffer:
+        if self._buffer is None:
+            raise ValueError("file: expected an open one, got one that was closed; open it again")
+        return self._buffer
+
+    def _read_header(self, end: int, version: int, seal: Seal) -> tuple[Fields, pa.Schema]:
+        def read() -> pa.Schema:
+            found = pa.ipc.read_schema(self._opened().slice(8, end - 8))
+            _ = found.names  # those that are not UTF-8 raise here, not where an error lists them
+            return found
+
+        schema = self._guard("byte 8", "an Arrow schema", read)
+        metadata = schema.metadata or {}
+        text = metadata.get(_HEADER)
+        if text is None or (seal == "header" and _HEADER_CHECKSUM not in metadata):
             raise FormatError(self.path, "metadata", f"those of format {self._name}", "an Arrow file without them")
+        if seal == "header" and metadata[_HEADER_CHECKSUM] != _crc_text(text):
+            raise FormatError(self.path, "metadata", "a header that fits its checksum", "another header", DAMAGED)
         header = parse_object(self.path, text)
         if header.raw("format") != self._name:
             raise FormatError(self.path, "format", self._name, repr(header.raw("format"))[:60])
@@ -163,6 +226,30 @@ class ArrowFile:
         if found > version:
             raise FormatError(self.path, "version", f"at most {version}", f"{found}", "update gsvis")
         return header, schema.remove_metadata()
+
+    def _guard(self, where: str, expected: str, read: Callable[[], _Read]) -> _Read:
+        """Return what `read` gives; what Arrow raises at damaged bytes becomes a FormatError."""
+        self._opened()
+        try:
+            return read()
+        except FormatError:
+            raise
+        except _FAULTS as error:
+            got = (str(error).splitlines() or [type(error).__name__])[0]
+            raise FormatError(self.path, where, expected, got, DAMAGED) from error
+
+
+def _seal_whole(path: Path) -> None:
+    """Write the checksum of a file over its zeros."""
+    with open(path, "r+b") as file, mmap.mmap(file.fileno(), 0) as mapped, memoryview(mapped) as data:
+        places = _places(path, data)
+        digits = b"%08x" % _checksum(data, places)
+        for place in places:
+            data[place : place + _DIGITS] = digits
+
+
+def _crc_text(data: bytes) -> bytes:
+    return b"%08x" % zlib.crc32(data)
 
 
 def _has_nulls(array: pa.Array) -> bool:
@@ -179,7 +266,7 @@ def _schema_end(path: Path, data: memoryview) -> int:
     marker, length = struct.unpack_from("<iI", data, 8)
     end = 16 + int(length)
     if marker != -1 or end > len(data) - _TAIL:
-        raise FormatError(path, "byte 8", "an Arrow schema", f"a length of {length:,} bytes", _AGAIN)
+        raise FormatError(path, "byte 8", "an Arrow schema", f"a length of {length:,} bytes", DAMAGED)
     return end
 
 
@@ -187,7 +274,7 @@ def _footer_start(path: Path, data: memoryview) -> int:
     length = int(struct.unpack_from("<I", data, len(data) - _TAIL)[0])
     start = len(data) - _TAIL - length
     if start < 8:
-        raise FormatError(path, f"byte {len(data) - _TAIL}", "a footer within the file", f"{length:,} bytes", _AGAIN)
+        raise FormatError(path, f"byte {len(data) - _TAIL}", "a footer within the file", f"{length:,} bytes", DAMAGED)
     return start
 
 
@@ -197,7 +284,7 @@ def _places(path: Path, data: memoryview) -> list[int]:
     for start, end in ((8, _schema_end(path, data)), (_footer_start(path, data), len(data) - _TAIL)):
         found = bytes(data[start:end]).find(_MARK)
         if found < 0:
-            raise FormatError(path, f"bytes {start} to {end}", "a checksum", "none", _AGAIN)
+            raise FormatError(path, f"bytes {start} to {end}", "a checksum", "none", DAMAGED)
         places.append(start + found + len(_MARK))
     return places
 
@@ -214,30 +301,33 @@ def _checksum(data: memoryview, places: list[int]) -> int:
     return crc
 
 
-def count_uncompressed_bytes(message: pa.Message) -> int:
+def _listed_blocks(footer: bytes) -> NDArray[Any]:
+    """Return the place of each record batch that a footer lists.
+
+    References:
+        Apache Arrow columnar format, "IPC File Format"; FlatBuffers internals, vectors of structs.
+    """
+    place = _field(footer, _follow(footer, 0), 3)  # Footer.recordBatches
+    if not place:
+        return np.zeros(0, _BLOCK)
+    vector = _follow(footer, place)
+    (count,) = struct.unpack_from("<I", footer, vector)
+    return np.frombuffer(footer, _BLOCK, count, vector + 4)
+
+
+def _count_uncompressed_bytes(message: pa.Message) -> int:
     """Return what the buffers of a record batch need in memory, as the first eight bytes of each say.
 
     Raises:
-        struct.error: If the message is no record batch; `FAULTS` names what else may be raised.
+        struct.error: If the message is no record batch; `_FAULTS` names what else may be raised.
 
     References:
         Apache Arrow columnar format, "Compression" of record batches; FlatBuffers internals, tables and vectors.
     """
     data = message.metadata.to_pybytes()
-
-    def field(table: int, slot: int) -> int:
-        vtable = table - struct.unpack_from("<i", data, table)[0]
-        if 4 + 2 * slot >= struct.unpack_from("<H", data, vtable)[0]:
-            return 0
-        offset: int = struct.unpack_from("<H", data, vtable + 4 + 2 * slot)[0]
-        return table + offset if offset else 0
-
-    def follow(place: int) -> int:
-        return place + int(struct.unpack_from("<I", data, place)[0])
-
-    batch = follow(field(follow(0), 2))  # Message.header
-    compressed = field(batch, 3) != 0
-    buffers = follow(field(batch, 2))
+    batch = _follow(data, _field(data, _follow(data, 0), 2))  # Message.header
+    compressed = _field(data, batch, 3) != 0
+    buffers = _follow(data, _field(data, batch, 2))
     body, total = message.body, 0
     for k in range(struct.unpack_from("<I", data, buffers)[0]):
         offset, length = struct.unpack_from("<qq", data, buffers + 4 + 16 * k)
@@ -246,3 +336,16 @@ def count_uncompressed_bytes(message: pa.Message) -> int:
             (size,) = struct.unpack_from("<q", body[offset : offset + 8].to_pybytes())
             total += max(size, 0)
     return int(total)
+
+
+def _field(data: bytes, table: int, slot: int) -> int:
+    """Return where a FlatBuffers table holds the field of a slot; 0 if it has none."""
+    vtable = table - struct.unpack_from("<i", data, table)[0]
+    if 4 + 2 * slot >= struct.unpack_from("<H", data, vtable)[0]:
+        return 0
+    offset: int = struct.unpack_from("<H", data, vtable + 4 + 2 * slot)[0]
+    return table + offset if offset else 0
+
+
+def _follow(data: bytes, place: int) -> int:
+    return place + int(struct.unpack_from("<I", data, place)[0])

@@ -1,58 +1,90 @@
-"""What is decoded once and kept for further queries; the least recently used go first when bytes run out."""
+"""The one cache of what was read or decoded: the least recently used goes first when it takes too much room."""
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Hashable
-from typing import Any, Protocol
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, TypeVar
 
 __all__ = ["Cache"]
 
-
-class Sized(Protocol):
-    """An array, or whatever else says how many bytes it takes."""
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes in memory."""
-        ...
+_Value = TypeVar("_Value")
 
 
-class Cache:
-    """Values by key, at most `max_bytes` of them; may be used from several threads.
+class Cache(Generic[_Value]):
+    """Values by key; may be used from several threads.
 
     Args:
-        max_bytes: A value larger than this is not kept at all.
+        max_bytes: Bytes of all values together. A larger value is not kept, unless `keep_last`. None sets no bound.
+        max_items: How many values are kept. None sets no bound.
+        keep_last: Keep the value that came last, however large it is.
+
+    Attributes:
+        nbytes: Bytes of the values that are kept.
     """
 
-    def __init__(self, max_bytes: int) -> None:
-        self.max_bytes, self.nbytes = max_bytes, 0
-        self._values: OrderedDict[Hashable, Sized] = OrderedDict()
+    def __init__(self, max_bytes: int | None = None, *, max_items: int | None = None, keep_last: bool = False) -> None:
+        self.max_bytes, self.max_items, self.nbytes = max_bytes, max_items, 0
+        self._keep_last = keep_last
+        self._values: OrderedDict[Hashable, tuple[_Value, int]] = OrderedDict()
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._values)
 
-    def find(self, key: Hashable) -> Any:
+    @property
+    def fill(self) -> float:
+        """Share of `max_bytes` in use; 0 without a bound."""
+        return self.nbytes / max(1, self.max_bytes) if self.max_bytes is not None else 0.0
+
+    def find(self, key: Hashable) -> _Value | None:
         """Return the value kept under a key, or None."""
         with self._lock:
-            if key in self._values:
-                self._values.move_to_end(key)
-            return self._values.get(key)
+            found = self._values.get(key)
+            if found is None:
+                return None
+            self._values.move_to_end(key)
+            return found[0]
 
-    def keep(self, key: Hashable, value: Sized) -> None:
-        """Keep a value; older ones make room."""
+    def keep(self, key: Hashable, value: _Value, nbytes: int | None = None) -> None:
+        """Keep a value; older ones make room.
+
+        Args:
+            key: Names it. A value that is kept under the name already stays.
+            value: The value.
+            nbytes: Its size; None takes its attribute `nbytes`.
+        """
+        size = _size_of(value) if nbytes is None else nbytes
         with self._lock:
-            if key in self._values or value.nbytes > self.max_bytes:
+            too_large = self.max_bytes is not None and size > self.max_bytes and not self._keep_last
+            if key in self._values or too_large:
                 return
-            self._values[key] = value
-            self.nbytes += value.nbytes
-            while self.nbytes > self.max_bytes:
-                self.nbytes -= self._values.popitem(last=False)[1].nbytes
+            self._values[key] = value, size
+            self.nbytes += size
+            while self._is_too_full():
+                self.nbytes -= self._values.popitem(last=False)[1][1]
+
+    def find_or_make(self, key: Hashable, make: Callable[[], _Value]) -> _Value:
+        """Return the value kept under a key, or make it and keep it; two threads may both make it."""
+        found = self.find(key)
+        if found is None:
+            found = make()
+            self.keep(key, found)
+        return found
 
     def clear(self) -> None:
-        """Forget all values."""
+        """Remove all values."""
         with self._lock:
             self._values.clear()
             self.nbytes = 0
+
+    def _is_too_full(self) -> bool:
+        if self._keep_last and len(self._values) == 1:
+            return False
+        over_bytes = self.max_bytes is not None and self.nbytes > self.max_bytes
+        return over_bytes or (self.max_items is not None and len(self._values) > self.max_items)
+
+
+def _size_of(value: Any) -> int:
+    return int(getattr(value, "nbytes", 0))

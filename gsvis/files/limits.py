@@ -17,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from gsvis.errors import FormatError
 
 __all__ = [
+    "DAMAGED",
     "MAX_EXPANSION",
     "MIN_BUDGET",
     "Budget",
@@ -27,6 +28,9 @@ __all__ = [
     "read_whole",
     "safe_name",
 ]
+
+DAMAGED = "the file is damaged: copy it again, or make it again"
+"""What helps where bytes are not as they were written: the remedy of every `FormatError` of a damaged file of ours."""
 
 MAX_EXPANSION = 256
 """Bytes in memory that one byte on disk may become; real compressed scenes need 3 to 20."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from gsvis import _check
 from gsvis.hpr._kernels import hull as _kernels
@@ -96,6 +95,8 @@ def hull_vertices(flips: F64) -> I64:
 
 def _by_qhull(flips: F64, candidates: I64) -> I64:
     """Return `hull_vertices` among the candidates, by Qhull; flat input is solved in its plane or line."""
+    from scipy.spatial import ConvexHull, QhullError  # here: it takes long to import, and few need it
+
     distinct, first = np.unique(flips[candidates], axis=0, return_index=True)
     lowest = candidates[first]  # np.unique returns the first of equal rows, and candidates ascend
     places = np.concatenate([distinct, np.zeros((1, 3))])
@@ -108,6 +109,8 @@ def _by_qhull(flips: F64, candidates: I64) -> I64:
 
 def _flat(places: F64) -> I64:
     """Return the vertices of the hull of places (M, 3) in the plane or line through the last of them that they span."""
+    from scipy.spatial import ConvexHull, QhullError
+
     if len(places) == 1:
         return np.zeros(0, np.int64)
     _, extents, axes = np.linalg.svd(places, full_matrices=False)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from gsvis.scene.gaussians import Gaussians
 
@@ -30,6 +29,8 @@ def hidden_point_removal_reference(
     References:
         Katz, Tal, Basri, "Direct visibility of point sets", SIGGRAPH 2007, section 3.
     """
+    from scipy.spatial import ConvexHull  # here: it takes long to import, and few need it
+
     toward = points - viewpoint
     x, y, z = toward.T
     length = np.sqrt((x * x + y * y) + z * z)[:, None]

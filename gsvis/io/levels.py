@@ -191,9 +191,7 @@ def _info(file: ArrowFile) -> LevelsInfo:
 
 def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return first and last level, scales and opacities of the union."""
-    if not file.schema.equals(pa.schema(_FIELDS)):
-        names = ", ".join(file.schema.names)[:200]
-        raise FormatError(file.path, "columns", ", ".join(field.name for field in _FIELDS), names)
+    file.check_schema(pa.schema(_FIELDS))
     budget = Budget(file.path, file.nbytes)
     pieces: list[list[NDArray[Any]]] = [[], [], [], []]
     for batch in file.batches(budget):

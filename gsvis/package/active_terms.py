@@ -8,16 +8,12 @@ cell is read, and checked, when it is asked for.
 from __future__ import annotations
 
 import hashlib
-import json
-import os
 import struct
-import threading
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from os import PathLike
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -28,10 +24,10 @@ from gsvis import _check
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
-from gsvis.files.arrow import FAULTS, count_uncompressed_bytes
-from gsvis.files.atomic import atomic_path
-from gsvis.files.fields import Fields, parse_object
-from gsvis.files.limits import Budget, open_regular
+from gsvis.files.arrow import ArrowFile, write_arrow
+from gsvis.files.cache import Cache
+from gsvis.files.fields import Fields
+from gsvis.files.limits import DAMAGED, Budget
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
@@ -53,7 +49,6 @@ _SCHEMA = pa.schema(
         pa.field("terms", pa.large_binary(), nullable=False),
     ]
 )
-_REMEDY = "the file is damaged: copy or build it again"
 _AGAIN = "build the active terms again"
 
 
@@ -112,19 +107,14 @@ class ActiveTerms:
     def __init__(self, path: str | PathLike[str]) -> None:
         """Open a file without a look at what it belongs to; see `open`."""
         self.path = _check.path("path", path)
-        self._lock = threading.Lock()
-        self._held: tuple[int, Any] | None = None  # the group read last
-        self._stream: Any = None
-        self._messages: list[Any] = []  # of the groups up to the highest that was asked for
-        with open_regular(self.path) as file:  # a missing file is told as such, not by Arrow
-            self._budget_bytes = os.fstat(file.fileno()).st_size
-        self._source = self._guard("", lambda: pa.memory_map(str(self.path), "r"))
+        self._cache: Cache[pa.RecordBatch] = Cache(max_items=1)  # the group read last
+        self._file = ArrowFile(self.path, FORMAT, VERSION, seal="header")
         try:
-            self._reader = self._guard("", lambda: pa.ipc.open_file(self._source))
-            self.info = self._read_info()
+            self._file.check_schema(_SCHEMA)
+            self.info = self._info_from(self._file.header)
             groups = -(-self.info.cells // _GROUP)
-            if self._reader.num_record_batches != groups:
-                raise self._fault("footer", f"{groups} groups of cells", f"{self._reader.num_record_batches}")
+            if self._file.num_batches != groups:
+                raise self._fault("footer", f"{groups} groups of cells", f"{self._file.num_batches}")
         except BaseException:
             self.close()
             raise
@@ -159,11 +149,9 @@ class ActiveTerms:
         return store
 
     def close(self) -> None:
-        """Let go of the file; no query works afterward."""
-        with self._lock:
-            self._held, self._stream = None, None
-            self._messages.clear()
-            self._source.close()
+        """Close the file; no query works afterward."""
+        self._cache.clear()
+        self._file.close()
 
     def __enter__(self) -> ActiveTerms:
         return self
@@ -218,7 +206,7 @@ class ActiveTerms:
     def check(
         self, *, scene: Gaussians | None = None, colors: SrbfColors | None = None, sets: VisibilityStore | None = None
     ) -> None:
-        """Nothing, if the store was made from these.
+        """Raise unless the store was made from these.
 
         Raises:
             FormatError: If it was made from others.
@@ -265,60 +253,20 @@ class ActiveTerms:
             raise self._fault(where, f"{count} of {of_visible} terms below {self.info.terms}", "others")
         return found, of_visible
 
-    def _batch(self, group: int, where: str) -> Any:
-        """A group of cells, decompressed."""
-        with self._lock:
-            if self._source.closed:
-                raise ValueError("store: expected an open one, got one that was closed; open it again")
-            if self._held is None or self._held[0] != group:
+    def _batch(self, group: int, where: str) -> pa.RecordBatch:
+        """Return a group of cells, decompressed."""
+        if self._file.closed:
+            raise ValueError("store: expected an open one, got one that was closed; open it again")
+        batch = self._cache.find(group)
+        if batch is None:
+            batch = self._file.batch(group, Budget(self.path, self._file.nbytes), where)
+            rows = min(_GROUP, self.info.cells - group * _GROUP)
+            if batch.num_rows != rows:
+                raise self._fault(where, f"a group of {rows} cells", f"{batch.num_rows} rows")
+            self._cache.keep(group, batch)
+        return batch
 
-                def read() -> Any:
-                    message = self._message(group)
-                    Budget(self.path, self._budget_bytes).claim(count_uncompressed_bytes(message), where)
-                    batch = pa.ipc.read_record_batch(message, self._reader.schema)
-                    batch.validate(full=True)
-                    return batch
-
-                batch = self._guard(where, read)
-                rows = min(_GROUP, self.info.cells - group * _GROUP)
-                if batch.num_rows != rows or any(batch.column(k).null_count for k in range(len(_SCHEMA))):
-                    raise self._fault(where, f"a group of {rows} cells without gaps", f"{batch.num_rows} rows")
-                self._held = group, batch
-            return self._held[1]
-
-    def _message(self, group: int) -> pa.Message:
-        """The record batch of a group, not decompressed."""
-        if self._stream is None:
-            self._source.seek(0)
-            self._stream = pa.ipc.MessageReader.open_stream(self._source.read_buffer().slice(8))
-            self._stream.read_next_message()  # the schema
-        while len(self._messages) <= group:
-            message = self._stream.read_next_message()
-            if message.type != "record batch":
-                raise ValueError(f"expected a record batch, got a {message.type} message")
-            self._messages.append(message)
-        return self._messages[group]
-
-    def _read_info(self) -> ActiveTermsInfo:
-        metadata = self._reader.schema.metadata or {}
-        data, crc = metadata.get(b"gsvis"), metadata.get(b"gsvis-crc32")
-        if data is None or crc is None:
-            raise FormatError(
-                self.path, "schema", "a store of active terms", "another Arrow file", "give one that gsvis has written"
-            )
-        if crc != _crc_text(data):
-            raise self._fault("schema", "metadata that fit their checksum", "others")
-        fields = parse_object(self.path, data)
-        if fields.raw("format") != FORMAT:
-            raise self._fault("format", repr(FORMAT), repr(fields.raw("format"))[:60])
-        version = fields.integer("version", 1, 1 << 31)
-        if version != VERSION:
-            raise FormatError(self.path, "version", f"{VERSION}", f"{version}", f"update gsvis, or {_AGAIN}")
-        if not self._reader.schema.equals(_SCHEMA):
-            raise self._fault("schema", "columns " + ", ".join(_SCHEMA.names), "others")
-        return self._info_of(fields)
-
-    def _info_of(self, fields: Fields) -> ActiveTermsInfo:
+    def _info_from(self, fields: Fields) -> ActiveTermsInfo:
         def text(key: str) -> str:
             value = fields.raw(key)
             if not isinstance(value, str):
@@ -329,21 +277,20 @@ class ActiveTerms:
         if text("variant") not in VARIANTS or epsilon < 0.0:
             raise self._fault("variant, epsilon", "a known variant and a threshold", f"{text('variant')!r}, {epsilon}")
         return ActiveTermsInfo(
-            fields.integer("cells", 1, 1 << 31), fields.integer("terms", 0, (1 << 32) - 1),
-            fields.integer("gaussians", 0, (1 << 31) - 1), text("variant"), epsilon, text("provenance"),
-            fields.raw("weighted") is True, text("scene"), text("colors"), text("sets"),
-        )  # fmt: skip
-
-    def _guard(self, where: str, read: Any) -> Any:
-        """What `read` gives; what Arrow says of bytes that are not its own becomes a FormatError."""
-        try:
-            return read()
-        except (*FAULTS, StopIteration) as error:  # Arrow has many words for it
-            first = (str(error).splitlines() or [type(error).__name__])[0][:120]
-            raise self._fault(where, "an Arrow IPC file", f"other bytes ({first})") from error
+            cells=fields.integer("cells", 1, 1 << 31),
+            terms=fields.integer("terms", 0, (1 << 32) - 1),
+            gaussians=fields.integer("gaussians", 0, (1 << 31) - 1),
+            variant=text("variant"),
+            epsilon=epsilon,
+            provenance=text("provenance"),
+            weighted=fields.raw("weighted") is True,
+            scene=text("scene"),
+            colors=text("colors"),
+            sets=text("sets"),
+        )
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
-        return FormatError(self.path, where, expected, got, _REMEDY)
+        return FormatError(self.path, where, expected, got, DAMAGED)
 
 
 def write_active_terms(
@@ -359,15 +306,16 @@ def write_active_terms(
     Raises:
         OSError: If the file cannot be written; what stood at the path before stays.
     """
-    text = json.dumps({"format": FORMAT, "version": VERSION, **asdict(info)}, sort_keys=True, allow_nan=False).encode()
-    schema = _SCHEMA.with_metadata({b"gsvis": text, b"gsvis-crc32": _crc_text(text)})
-    with atomic_path(path) as partial:
-        options = pa.ipc.IpcWriteOptions(compression="zstd")
-        with pa.OSFile(str(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
-            for rows in _groups(cells):
-                columns = zip(*rows, strict=True)
-                arrays = [pa.array(list(column), field.type) for column, field in zip(columns, schema, strict=True)]
-                writer.write_batch(pa.record_batch(arrays, schema=schema))
+    header = {"format": FORMAT, "version": VERSION, **asdict(info)}
+    write_arrow(path, _SCHEMA, header, _batches(cells), seal="header")
+
+
+def _batches(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of the file, as many at a time as go into a group."""
+    for rows in _groups(cells):
+        columns = zip(*rows, strict=True)
+        arrays = [pa.array(list(column), field.type) for column, field in zip(columns, _SCHEMA, strict=True)]
+        yield pa.record_batch(arrays, schema=_SCHEMA)
 
 
 def _groups(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[list[tuple[int, int, int, int, bytes]]]:
@@ -405,7 +353,3 @@ def sets_hash(store: VisibilityStore) -> str:
     digest.update(grid.coords.astype("<i4").tobytes())
     digest.update(store.visible_counts.astype("<i8").tobytes())
     return digest.hexdigest()
-
-
-def _crc_text(data: bytes) -> bytes:
-    return f"{zlib.crc32(data):08x}".encode()

@@ -20,7 +20,7 @@ from gsvis.color.storage import grids_of
 from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
-from gsvis.files.limits import inside, read_whole
+from gsvis.files.limits import DAMAGED, inside, read_whole
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.parts import Part
 
@@ -30,7 +30,6 @@ FORMAT, VERSION = "gsvis-package", 2
 MANIFEST = "manifest.json"
 _MOST_BYTES = 1 << 30
 _MOST = (1 << 31) - 1
-_REMEDY = "the manifest is damaged: copy or prepare the package again"
 
 
 @dataclass(frozen=True)
@@ -225,12 +224,12 @@ class Manifest:
         digest = value.pop("sha256", None)
         try:
             if digest != _digest(value):
-                raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], _REMEDY)
+                raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], DAMAGED)
             return cls._of(fields)
         except RecursionError as error:
-            raise FormatError(path, "", "JSON", "objects nested too deeply", _REMEDY) from error
+            raise FormatError(path, "", "JSON", "objects nested too deeply", DAMAGED) from error
         except ValueError as error:
-            raise FormatError(path, "", "valid values", str(error), _REMEDY) from error
+            raise FormatError(path, "", "valid values", str(error), DAMAGED) from error
 
     @classmethod
     def _of(cls, fields: Fields) -> Manifest:
@@ -264,7 +263,7 @@ class Manifest:
         )  # fmt: skip
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):
             if fields.integer(claimed, 0, _MOST) != counted:
-                raise FormatError(fields.path, key, f"{counted:,} as the parts have", f"{fields.raw(key)}", _REMEDY)
+                raise FormatError(fields.path, key, f"{counted:,} as the parts have", f"{fields.raw(key)}", DAMAGED)
         return found
 
 
@@ -284,7 +283,7 @@ def _blob(fields: Fields, key: str) -> Blob | None:
     parts = tuple(Part.from_fields(part, "bin") for part in _objects(child, "parts"))
     total = child.integer("bytes", 0, 1 << 50)
     if total != sum(part.nbytes for part in parts):
-        raise FormatError(fields.path, f"{key}.bytes", f"{sum(p.nbytes for p in parts):,}", f"{total:,}", _REMEDY)
+        raise FormatError(fields.path, f"{key}.bytes", f"{sum(p.nbytes for p in parts):,}", f"{total:,}", DAMAGED)
     return Blob(parts, total)
 
 

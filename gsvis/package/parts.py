@@ -21,7 +21,7 @@ from gsvis.errors import FormatError
 from gsvis.files.arrow import ArrowFile, write_arrow
 from gsvis.files.atomic import remove_all_partials
 from gsvis.files.fields import Fields
-from gsvis.files.limits import Budget, check_regular, digest_of, read_whole
+from gsvis.files.limits import DAMAGED, Budget, check_regular, digest_of, read_whole
 from gsvis.files.output import output_errors
 
 __all__ = ["MOST_BYTES", "Part", "PartFolder"]
@@ -35,7 +35,6 @@ _DIGEST = re.compile("[0-9a-f]{64}")
 _OURS = re.compile(
     r"[0-9a-f]{64}\.(arrow|bin)|\.part-[0-9a-f]{12}\.(arrow|bin)|\.\.part-[0-9a-f]{12}(-|\.gsvis-).*\.(arrow|bin)"
 )
-_AGAIN = "the part is damaged: copy or prepare the package again"
 
 
 @dataclass(frozen=True)
@@ -131,9 +130,9 @@ class PartFolder:
         except IsADirectoryError as error:
             raise FormatError(path, "", "a part of the package", "a folder", "prepare the package again") from error
         if size != part.nbytes:
-            raise FormatError(path, "", f"{part.nbytes:,} bytes", f"{size:,}", _AGAIN)
+            raise FormatError(path, "", f"{part.nbytes:,} bytes", f"{size:,}", DAMAGED)
         if digest != part.digest:
-            raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", _AGAIN)
+            raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", DAMAGED)
         return path
 
     def read_bytes(self, part: Part) -> bytes:
@@ -164,12 +163,11 @@ class PartFolder:
         if file.header.raw("kind") != kind:
             raise FormatError(path, "kind", kind, repr(file.header.raw("kind"))[:60])
         expected = pa.schema([pa.field(k, pa.from_numpy_dtype(np.dtype(t)), nullable=False) for k, t in types.items()])
-        if not file.schema.equals(expected):
-            raise FormatError(path, "columns", ", ".join(expected.names)[:200], ", ".join(file.schema.names)[:200])
+        file.check_schema(expected)
         batches = list(file.batches(Budget(path, file.nbytes) if budget is None else budget))
         found = sum(batch.num_rows for batch in batches)
         if found != rows:
-            raise FormatError(path, "rows", f"{rows:,} as the manifest says", f"{found:,}", _AGAIN)
+            raise FormatError(path, "rows", f"{rows:,} as the manifest says", f"{found:,}", DAMAGED)
         return {
             name: np.concatenate([batch.column(name).to_numpy() for batch in batches] or [np.zeros(0, kind)])
             for name, kind in types.items()

@@ -10,14 +10,13 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.color.fit import FitConfig, SrbfFit, fit_srbf
-from gsvis.files.kept import Kept
+from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, space_hash
@@ -34,6 +33,7 @@ F64 = NDArray[np.float64]
 
 _PLAN = 1  # raised whenever the same plan would find something else
 _BLOCK = 8192  # Gaussians traced before what was found is kept
+_FOUND = "found.npz"  # all that is kept
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,12 @@ def prepare_colors(
         return ColorPreparation(fit, everywhere, ones, None, "none needed: no color depends on direction")
     if navigable is None:
         raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
-    kept = Kept(keep, _plan(g, navigable, config, given))
+    kept = None if keep is None else KeptWork.beside(keep, _plan(g, navigable, config, given))
     n = len(union)
-    found = kept.load(
-        {"sets": ((n, NUM_FACES // 8), np.uint8), "traced": ((1,), np.int64), "importance": ((n,), np.float64)}
-    )
+    like: dict[str, Any] = {
+        "sets": ((n, NUM_FACES // 8), np.uint8), "traced": ((1,), np.int64), "importance": ((n,), np.float64)
+    }  # fmt: skip
+    found = {} if kept is None else kept.read_arrays(_FOUND, like)
     if given is None and config.rays_per_face > 0:
         _trace(as_levels(g), navigable, config.rays_per_face, kept, found, progress)
         rays = "1 ray" if config.rays_per_face == 1 else f"{config.rays_per_face} rays"
@@ -144,7 +145,8 @@ def prepare_colors(
         seen = importance_from_views(g, views, progress=progress)
         found["sets"] |= seen.sets
         found["importance"] = seen.importance
-        kept.save(**found)
+        if kept is not None:
+            kept.keep_arrays(_FOUND, found)
     directions = found["sets"] if given is None else found["sets"] | given
     told += "" if levels_record(g) is None else ", in each level"
     fit = fit_srbf(union, directions, config.fit, importance=found["importance"], progress=progress)
@@ -158,23 +160,24 @@ def find_kept(
     keep: str | os.PathLike[str],
     *,
     sets: ArrayLike | None = None,
-) -> Path | None:
-    """The file in which a preparation keeps what it finds, for its name and for its removal.
+) -> KeptWork | None:
+    """Return where a preparation keeps what it finds, to name it and to remove it.
 
     Args:
-        g: As given to `prepare_colors`.
-        navigable: So too.
-        config: So too.
-        keep: So too.
-        sets: So too.
+        g: The scene or levels, as given to `prepare_colors`.
+        navigable: The space, as given there.
+        config: How, as given there.
+        keep: The file that will be made.
+        sets: The direction sets that are known.
 
     Returns:
-        The path, of a file that need not exist; None where nothing is ever kept.
+        The work, of which nothing need be there; None where nothing is ever kept.
     """
     union = union_of(g)
     if navigable is None or union.sh_degree == 0:
         return None
-    return Kept(keep, _plan(g, navigable, config, None if sets is None else _check_sets(sets, len(union)))).path
+    given = None if sets is None else _check_sets(sets, len(union))
+    return KeptWork.beside(keep, _plan(g, navigable, config, given))
 
 
 def _plan(g: Gaussians | Levels, navigable: NavigableSpace, config: ColorConfig, sets: U8 | None) -> dict[str, Any]:
@@ -192,7 +195,12 @@ def _plan(g: Gaussians | Levels, navigable: NavigableSpace, config: ColorConfig,
 
 
 def _trace(
-    levels: Levels, navigable: NavigableSpace, rays: int, kept: Kept, found: dict[str, NDArray[Any]], progress: Progress
+    levels: Levels,
+    navigable: NavigableSpace,
+    rays: int,
+    kept: KeptWork | None,
+    found: dict[str, NDArray[Any]],
+    progress: Progress,
 ) -> None:
     """Direction sets traced outward into `found`, from where an earlier run stood; kept block by block."""
     from gsvis.raycast import EllipsoidProxies, Tracer
@@ -220,7 +228,8 @@ def _trace(
                 tracer, navigable, ids=ids, rays_per_face=rays, progress=within
             )
             found["traced"] = np.array([begin + ids[-1] + 1], np.int64)
-            kept.save(**found)
+            if kept is not None:
+                kept.keep_arrays(_FOUND, found)
 
 
 def _check_sets(sets: ArrayLike, count: int) -> U8:

@@ -28,6 +28,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.levels import SUBSETS
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
@@ -169,7 +170,7 @@ class _Estimator:
             math.log(min(f for _, f, _ in _sizes(stages)) / self.counts[-1]) / math.log(1 - config.prune_share)
         )
         # The first round of the choice looks from three times as many views.
-        left = 1.0 if not (begun / "subsets.npz").exists() else 0.0
+        left = 1.0 if not (begun / SUBSETS).exists() else 0.0
         steps = config.iterations * sum(_STEP + _STEP_SHARE * c / self.counts[-1] for c in self.counts[:-1])
         looks = views.count * (1.0 + left * (rounds + 2) * _PRUNED_VIEW) + steps
         seconds = looks * self.view_seconds(views)

@@ -131,7 +131,7 @@ def prepare_package(
         len(kept),
         sum(sizes.values()),
         sum(kept.values()),
-        work.path,
+        work.folder,
         work.nbytes,
         tuple(stages.remarks),
     )

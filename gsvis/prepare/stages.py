@@ -155,7 +155,7 @@ class Stages:
                 build_pvs(
                     levels, grid, self.space, path, self.config.sets, workers=workers, progress=self.progress
                 ).close()
-                self.work.seal(name)
+                self.work.seal_file(name)
         return self.work.at(name)
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
@@ -171,7 +171,7 @@ class Stages:
         found_so_far = self.work.at("directions")  # whatever the variant, it serves: see `prepare_colors`
         kept = find_kept(levels, self.space, self.config.colors, found_so_far, sets=sets)
         if kept is not None:
-            self.work.at(kept.name)
+            self.work.at(kept.folder.name)
         with self._stage("colors") as done:
             if not self.work.whole(name):
                 done.append(True)
@@ -180,7 +180,7 @@ class Stages:
                 )
                 told = {"directions": found.sets_from}
                 save_srbf(self.work.at(name), levels.union, found.fit.colors, provenance=told)
-                self.work.seal(name)
+                self.work.seal_file(name)
             path = self.work.at(name)
             return load_srbf(path)[1], str(srbf_info(path).provenance.get("directions"))
 
@@ -207,7 +207,7 @@ class Stages:
                     rounded, levels.union, store, config.epsilon, path,
                     provenance=config.epsilon_from, progress=self.progress,
                 ).close()  # fmt: skip
-                self.work.seal(name)
+                self.work.seal_file(name)
         return self.work.at(name)
 
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
@@ -226,7 +226,7 @@ class Stages:
                 cost = measure_cost(levels, exact, packed, cameras, progress=self.progress)
                 with atomic_path(self.work.at(name)) as partial:
                     partial.write_text(json.dumps(asdict(cost)), encoding="ascii")
-                self.work.seal(name)
+                self.work.seal_file(name)
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
     def _train(self, folder: Path) -> Levels:

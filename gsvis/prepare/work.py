@@ -1,7 +1,7 @@
 """The folder beside a package that keeps what was found on the way, each piece under the hash of all that decides it.
 
-So a run that is killed goes on where it was, and one after an edit does again only what the edit changed. Everything in
-it can be made again: whoever needs the room may delete it.
+So a run that is killed continues where it was, and one after an edit does again only what the edit changed. Everything
+in it can be made again: whoever needs the room may delete it.
 """
 
 from __future__ import annotations
@@ -11,77 +11,63 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from gsvis import _check
-from gsvis.errors import FormatError
-from gsvis.files.atomic import atomic_path
-from gsvis.files.limits import digest_of, read_whole
-from gsvis.files.locks import locked
-from gsvis.files.output import keeping, output_errors
+from gsvis.files.limits import digest_of
+from gsvis.files.output import keeping
+from gsvis.files.resume import PLAN, KeptWork
 
 __all__ = ["WorkFolder", "digest_of_folder"]
 
-_MARK = "gsvis-prepare"
-_TOLD = "What `gsvis prepare` keeps between runs. It may be deleted: it is made again.\n"
+_ABOUT = "What `gsvis prepare` keeps between runs. It may be deleted: it is made again."
 
 
-class WorkFolder:
-    """Pieces by stage and key.
+class WorkFolder(KeptWork):
+    """Pieces by stage and key, which stay when the package is whole.
 
     Args:
         package: The package; the folder is `NAME.work` beside it.
 
     Attributes:
-        path: The folder, which need not exist.
+        folder: The folder, which need not exist.
     """
+
+    lock_name = "gsvis-prepare"
 
     def __init__(self, package: str | os.PathLike[str]) -> None:
         target = Path(os.path.abspath(_check.path("package", package)))
-        self.path = target.with_name(f"{target.name}.work")
+        super().__init__(target.with_name(f"{target.name}.work"), {"about": _ABOUT}, argument="out")
         self._used: set[str] = set()
 
     def check(self) -> None:
-        """Nothing, if the folder may be used.
+        """Raise unless the folder is usable.
 
         Raises:
-            ValueError: If there is something of that name that is none.
+            ValueError: If there is something else of that name.
         """
-        told = f"out: expected {self.path.name} beside it to be free for what is kept between runs, got"
-        if self.path.exists() and not self.path.is_dir():
-            raise ValueError(f"{told} a file; move it away")
-        if self.path.is_dir() and any(self.path.iterdir()) and not (self.path / _MARK).exists():
-            raise ValueError(f"{told} a folder of something else; move it away")
+        expected = f"out: expected {self.folder.name} beside it to be free for what is kept between runs, got"
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ValueError(f"{expected} a file; move it away")
+        if self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / self.lock_name).exists():
+            raise ValueError(f"{expected} a folder of something else; move it away")
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """The folder made, and kept from other processes.
+        """Make the folder and keep other processes out of it.
 
         Raises:
             ValueError: If it is not free, or another process works there.
             OSError: If it cannot be written.
         """
         self.check()
-        with ExitStack() as opened:
-            with output_errors(self.path):
-                self.path.mkdir(parents=True, exist_ok=True)
-                mark = opened.enter_context((self.path / _MARK).open("a+", encoding="utf-8"))
-            if not locked(mark):
-                raise ValueError(
-                    f"out: expected a package that no other process prepares, got one that is busy in {self.path.name};"
-                    " wait for it or stop it"
-                )
-            with output_errors(self.path):
-                if mark.tell() == 0:
-                    mark.write(_TOLD)
-                    mark.flush()
-            with keeping(f"what was finished is kept in {self.path.name}"):
-                yield
+        with super().opened(), keeping(f"what was finished is kept in {self.folder.name}"):
+            yield
 
     def key(self, stage: str, decides: Mapping[str, Any]) -> str:
-        """A short hash of all that decides a piece.
+        """Return a short hash of all that decides a piece.
 
         Args:
             stage: Its stage.
@@ -91,53 +77,34 @@ class WorkFolder:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def at(self, name: str) -> Path:
-        """The path of a piece, which is then kept when others are cleared away."""
+        """Return the path of a piece, which is then kept when others are cleared away."""
         self._used.add(name)
-        return self.path / name
+        return self.folder / name
 
     def whole(self, name: str) -> bool:
-        """Whether a file is there with the content that `seal` saw."""
-        path = self.at(name)
-        try:
-            told = read_whole(self.path / f"{name}.sha256", 64)
-            return told.decode("ascii") == digest_of(path)
-        except (OSError, FormatError, UnicodeDecodeError):
-            return False
-
-    def seal(self, name: str) -> None:
-        """Note the content of a finished file, so that damage is seen.
-
-        Raises:
-            OSError: If it cannot be read, or the note not be written.
-        """
-        with atomic_path(self.path / f"{name}.sha256") as partial:
-            partial.write_text(digest_of(self.path / name), encoding="ascii")
+        """Return whether a piece is there with the content that `seal_file` saw; it is then kept as by `at`."""
+        self.at(name)
+        return self.has_file(name)
 
     def clear(self) -> None:
         """Remove what this run did not ask for: pieces of other scenes and options."""
-        if not self.path.is_dir():
-            return
-        kept = {_MARK, *self._used, *(f"{name}.sha256" for name in self._used)}
-        for path in self.path.iterdir():
-            if path.name in kept:
+        used = self._used | {f"{name}.sha256" for name in self._used} | {self.lock_name, PLAN}
+        for path in self.folder.iterdir() if self.folder.is_dir() else ():
+            if path.name in used:
                 continue
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 path.unlink(missing_ok=True)
 
-    def remove(self) -> None:
-        """Delete the folder."""
-        shutil.rmtree(self.path, ignore_errors=True)
-
     @property
     def nbytes(self) -> int:
         """Bytes of all files in it."""
-        return sum(path.stat().st_size for path in self.path.rglob("*") if path.is_file())
+        return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
 
 
 def digest_of_folder(folder: str | os.PathLike[str]) -> str:
-    """SHA-256 over names and contents of all files in a folder, or of one file, as 64 hexadecimal digits.
+    """Return the SHA-256 over names and contents of all files in a folder, or of one file, as 64 hexadecimal digits.
 
     Raises:
         OSError: If something cannot be read.

@@ -10,7 +10,6 @@ import os
 import shutil
 import signal
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -32,6 +31,7 @@ from numba import get_num_threads, set_num_threads
 from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
+from gsvis.files.cache import Cache
 from gsvis.files.output import output_errors
 from gsvis.pvs._journal import pack_view
 from gsvis.pvs.config import CellView, PvsConfig, see_cell
@@ -62,7 +62,7 @@ _SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (
 _MEMBERSHIP = ("first", "last")  # levels of each Gaussian
 _RESTARTS = 3  # times in a row that work is begun again without one cell being finished
 
-_ready: OrderedDict[str, Looks] = OrderedDict()  # of this process, the last scene and configuration
+_ready: Cache[Looks] = Cache(max_items=1)  # of this process, the last scene and configuration
 _one_at_a_time = threading.Lock()  # the kernels of numba's default threading layer may not run from two threads
 _threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 
@@ -102,7 +102,7 @@ class SceneArrays:
 
     def looks(self) -> Looks:
         """The levels, ready; kept until other ones are asked for."""
-        looks = _ready.get(self.key)
+        looks = _ready.find(self.key)
         if looks is None:
             _ready.clear()
             source, config = self.source, self.config
@@ -112,7 +112,7 @@ class SceneArrays:
             union = Gaussians(**{name: source[name] for name in _SHAPES})
             levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
             looks = [(Look(g, config.method, config.size, config.tau), ids) for g, ids in level_scenes(levels)]
-            _ready[self.key] = looks
+            _ready.keep(self.key, looks)
         return looks
 
     def view(self, viewpoints: NDArray[np.float64]) -> CellView:

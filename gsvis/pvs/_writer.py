@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
@@ -20,17 +19,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.files.atomic import atomic_path
+from gsvis.files.cache import Cache
 from gsvis.files.limits import MAX_EXPANSION
+from gsvis.files.sections import FileKind, SectionWriter
 from gsvis.progress import Progress, silent
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
-from gsvis.pvs._container import ContainerWriter
 from gsvis.pvs._kernels import store as kernels
 from gsvis.pvs.cells import CellGrid
 
-__all__ = ["CELL_ROW", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "beyond_free", "write_store"]
+__all__ = ["CELL_ROW", "FILE_KIND", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "beyond_free", "write_store"]
 
 FORMAT = "gsvis visible sets"
+FILE_KIND = FileKind(b"\x93GSPVS\r\n", 1, "a store of visible sets", "give a file that `gsvis pvs` has written")
 MAX_CLASSES = 16
 CELL_ROW = np.dtype(
     [
@@ -133,7 +134,7 @@ class StoreWriter:
         self._rows = np.zeros(len(grid), CELL_ROW)
         self._spill = tempfile.TemporaryFile(dir=self.path.parent)  # noqa: SIM115  closed in __exit__
         self._places: list[tuple[int, int, int]] = []  # first byte, length of the set, length of the levels
-        self._held: OrderedDict[int, NDArray[np.uint64]] = OrderedDict()
+        self._held: Cache[NDArray[np.uint64]] = Cache(max_items=_HELD)
 
     def __enter__(self) -> StoreWriter:
         return self
@@ -196,13 +197,13 @@ class StoreWriter:
         labels = _order.choose_labels(self.info.gaussians, len(self), self._set)
         self._rows["parent"] = _order.parents_of(self._count_shared(), len(self))
         with atomic_path(self.path) as partial, partial.open("wb") as file:
-            container = ContainerWriter(file)
+            container = SectionWriter(file, FILE_KIND)
             self._write_sets(container, labels, progress)
             self._write_rest(container, labels, sets)
             file.flush()
         return self.path
 
-    def _write_sets(self, container: ContainerWriter, labels: NDArray[np.uint16], progress: Progress) -> None:
+    def _write_sets(self, container: SectionWriter, labels: NDArray[np.uint16], progress: Progress) -> None:
         """The sets of all cells, and then their classes, which need the classes of their parents."""
         n, order = self.info.gaussians, _order.order_of(labels)
         places = np.empty(n, np.int32)
@@ -233,7 +234,7 @@ class StoreWriter:
         container.append(_codec.encode_set(stored))
         container.close_section("ever")
 
-    def _write_rest(self, container: ContainerWriter, labels: NDArray[np.uint16], sets: NDArray[np.uint8]) -> None:
+    def _write_rest(self, container: SectionWriter, labels: NDArray[np.uint16], sets: NDArray[np.uint8]) -> None:
         container.append(_codec.encode_labels(labels, level=19))
         container.close_section("labels")
         container.append(_codec.compress(np.ascontiguousarray(sets.T).tobytes()))
@@ -269,16 +270,13 @@ class StoreWriter:
 
     def _set(self, cell: int) -> NDArray[np.uint64]:
         """The set of a cell, scene order."""
-        if cell in self._held:
-            self._held.move_to_end(cell)
-            return self._held[cell]
+        return self._held.find_or_make(cell, lambda: self._read_set(cell))
+
+    def _read_set(self, cell: int) -> NDArray[np.uint64]:
         start, length, _ = self._places[cell]
         self._spill.seek(start)
         data = _codec.decompress(self._spill.read(length), 8 * _codec.word_count(self.info.gaussians))
         words: NDArray[np.uint64] = np.frombuffer(data, np.uint64).copy()  # writeable, as kernels know them
-        self._held[cell] = words
-        if len(self._held) > _HELD:
-            self._held.popitem(last=False)
         return words
 
     def _levels(self, cell: int) -> NDArray[np.uint8]:

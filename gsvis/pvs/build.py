@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
 import os
 import time
 from collections.abc import Generator
@@ -24,8 +23,9 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import OutputError, SceneError
 from gsvis.files.output import output_errors
+from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
-from gsvis.pvs._journal import Journal, pack_view
+from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
 from gsvis.pvs._work import (
     Result,
     SceneArrays,
@@ -100,7 +100,7 @@ class Estimate:
         seconds: Expected time.
         memory: Bytes taken at most, all processes together.
         disk: Bytes of the finished store.
-        working_disk: Bytes of the journal while it is built.
+        working_disk: Bytes of finished cells while it is built.
     """
 
     cells: int
@@ -150,26 +150,26 @@ def build_pvs(
     count = _fitting(levels, config, workers)
     viewpoints = CellViewpoints(grid, space)
     target, plan = _check.path("path", path), _plan(levels, grid, space, config)
-    journal = Journal(_folder_of(target, plan), plan, len(levels.union))
+    work = KeptWork.beside(target, plan)
     try:
-        with journal.opened():
-            finished = journal.finished(len(grid))
+        with work.opened():
+            finished = find_kept_cells(work, len(grid), len(levels.union))
             progress("cells", len(finished), len(grid))
             left = sorted(set(range(len(grid))) - set(finished))
             tasks = [Task(cell, viewpoints.spread(cell, config.max_viewpoints)) for cell in left]
             scene = SceneArrays.from_levels(_key(plan), levels, config)
-            with closing(_results(scene, tasks, workers, count, journal)) as results:
+            with closing(_results(scene, tasks, workers, count, work)) as results:
                 for done, (cell, data) in enumerate(results, len(finished) + 1):
-                    journal.keep(cell, data)
+                    work.keep(name_entry(cell), data)
                     progress("cells", done, len(grid))
-            _write(journal, grid, target, plan, config, progress)
+            _write(work, grid, target, plan, config, progress)
             store = VisibilityStore.open(target)  # before the journal goes: what cannot be read is not lost
-            journal.remove()
+            work.remove()
     except SceneError:
-        journal.remove()
+        work.remove()
         raise
     except OSError as error:
-        raise _explain(error, journal, len(grid), target) from error
+        raise _explain(error, work, plan, len(grid), target) from error
     return store
 
 
@@ -206,8 +206,7 @@ def estimate_pvs(
     viewpoints = CellViewpoints(grid, space)
     _check.positive_int("sample", sample)
     plan = _plan(levels, grid, space, config)
-    journal = Journal(_folder_of(_check.path("path", path), plan), plan, len(levels.union))
-    finished = len(journal.finished(len(grid)))
+    finished = len(find_kept_cells(KeptWork.beside(path, plan), len(grid), len(levels.union)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
     scene = SceneArrays.from_levels(_key(plan), levels, config)
     scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
@@ -235,13 +234,8 @@ def estimate_pvs(
 def journal_of(
     g: Gaussians | Levels, grid: CellGrid, space: NavigableSpace, path: str | os.PathLike[str], config: PvsConfig
 ) -> Path:
-    """The folder in which a build of this plan keeps finished cells."""
-    return _folder_of(_check.path("path", path), _plan(as_levels(g), grid, space, config))
-
-
-def _folder_of(target: Path, plan: dict[str, Any]) -> Path:
-    digest = hashlib.sha256(json.dumps(plan, sort_keys=True).encode()).hexdigest()
-    return target.with_name(f"{target.name}.partial-{digest[:12]}")
+    """Return the folder in which a build of this plan keeps finished cells."""
+    return KeptWork.beside(path, _plan(as_levels(g), grid, space, config)).folder
 
 
 def _check_levels(g: Gaussians | Levels) -> Levels:
@@ -257,12 +251,12 @@ def _check_levels(g: Gaussians | Levels) -> Levels:
     return levels
 
 
-def _explain(error: OSError, journal: Journal, cells: int, target: Path) -> OSError:
-    """The error with a word on what is kept and what helps."""
-    kept = len(journal.finished(cells))
-    held = f"{kept} of {cells} cells are kept in {journal.folder.name}" if kept else "no cell was finished"
+def _explain(error: OSError, work: KeptWork, plan: dict[str, Any], count: int, target: Path) -> OSError:
+    """Return the error with what is kept and what helps."""
+    kept = len(find_kept_cells(work, count, plan["gaussians"]))
+    held = f"{kept} of {count} cells are kept in {work.folder.name}" if kept else "no cell was finished"
     try:
-        with output_errors(target, journal.folder):
+        with output_errors(target, work.folder):
             raise error
     except OutputError as found:
         return OutputError(found.path, found.errno or errno.EIO, held, found.remedy)
@@ -292,7 +286,7 @@ def _key(plan: dict[str, Any]) -> str:
 
 
 def _results(
-    scene: SceneArrays, tasks: list[Task], workers: Workers, count: int, journal: Journal
+    scene: SceneArrays, tasks: list[Task], workers: Workers, count: int, work: KeptWork
 ) -> Generator[Result, None, None]:
     if workers.executor is not None:
         share = workers.scatter or (lambda given: given)
@@ -300,12 +294,12 @@ def _results(
     elif count == 1 or len(tasks) < 2:
         yield from run_here(scene, tasks)
     else:
-        with scene.stored(journal.folder / "scene") as stored:
+        with scene.stored(work.folder / "scene") as stored:
             yield from run_in_processes(stored, tasks, min(count, len(tasks)))
 
 
 def _write(
-    journal: Journal,
+    work: KeptWork,
     grid: CellGrid,
     path: Path,
     plan: dict[str, Any],
@@ -319,7 +313,7 @@ def _write(
     looked = 0
     with StoreWriter(path, grid, info) as writer:
         for cell in range(len(grid)):
-            view = journal.view(cell)
+            view = read_view(work, cell, count)
             if view is None:
                 raise OSError(5, f"the journal of cell {cell} was damaged while the store was written")
             directions[view.ids] |= view.directions

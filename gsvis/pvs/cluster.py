@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from typing import Any
 
+from gsvis._extras import require
 from gsvis.errors import BackendError
 from gsvis.pvs import _work
 from gsvis.pvs.build import Workers
@@ -46,15 +47,14 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
 
     Raises:
         ValueError: If the address is malformed.
-        BackendError: If dask is not installed, no scheduler or no worker answers, or a worker lacks this gsvis.
+        MissingExtraError: If dask is not installed.
+        BackendError: If no scheduler or no worker answers, or a worker lacks this gsvis.
     """
     check_address(address)
-    try:
-        from dask import config
-        from distributed import Client
-        from distributed.diagnostics.plugin import WorkerPlugin
-    except ImportError as error:
-        raise BackendError(f"a Dask cluster needs dask.distributed ({error}): pip install 'gsvis[cluster]'") from error
+    require("a Dask cluster", "dask", "distributed")
+    from dask import config
+    from distributed import Client
+    from distributed.diagnostics.plugin import WorkerPlugin
 
     class Threads(WorkerPlugin):  # type: ignore[misc]
         """Tells a worker how many threads its kernels may use; workers that come later are told too."""

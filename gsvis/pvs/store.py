@@ -21,13 +21,13 @@ from pyroaring import BitMap
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.cache import Cache
-from gsvis.files.limits import Budget
+from gsvis.files.limits import DAMAGED, Budget
+from gsvis.files.sections import SectionFile
 from gsvis.progress import Progress, silent
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
-from gsvis.pvs._container import Container
 from gsvis.pvs._kernels import store as kernels
-from gsvis.pvs._writer import CELL_ROW, FORMAT, CellSet, StoreInfo, StoreWriter, beyond_free, write_store
+from gsvis.pvs._writer import CELL_ROW, FILE_KIND, FORMAT, CellSet, StoreInfo, StoreWriter, beyond_free, write_store
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.why import Why, why
 from gsvis.raycast.tracer import Tracer
@@ -39,8 +39,6 @@ __all__ = ["CellSet", "StoreInfo", "StoreWriter", "VisibilityStore", "write_stor
 
 Words = NDArray[np.uint64]
 U8 = NDArray[np.uint8]
-
-_REMEDY = "the file is damaged: copy or build it again"
 
 
 class VisibilityStore:
@@ -56,14 +54,14 @@ class VisibilityStore:
     def __init__(self, path: str | PathLike[str], *, max_cache: int = 256 << 20) -> None:
         """Open a file without a look at its scene; see `open`."""
         self.path = _check.path("path", path)
-        self.cache = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
+        self.cache: Cache[Any] = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
-        self._container = Container(path)
+        self._file = SectionFile(path, FILE_KIND)
         try:
             self.info, self.grid = self._read_header()
             self._rows = self._read_rows()
         except BaseException:
-            self._container.close()
+            self._file.close()
             raise
 
     @classmethod
@@ -95,7 +93,7 @@ class VisibilityStore:
 
     def close(self) -> None:
         """Let go of the file; no query works afterward."""
-        self._container.close()
+        self._file.close()
 
     def __enter__(self) -> VisibilityStore:
         return self
@@ -266,11 +264,11 @@ class VisibilityStore:
         `bits_per_pair` counts the whole file but the weight classes and the direction sets, which are no sets of cells;
         `class_bits_per_pair` counts the classes.
         """
-        found: dict[str, float] = {name: section.length for name, section in self._container.sections.items()}
+        found: dict[str, float] = {name: section.length for name, section in self._file.sections.items()}
         pairs = max(1, int(self.visible_counts.sum()))
-        sets = self._container.size - found["classes"] - found["directions"]
+        sets = self._file.size - found["classes"] - found["directions"]
         bits = {"bits_per_pair": 8.0 * sets / pairs, "class_bits_per_pair": 8.0 * found["classes"] / pairs}
-        return {**found, "file": self._container.size, **bits}
+        return {**found, "file": self._file.size, **bits}
 
     def verify(self, *, progress: Progress = silent) -> None:
         """Read and decode everything.
@@ -282,8 +280,8 @@ class VisibilityStore:
             FormatError: If anything is damaged; names the first place.
         """
         progress("verify", 0, len(self))
-        for name in self._container.sections:
-            self._container.read(name)
+        for name in self._file.sections:
+            self._file.read(name)
         _ = self._order, self.direction_sets
         ever = np.zeros_like(self._ever)
         for cell in range(len(self)):
@@ -341,7 +339,7 @@ class VisibilityStore:
     @cached_property
     def _order(self) -> NDArray[np.int32]:
         """(N,) the Gaussian at each stored position."""
-        data = self._container.read("labels")
+        data = self._file.read("labels")
         try:
             return _order.order_of(_codec.decode_labels(data, self.gaussians))
         except _codec.CodecError as error:
@@ -357,7 +355,7 @@ class VisibilityStore:
     @cached_property
     def _ever(self) -> Words:
         """What any cell sees, stored order."""
-        data = self._container.read("ever")
+        data = self._file.read("ever")
         try:
             return _codec.decode_set(data, self.gaussians)
         except _codec.CodecError as error:
@@ -388,7 +386,7 @@ class VisibilityStore:
         if held is None:
             row = self._rows[cell]
             place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
-            data = self._container.read_part("sets", *place, f"set of cell {cell}")
+            data = self._file.read_part("sets", *place, f"set of cell {cell}")
             try:
                 held = _codec.decode_set(data, self.gaussians, int(row["visible"]))
             except _codec.CodecError as error:
@@ -403,7 +401,7 @@ class VisibilityStore:
             row = self._rows[cell]
             above = self._levels(int(row["parent"])) if row["parent"] >= 0 else None
             place = int(row["class_offset"]), int(row["class_length"]), int(row["class_crc"])
-            data = self._container.read_part("classes", *place, f"classes of cell {cell}")
+            data = self._file.read_part("classes", *place, f"classes of cell {cell}")
             shape = self.gaussians, above, len(self.info.class_edges)
             try:
                 held = _codec.decode_classes(data, self._words(cell), *shape)
@@ -420,19 +418,19 @@ class VisibilityStore:
 
     def _unpack(self, name: str, length: int) -> bytes:
         try:
-            return _codec.decompress(self._container.read(name), length)
+            return _codec.decompress(self._file.read(name), length)
         except _codec.CodecError as error:
             raise self._undecodable(f"section {name!r}", error) from error
 
     def _read_header(self) -> tuple[StoreInfo, CellGrid]:
-        header = self._container.header
+        header = self._file.header
         if header.raw("format") != FORMAT:
             raise self._fault("format", repr(FORMAT), repr(header.raw("format"))[:60])
         scene, grid = header.raw("scene"), header.child("grid")
         if not isinstance(scene, str):
             raise self._fault("scene", "the hash of a scene", repr(scene)[:60])
         n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
-        Budget(self.path, self._container.size).claim(beyond_free(n) + 12 * cells, "header")
+        Budget(self.path, self._file.size).claim(beyond_free(n) + 12 * cells, "header")
         config = header.child("config").value
         shape = tuple(int(side) for side in grid.numbers("shape", 3))
         frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
@@ -441,17 +439,17 @@ class VisibilityStore:
         try:
             return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
         except (ValueError, SceneError) as error:
-            raise FormatError(self.path, "header", "a grid and classes that are valid", str(error), _REMEDY) from error
+            raise FormatError(self.path, "header", "a grid and classes that are valid", str(error), DAMAGED) from error
 
     def _read_rows(self) -> NDArray[Any]:
-        data = self._container.read("cells")
+        data = self._file.read("cells")
         if len(data) != len(self.grid) * CELL_ROW.itemsize:
             raise self._fault("section 'cells'", f"{len(self.grid)} rows", f"{len(data)} bytes")
         rows = np.frombuffer(data, CELL_ROW)
         for kind, name in (("set", "sets"), ("class", "classes")):
             lengths = rows[f"{kind}_length"].astype(np.int64)
             starts = np.cumsum(lengths) - lengths
-            whole = int(lengths.sum()) == self._container.section(name).length
+            whole = int(lengths.sum()) == self._file.section(name).length
             if not whole or not np.array_equal(rows[f"{kind}_offset"].astype(np.int64), starts):
                 raise self._fault("section 'cells'", f"cells that fill section {name!r} in order", "others")
         at = np.arange(len(rows))
@@ -465,10 +463,10 @@ class VisibilityStore:
         return rows
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
-        return FormatError(self.path, where, expected, got, _REMEDY)
+        return FormatError(self.path, where, expected, got, DAMAGED)
 
     def _undecodable(self, where: str, error: _codec.CodecError) -> FormatError:
-        return FormatError(self.path, where, "bytes that can be decoded", f"others ({error})", _REMEDY)
+        return FormatError(self.path, where, "bytes that can be decoded", f"others ({error})", DAMAGED)
 
 
 def _has(words: Words, place: int) -> bool:

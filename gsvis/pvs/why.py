@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Why", "why"]
 
-VERDICTS = ("visible", "hidden", "missed", "faint")
 _SHOWN = 5
 _INSET = 0.8  # corners are taken this far out, so that they lie inside the cell
 

@@ -11,9 +11,10 @@ import numpy as np
 from numba import get_num_threads
 from numpy.typing import NDArray
 
+from gsvis._extras import has, require
 from gsvis.errors import BackendError
 
-__all__ = ["ENGINES", "EmbreexEngine", "Engine", "Open3dEngine"]
+__all__ = ["ENGINES", "EmbreexEngine", "Engine", "Open3dEngine", "fastest_engine"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -37,13 +38,13 @@ class Open3dEngine:
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
         get_num_threads()  # starts numba's threads before open3d brings a TBB that numba finds too old, and says so
+        require("engine 'open3d'", "open3d")
         try:
             import open3d as o3d
         except ImportError as error:
             raise BackendError(
-                "engine 'open3d': expected an importable open3d, got "
-                f"'{error}'; pip install open3d-cpu (Linux x86-64; it needs the system's libusb-1.0: "
-                "apt-get install libusb-1.0-0), or use engine='embreex'"
+                f"engine 'open3d': expected an importable open3d, got '{error}'; install the system's libraries that it"
+                " links (Debian: libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1), or use engine='embreex'"
             ) from error
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(faces):
@@ -66,13 +67,9 @@ class EmbreexEngine:
     """Use Embree through embreex: one core, first hits only."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise BackendError(
-                f"engine 'embreex': expected an importable embreex, got '{error}'; pip install embreex"
-            ) from error
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
         self._scene: Any = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, vertices, faces.astype(np.int32)) if len(faces) else None
         self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
@@ -90,6 +87,11 @@ class EmbreexEngine:
 
 
 ENGINES: dict[str, type[Open3dEngine] | type[EmbreexEngine]] = {"open3d": Open3dEngine, "embreex": EmbreexEngine}
+
+
+def fastest_engine() -> str:
+    """Return the name of the fastest engine that is installed: "open3d", or "embreex", which always is."""
+    return "open3d" if has("open3d") else "embreex"
 
 
 def _rays32(rays_o: F64, rays_d: F64) -> F32:

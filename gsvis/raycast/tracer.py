@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.raycast._kernels import trace as _kernels
-from gsvis.raycast.engines import ENGINES, Engine
+from gsvis.raycast.engines import ENGINES, Engine, fastest_engine
 from gsvis.raycast.hierarchy import Hierarchy
 from gsvis.raycast.proxies import EllipsoidProxies
 
@@ -104,15 +104,16 @@ class Tracer:
 
     Args:
         proxies: Proxies of the scene.
-        engine: "open3d" (all cores) or "embreex"; both are Embree.
+        engine: "open3d" (all cores, extra 'open3d') or "embreex" (one core); both are Embree. None takes the first
+            that is installed.
 
     Raises:
         ValueError: If the engine is unknown.
-        BackendError: On first use, if the engine's library is missing; the message names the package to install.
+        BackendError: On first use, if Open3D was asked for and is missing; says what to install.
     """
 
-    def __init__(self, proxies: EllipsoidProxies, engine: str = "open3d") -> None:
-        self.engine = _check.one_of("engine", engine, tuple(ENGINES))
+    def __init__(self, proxies: EllipsoidProxies, engine: str | None = None) -> None:
+        self.engine = fastest_engine() if engine is None else _check.one_of("engine", engine, tuple(ENGINES))
         self.proxies = proxies
 
     def __repr__(self) -> str:

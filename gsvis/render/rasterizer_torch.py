@@ -7,7 +7,7 @@ in speed alone: `cpu` (numba, float32), `reference` (plain torch, any float type
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,7 @@ from gsvis.render.colors import Colors
 from gsvis.render.colors_torch import TensorColors, camera_colors_torch
 from gsvis.render.cpu import rasterize_cpu
 from gsvis.render.cuda import is_available, rasterize_cuda
-from gsvis.render.reference_torch import rasterize_reference
+from gsvis.render.reference_torch import blend_reference, project_reference
 from gsvis.render.splats import View
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
@@ -129,10 +129,12 @@ def _draw_reference(
     tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
     colors: Tensor | None, probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
-    drawn = rasterize_reference(
-        tensors, camera.viewmats[0], camera.Ks[0], camera.width, camera.height,
-        background=background, sh_degree=degree, antialiased=antialiased, colors=colors, shift2d=probe,
-    )  # fmt: skip
+    size = camera.width, camera.height
+    projection = project_reference(
+        tensors, camera.viewmats[0], camera.Ks[0], *size, sh_degree=degree, antialiased=antialiased, colors=colors
+    )
+    shifted = replace(projection, means2d=projection.means2d + probe)
+    drawn = blend_reference(tensors, shifted, *size, background)
     return drawn.image, drawn.alpha, drawn.depth, drawn.median_depth
 
 

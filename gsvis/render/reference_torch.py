@@ -6,7 +6,8 @@ z axis in scene units; thresholds are those of docs/conventions.md. This module 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -156,10 +157,7 @@ def rasterize_reference(
     height: int,
     *,
     background: ArrayLike | Tensor = (0.0, 0.0, 0.0),
-    sh_degree: int | None = None,
-    antialiased: bool = False,
-    colors: Tensor | None = None,
-    shift2d: Tensor | None = None,
+    **options: Any,
 ) -> ReferenceImage:
     """Draw Gaussians, every pixel against every Gaussian.
 
@@ -170,10 +168,7 @@ def rasterize_reference(
         width: Pixels.
         height: Pixels.
         background: (3,) color behind everything.
-        sh_degree: Highest degree of SH to evaluate; None for all there are.
-        antialiased: See `project_reference`.
-        colors: (N, 3) to take in place of those from SH.
-        shift2d: (N, 2) pixels added to the projected centers; zeros that require a gradient receive theirs.
+        options: `sh_degree`, `antialiased` and `colors`, as `project_reference` takes them.
 
     Returns:
         The image with its depths and weights, of the dtype and device of `tensors`. Differentiable, but for the
@@ -182,11 +177,22 @@ def rasterize_reference(
     Raises:
         ValueError: If a shape, a size, the intrinsics or the degree are out of range.
     """
-    projection = project_reference(
-        tensors, viewmat, K, width, height, sh_degree=sh_degree, antialiased=antialiased, colors=colors
-    )
-    if shift2d is not None:
-        projection = replace(projection, means2d=projection.means2d + shift2d)
+    projection = project_reference(tensors, viewmat, K, width, height, **options)
+    return blend_reference(tensors, projection, width, height, background)
+
+
+def blend_reference(
+    tensors: GaussianTensors, projection: Projection, width: int, height: int, background: ArrayLike | Tensor
+) -> ReferenceImage:
+    """Draw Gaussians that are projected; see `rasterize_reference`.
+
+    Args:
+        tensors: N Gaussians, world frame.
+        projection: Of the same Gaussians.
+        width: Pixels.
+        height: Pixels.
+        background: (3,) color behind everything.
+    """
     means2d = projection.means2d
     if means2d.requires_grad:
         means2d.retain_grad()

@@ -14,6 +14,8 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+from gsvis._extras import remedy_of
+
 __all__ = ["Figure", "describe_run", "figure", "fill_template", "plain", "table", "tiles"]
 
 
@@ -44,8 +46,17 @@ def fill_template(template: str, **parts: str) -> str:
     return Template((here / template).read_text(encoding="utf-8")).substitute(parts, style=style)
 
 
-def figure(figure: Figure, alternative: str, caption: str) -> str:
-    """Return a picture with its caption; `caption` is HTML, `alternative` is text."""
+def figure(figure: Figure | None, alternative: str, caption: str) -> str:
+    """Return a picture with its caption, or the reason why it is missing.
+
+    Args:
+        figure: The picture; None where matplotlib is missing, which draws plots.
+        alternative: What is shown instead of the picture; text.
+        caption: HTML.
+    """
+    if figure is None:
+        text = f"Not drawn: {alternative}. Plots need matplotlib: {remedy_of('matplotlib')}."
+        return f"<figure><p>{escape(text)}</p><figcaption>{caption}</figcaption></figure>"
     image = f"<img src='{_data(figure.light)}' alt='{escape(alternative, quote=True)}'>"
     if figure.dark is not None:
         source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"

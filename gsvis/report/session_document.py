@@ -11,22 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis._extras import has
 from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.session_page import session_page
-from gsvis.report.session_plots import (
-    draw_bandwidth,
-    draw_bytes,
-    draw_latency,
-    draw_psnr,
-    draw_score,
-    draw_shares,
-    draw_start,
-)
-from gsvis.report.theme import DARK, LIGHT, draw_png
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
 from gsvis.simulate.viewing import Viewing
@@ -157,7 +148,29 @@ def write_session_report(
 
 
 def _figures(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
-    """Return all plots and pictures by name, plots for light and for dark pages."""
+    """Return all plots and pictures by name; no plots where matplotlib is missing."""
+    figures = _plots(simulation, progress) if has("matplotlib") else {}
+    for v, visit in enumerate(simulation.visits):
+        names = ["", *(session.playback.name for session in visit.sessions)]
+        for t, name, image in visit.pictures:
+            key = f"shown_{v}_{round(1000 * t)}_{names.index(name)}"
+            figures[key] = Figure(f"{key}.png", png_of(image))
+    return figures
+
+
+def _plots(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
+    """Return all plots by name, for light and for dark pages."""
+    from gsvis.report.session_plots import (
+        draw_bandwidth,
+        draw_bytes,
+        draw_latency,
+        draw_psnr,
+        draw_score,
+        draw_shares,
+        draw_start,
+    )
+    from gsvis.report.theme import DARK, LIGHT, draw_png
+
     visits = [visit.sessions for visit in simulation.visits]
     trace = simulation.link.trace
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
@@ -174,9 +187,4 @@ def _figures(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
         figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, len(plots))
-    for v, visit in enumerate(simulation.visits):
-        names = ["", *(session.playback.name for session in visit.sessions)]
-        for t, name, image in visit.pictures:
-            key = f"shown_{v}_{round(1000 * t)}_{names.index(name)}"
-            figures[key] = Figure(f"{key}.png", png_of(image))
     return figures

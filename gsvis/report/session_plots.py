@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.abr.traces import BYTES, BandwidthTrace
+from gsvis.report.session_page import PAPER_SENT
 from gsvis.report.theme import Theme
 from gsvis.simulate.viewing import GOOD_DB, Viewing
 
 __all__ = [
-    "PAPER_SENT",
     "draw_bandwidth",
     "draw_bytes",
     "draw_latency",
@@ -29,9 +29,6 @@ __all__ = [
 
 F64 = NDArray[np.float64]
 Visits = Sequence[Sequence[Viewing]]
-
-PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
-"""SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
 
 _PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 

@@ -61,10 +61,10 @@ def draw_png(
     """
     with rc_context(_style(theme)):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)
         draw(figure.add_subplot(), theme)
         out = io.BytesIO()
-        figure.savefig(out, format="png", metadata={"Software": None})
+        canvas.print_png(out, metadata={"Software": None})  # the bytes of savefig, which draws twice
     return out.getvalue()
 
 

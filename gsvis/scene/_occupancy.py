@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis.errors import SceneError
 from gsvis.scene._kernels.voxels import splat_depth
@@ -99,6 +98,8 @@ class Occupancy:
         Raises:
             SceneError: If most seeds lie away from clear voxels.
         """
+        from scipy import ndimage  # here: it takes long to import, and few need it
+
         below, around = _surroundings(self.depth, up)
         voxels = np.clip(np.floor((seeds - self.origin) / self.voxel_size), -9, 1 << 20).astype(np.int64)
         for min_below, min_around in RULES:
@@ -122,6 +123,8 @@ class Occupancy:
 
     def largest_part(self) -> Mask:
         """Return the largest connected part of the clear voxels; apply no other rule."""
+        from scipy import ndimage
+
         return _largest(ndimage.label(self.clear)[0])[0]
 
     def targets(self, seen: Gaussians) -> F64:
@@ -177,6 +180,8 @@ def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple
 
 def _dilate(mask: Mask, radius: float) -> Mask:
     """Return the mask, grown by `radius` voxels (between centers)."""
+    from scipy import ndimage
+
     reach = int(radius)
     if reach < 1 or not mask.any():
         return mask
@@ -220,6 +225,8 @@ def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
 
 
 def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
+    from scipy import ndimage
+
     shares = counts.astype(np.float32)
     shares /= of
     return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from gsvis import _check
 from gsvis.scene.navigable import NavigableSpace
@@ -42,6 +41,8 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
         >>> corridor(room, [[0.5, 2, 2], [3.5, 2, 2]], margin=0.5).volume < 0.2 * room.volume
         True
     """
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
     points = _check.floats("positions", positions, ("T", 3), np.float64)
     if len(points) == 0:
         raise ValueError("positions: expected at least one, got none")

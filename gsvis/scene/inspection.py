@@ -77,16 +77,17 @@ class SceneReport:
         return asdict(self)
 
 
-def inspect_scene(g: Gaussians) -> SceneReport:
+def inspect_scene(g: Gaussians, *, up: str | None = None) -> SceneReport:
     """Count, measure and check a scene.
 
     Args:
         g: The scene; may be empty.
+        up: The up axis where it is known, such as "+z"; None guesses.
 
     Returns:
         The report; `problems` lists what to check first.
     """
-    up, confidence = guess_up(g)
+    up, confidence = guess_up(g) if up is None else (up, 1.0)
     if len(g) == 0:
         zeros = dict.fromkeys(_QUANTILES, 0.0)
         return SceneReport(

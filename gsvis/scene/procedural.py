@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis import _check
 from gsvis.scene._surfaces import OFFSETS, OPACITY, SPENT, Patch, Sheet, Shell, Surface
@@ -301,6 +300,8 @@ def _judge(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F6
 
 def _space(g: Gaussians, surfaces: list[Surface], box: tuple[Triple, Triple], home: F64) -> NavigableSpace:
     """Return the part of the box that lies away from all surfaces and is connected to `home`."""
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
     grid = NavigableSpace.from_box(*box, 80)
     centers = grid.origin + grid.voxel_size * (np.indices(grid.free.shape).reshape(3, -1).T + 0.5)
     away = np.min([surface.distance(centers) for surface in surfaces], axis=0).reshape(grid.free.shape)

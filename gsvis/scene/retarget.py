@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis import _check
 from gsvis.scene._placement import Floors, Found, Search, Walk, best_placement, free_ahead, probe_indices
@@ -211,6 +210,8 @@ def _largest(
 
 def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
     """Return (M, 3) points moved into the navigable voxel nearest to their own (or to their nearest on the grid)."""
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
     shape = np.array(navigable.free.shape)
     cells = np.clip(np.floor((points - navigable.origin) / navigable.voxel_size), 0, shape - 1).astype(np.int64)
     nearest = ndimage.distance_transform_edt(~navigable.free, return_distances=False, return_indices=True)

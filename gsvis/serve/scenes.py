@@ -83,7 +83,7 @@ class ServedScene:
                 session.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
             holdings = session.holdings.to_bytes()
         for cell in range(len(grid)):
-            if scene.candidates.cache.nbytes > 0.9 * scene.candidates.cache.max_bytes:
+            if scene.candidates.cache.fill > 0.9:
                 break
             scene.candidates.in_cell(cell)
 

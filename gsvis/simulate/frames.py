@@ -82,7 +82,6 @@ class Frame:
     Attributes:
         ids: (M,) Gaussians that reach a pixel, ascending.
         reference: (H, W, 3) image of the full scene, in [0, 1].
-        drawings: Number of images drawn.
     """
 
     def __init__(self, stage: Stage, camera: Cameras) -> None:
@@ -95,7 +94,6 @@ class Frame:
         self._features[:, :3] = np.maximum(SH_C0 * g.sh0[self.ids, 0] + np.float32(0.5), 0.0)
         self._features[:, 3] = self._projected.depths
         self._kept: dict[bytes, float] = {}
-        self.drawings = 0
         if stage.reference is not None:
             self.reference: F32 = np.clip(rasterize(stage.reference, camera, backend="cpu").images[0], 0.0, 1.0)
         else:
@@ -119,7 +117,6 @@ class Frame:
             means = self._stage.drawn.means
             features[some, :3] = evaluator.colors(means, v.eye, active=terms, ids=self.ids[some])
         image = blend(p, v, features, np.zeros(3, np.float32), (offsets, members[:count]))[0]
-        self.drawings += 1
         return np.clip(image, 0.0, 1.0)
 
     @property

@@ -47,7 +47,7 @@ class StreamedScene:
         self.chunk_rows = _chunk_rows(self.contents)
         self.about = SceneHeader.from_manifest(package.manifest)
         self.header = self.about.to_message()
-        cache = Cache(max_cache_bytes)
+        cache: Cache[Any] = Cache(max_cache_bytes)
         self.index = _scene_index(package, cache)
         self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
         self.candidates = CandidateIndex(self.index, pixel=pixel, cache=cache)
@@ -127,7 +127,7 @@ def _chunk_rows(contents: Contents) -> NDArray[np.void]:
     return rows
 
 
-def _scene_index(package: Package, cache: Cache) -> SceneIndex:
+def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
     """Return what planners know of a package, whose visible sets are kept in a cache."""
     contents, manifest = package.contents, package.manifest
     sizes: dict[str, Any] = {

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from gsvis.errors import FormatError
 from gsvis.files.limits import Budget, open_regular, safe_name
@@ -142,7 +142,7 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
                 mode, size = image.mode, image.size
                 held = os.fstat(file.fileno()).st_size
         except FAULTS as error:
-            text = "something else" if "cannot identify" in str(error) else str(error) or type(error).__name__
+            text = "something else" if isinstance(error, UnidentifiedImageError) else str(error) or type(error).__name__
             raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", text, "is it damaged?") from error
         if mode not in MODES:
             remedy = "convert the images to 8-bit RGB"

@@ -11,7 +11,6 @@ References:
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +20,8 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis._extras import require
-from gsvis.errors import FormatError
-from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.errors import ArgumentError, FormatError
+from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
@@ -34,7 +33,10 @@ from gsvis.train.images import PosedImages
 from gsvis.train.importance import prune
 from gsvis.train.merge import merge_gaussians
 
-__all__ = ["LevelsConfig", "TrainedLevels", "train_levels"]
+__all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "train_levels"]
+
+SUBSETS = "subsets.npz"
+"""Name of the file of the chosen subsets in a folder of unfinished work."""
 
 Mask = NDArray[np.bool_]
 
@@ -79,11 +81,12 @@ class LevelsConfig:
         for name in ("shares", "reuse"):
             for value in getattr(self, name):
                 if not 0.0 < value <= 1.0:
-                    raise ValueError(f"{name}: expected shares in (0, 1], got {value!r}")
+                    raise ArgumentError(name, f"expected shares in (0, 1], got {value!r}")
         if not self.shares or any(low >= high for low, high in zip(self.shares, (*self.shares[1:], 1.0), strict=True)):
-            raise ValueError(
-                f"shares: expected each below the next and the last below 1, got {list(self.shares)}; "
-                "a level cannot be larger than the one above it"
+            raise ArgumentError(
+                "shares",
+                f"expected each below the next and the last below 1, got {list(self.shares)}",
+                "a level cannot be larger than the one above it",
             )
         if len(self.reuse) != len(self.shares):
             raise ValueError(f"reuse: expected one for each of {len(self.shares)} shares, got {len(self.reuse)}")
@@ -115,7 +118,7 @@ class LevelsConfig:
             total = int(share * count + 1e-9)
             frozen = max(int(np.ceil(reuse * total - 1e-9)), 1)
             if total < 2:
-                raise ValueError(f"shares: expected at least 2 Gaussians in each level, got {share:g} of {count}")
+                raise ArgumentError("shares", f"expected at least 2 Gaussians in each level, got {share:g} of {count}")
             found.append((total, frozen, min(frozen + max(round(self.merged * (total - frozen)), 1), total)))
         return found
 
@@ -256,32 +259,26 @@ def _subsets(
 
     if work is None:
         return dict(zip(counts, choose(), strict=True))
-    path = Path(work) / "subsets.npz"
     shape = cameras.width, cameras.height
     rules = [scene_hash(scene), counts, config.prune_share, looks, shape]
-    digest = hashlib.sha256(json.dumps(rules).encode())
+    digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)
-    key = digest.hexdigest()
-    if path.exists():
+    kept = KeptWork(work, {"rules": rules, "views": digest.hexdigest()}, argument="work")
+    found = kept.read_own(SUBSETS)
+    if found is not None:
         try:
-            archive = load_arrays(path)
-            found, packed = archive["key"].tobytes().decode(), archive["masks"]
-            bits = np.unpackbits(packed, axis=1, count=len(scene)).astype(bool)
-            if found == key and bits.sum(axis=1).tolist() != counts:
+            bits = np.unpackbits(found["masks"], axis=1, count=len(scene)).astype(bool)
+            if bits.sum(axis=1).tolist() != counts:
                 raise ValueError("masks of other sizes")
-        except (FormatError, KeyError, TypeError, ValueError) as error:
-            got = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
-            raise FormatError(path, "", "the chosen subsets", got, "delete it to choose again") from error
-        if found != key:
-            raise ValueError(
-                f"work: expected {os.fspath(work)} to belong to the same scene, views and sizes, got another run's; "
-                "delete it to start again, or name another folder"
-            )
+        except (LookupError, TypeError, ValueError) as error:
+            got = f"{type(error).__name__}: {error}"
+            raise FormatError(
+                kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to choose again"
+            ) from error
         return dict(zip(counts, bits, strict=True))
     masks = choose()
-    packed = np.packbits(np.stack(masks), axis=1)
-    save_arrays(path, {"key": np.frombuffer(key.encode(), np.uint8), "masks": packed})
+    kept.keep_own(SUBSETS, {"masks": np.packbits(np.stack(masks), axis=1)})
     return dict(zip(counts, masks, strict=True))
 
 

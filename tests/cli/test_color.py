@@ -165,7 +165,7 @@ def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
 ) -> None:
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     base = [ply, "-o", tmp_path / "a.arrow", *QUICK]
-    assert "pip install 'gsvis[metrics]'" in refused(capsys, *base, "--epsilon", "auto")
+    assert 'pip install "gsvis[metrics]"' in refused(capsys, *base, "--epsilon", "auto")
     assert "give a number" in refused(capsys, *base, "--pvs", pvs, "--active", tmp_path / "b.arrow")
     assert list(tmp_path.iterdir()) == []
     assert main(["color", *map(str, base)]) == 0
@@ -223,11 +223,11 @@ def test_a_run_that_is_stopped_leaves_no_file_and_is_gone_on_with(tmp_path: Path
     stopped.wait()
     code, said, told = stopped.end(signal.SIGINT)
     assert (code, said) == (130, ""), told
-    (kept,) = tmp_path.glob("rooms.arrow.partial-*.npz")
+    (kept,) = tmp_path.glob("rooms.arrow.partial-*")
     assert f"{kept.name}; the same command goes on from there" in told.splitlines()[-1]
     assert "Traceback" not in told
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["rooms.ply", kept.name])
-    with np.load(kept) as file:
+    with np.load(kept / "found.npz") as file:
         assert file["traced"][0] == 8192
     assert main(["color", *words]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rooms.arrow", "rooms.ply"]

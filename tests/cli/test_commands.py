@@ -81,6 +81,7 @@ def test_analyze_writes_a_report_and_prints_a_table(ply: Path, tmp_path: Path, c
     assert (out / "report.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_analyze_json_is_the_report_and_a_seed_repeats_it(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     command = ["analyze", str(ply), "-o", str(tmp_path / "a b"), *QUICK, "--seed", "7", "--json"]
     documents = []
@@ -94,6 +95,7 @@ def test_analyze_json_is_the_report_and_a_seed_repeats_it(ply: Path, tmp_path: P
     assert documents[0]["parameters"]["fov"] == 60.0
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_analyze_takes_cameras_of_a_file_at_its_aspect(tmp_path: Path, capsys: Capture) -> None:
     size = {"w": 320, "h": 160, "fl_x": 160.0, "fl_y": 160.0, "cx": 160.0, "cy": 80.0}
     pose = [[0.0, 0.0, -1.0, 2.0], [-1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 1.5], [0.0, 0.0, 0.0, 1.0]]  # looks along +x
@@ -110,6 +112,7 @@ def test_analyze_takes_cameras_of_a_file_at_its_aspect(tmp_path: Path, capsys: C
     assert "transforms.json" in document["cameras_from"]
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_a_report_repeats_its_views(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "first"
     assert main(["analyze", str(ply), "-o", str(out), *QUICK, "--seed", "5", "--json"]) == 0
@@ -130,6 +133,7 @@ def test_a_report_repeats_its_views(ply: Path, tmp_path: Path, capsys: Capture) 
     capsys.readouterr()
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_the_paper_stands_beside_what_compares_with_it(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     assert main(["analyze", str(ply), "-o", str(tmp_path / "a"), *QUICK]) == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -167,6 +171,7 @@ def captured(cameras: Cameras) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("blank_plots")
 @pytest.mark.parametrize(
     ("name", "made"),
     [
@@ -365,6 +370,7 @@ def test_help_needs_nothing_heavy(capsys: Capture) -> None:
 
 
 @pytest.mark.realdata
+@pytest.mark.usefixtures("blank_plots")
 def test_a_real_scene_of_a_streamed_format(realdata: Path, tmp_path: Path, capsys: Capture) -> None:
     scene = str(realdata / "scenes" / "nika_sh3" / "lod-meta.json")
     assert main(["analyze", scene, "--lod", "3", "-o", str(tmp_path / "out"), "--json", *QUICK]) == 0

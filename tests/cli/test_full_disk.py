@@ -23,6 +23,7 @@ from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
 
+pytestmark = pytest.mark.usefixtures("blank_plots")
 Capture = pytest.CaptureFixture[str]
 BOX = "--box 0.5 0.5 0.5 3.5 3.5 2.5"
 LOOK = "--views 3 --width 12 --height 9 --traced-sample 20 --rays-per-face 1"

@@ -51,6 +51,7 @@ def test_pictures_show_the_highest_level(folder: Path) -> None:
     assert np.array_equal(source.union.means, levels.union.means)
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_sets_and_colors_of_a_folder_of_levels(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     levels = load_levels(folder)
     told = [{"name": name, "gaussians": n} for name, n in zip(levels.names, levels.counts, strict=True)]

@@ -64,6 +64,7 @@ def test_it_writes_a_report_and_prints_tables(
     assert json.loads(Path("new/report/report.json").read_text())["quality"]["cells_measured"] == 2
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_json_is_the_document_and_its_command_makes_it_again(
     built: tuple[Path, Path], tmp_path: Path, capsys: Capture
 ) -> None:
@@ -107,7 +108,7 @@ def test_damage_inside_a_store_is_told_before_anything_is_written(
 ) -> None:
     data = bytearray(built[0].read_bytes())
     with VisibilityStore.open(built[0]) as store:
-        start = store._container.section("sets").offset
+        start = store._file.section("sets").offset
     data[start + 2] ^= 255
     bad = tmp_path / "bad.pvs"
     bad.write_bytes(bytes(data))

@@ -18,6 +18,7 @@ from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
 
+pytestmark = pytest.mark.usefixtures("blank_plots")
 Capture = pytest.CaptureFixture[str]
 
 

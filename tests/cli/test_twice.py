@@ -108,6 +108,7 @@ def test_a_command_run_twice_writes_the_same_bytes(
     assert [path for path in found[0] if found[0][path] != found[1][path]] == []
 
 
+@pytest.mark.usefixtures("blank_plots")  # that plots repeat is seen above
 def test_a_command_that_finds_its_own_result_writes_the_same_again(
     inputs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

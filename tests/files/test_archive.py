@@ -11,7 +11,7 @@ import pytest
 
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
-from gsvis.files.kept import Kept
+from gsvis.files.resume import KeptWork
 
 ARRAYS = {"sets": np.arange(20, dtype=np.uint8).reshape(2, 10), "traced": np.array([7])}
 LIKE = {"sets": ((2, 10), np.uint8), "traced": ((1,), np.int64)}
@@ -40,26 +40,27 @@ def test_what_is_saved_comes_back_and_numpy_reads_it(tmp_path: Path) -> None:
 
 
 def test_every_flipped_bit_and_every_cut_counts_as_missing(tmp_path: Path) -> None:
-    kept = Kept(tmp_path / "out", {"what": 1})
-    kept.save(**ARRAYS)
-    assert kept.path is not None
-    whole = kept.path.read_bytes()
-    assert same(kept.load(LIKE), ARRAYS)
+    kept = KeptWork.beside(tmp_path / "out", {"what": 1})
+    kept.keep_arrays("a.npz", ARRAYS)
+    path = kept.folder / "a.npz"
+    whole = path.read_bytes()
+    assert same(kept.read_arrays("a.npz", LIKE), ARRAYS)
     for bit in range(8 * len(whole)):
         changed = bytearray(whole)
         changed[bit >> 3] ^= 1 << (bit & 7)
-        kept.path.write_bytes(changed)
-        assert kept.load(LIKE) == {}
+        path.write_bytes(changed)
+        assert kept.read_arrays("a.npz", LIKE) == {}
     for length in range(len(whole)):
-        kept.path.write_bytes(whole[:length])
-        assert kept.load(LIKE) == {}
+        path.write_bytes(whole[:length])
+        assert kept.read_arrays("a.npz", LIKE) == {}
 
 
 def test_arrays_of_another_shape_or_type_count_as_missing(tmp_path: Path) -> None:
-    kept = Kept(tmp_path / "out", {})
-    kept.save(sets=ARRAYS["sets"].astype(np.float32), traced=ARRAYS["traced"][None], other=ARRAYS["sets"])
-    assert kept.load(LIKE) == {}
-    assert Kept(None, {}).load(LIKE) == {}
+    kept = KeptWork.beside(tmp_path / "out", {})
+    others = {"sets": ARRAYS["sets"].astype(np.float32), "traced": ARRAYS["traced"][None], "other": ARRAYS["sets"]}
+    kept.keep_arrays("a.npz", others)
+    assert kept.read_arrays("a.npz", LIKE) == {}
+    assert kept.read_arrays("b.npz", LIKE) == {}
 
 
 def test_damage_of_an_archive_without_checksum_is_a_format_error(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ import zstandard
 
 from gsvis.errors import FormatError
 from gsvis.files import arrow as _arrow
+from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.package.active_terms import _CRC
-from gsvis.pvs._container import HEAD_BYTES, ContainerWriter
-from gsvis.pvs._writer import CELL_ROW
+from gsvis.pvs._writer import CELL_ROW, FILE_KIND
 from tests.fuzz.mutators import KINDS, change_bytes, change_json, change_zstd
 
 __all__ = ["change_manifest", "sealed_manifest"]
@@ -243,7 +243,7 @@ def change_container(rng: Random, data: bytes) -> bytes:
     if way < 3 and rng.random() < 0.4 and isinstance(header, dict) and "sections" in header:
         return _with_header(data, header)
     out = io.BytesIO()
-    writer = ContainerWriter(out)
+    writer = SectionWriter(out, FILE_KIND)
     for key, content in sections.items():
         writer.append(content)
         writer.close_section(key)

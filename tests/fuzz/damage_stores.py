@@ -20,10 +20,10 @@ import pyarrow as pa
 import zstandard
 
 from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.files.sections import SectionWriter
 from gsvis.io.levels import MAP
 from gsvis.package.manifest import MANIFEST
-from gsvis.pvs._container import ContainerWriter
-from gsvis.pvs._writer import CELL_ROW
+from gsvis.pvs._writer import CELL_ROW, FILE_KIND
 from tests.fuzz import packages, stores
 from tests.fuzz.cameras import files_in
 from tests.fuzz.containers import (
@@ -92,7 +92,7 @@ def set_stores() -> Damaged:
         header, sections = _sections(data)
         change(header, sections)
         out = io.BytesIO()
-        writer = ContainerWriter(out)
+        writer = SectionWriter(out, FILE_KIND)
         for name, content in sections.items():
             writer.append(content)
             writer.close_section(name)
@@ -246,7 +246,7 @@ def manifests() -> Damaged:
 
     return {
         "a newer version": told(lambda m: m.update(version=9)),
-        "meters below 0": told(lambda m: m.update(metres_per_unit=-1.0)),
+        "meters below 0": told(lambda m: m.update(meters_per_unit=-1.0)),
         "levels of one name": told(lambda m: m["levels"][0].update(name=m["levels"][1]["name"])),
         "a store of another size": told(lambda m: m["visibility"].update(bytes=m["visibility"]["bytes"] + 1)),
         "bits of another layout": told(lambda m: m["quantization"].update(record={})),

@@ -12,10 +12,10 @@ import pytest
 
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
-from gsvis.files.kept import Kept
+from gsvis.files.resume import KeptWork, seal
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.pvs._journal import Journal, pack_view
+from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
 from gsvis.pvs.config import CellView
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report import load_staircase_result
@@ -123,22 +123,17 @@ def in_terms(folder: Path, case: Case) -> None:
 def kept_files() -> list[Case]:
     rng = np.random.default_rng(0)
     with TemporaryDirectory() as folder:
-        kept = Kept(Path(folder) / "out", {"a": 1})
-        kept.save(sets=rng.integers(0, 255, (12, 10)).astype(np.uint8), weights=rng.random(5), done=np.array(3))
-        assert kept.path is not None
-        return [{"kept.npz": kept.path.read_bytes()}]
+        kept = KeptWork(Path(folder), {"a": 1})
+        arrays = {"sets": rng.integers(0, 255, (12, 10)).astype(np.uint8), "weights": rng.random(5)}
+        kept.keep_arrays("kept.npz", {**arrays, "done": np.array(3)})
+        return [{"kept.npz": (Path(folder) / "kept.npz").read_bytes()}]
 
 
 LIKE = {"sets": ((12, 10), np.uint8), "weights": ((5,), np.float64), "done": ((), np.int64)}
 
 
 def in_kept(folder: Path, case: Case) -> None:
-    assert Kept(None, {}).load(LIKE) == {}
-    kept = Kept(folder / "out", {"a": 1})
-    assert kept.path is not None
-    if "kept.npz" in case:
-        kept.path.write_bytes(case["kept.npz"])
-    found = kept.load(LIKE)
+    found = KeptWork(folder, {"a": 1}).read_arrays("kept.npz", LIKE)
     for name, array in found.items():
         assert (array.shape, array.dtype.type) == LIKE[name]
 
@@ -148,15 +143,15 @@ def journals() -> list[Case]:
     for k in range(3):
         ids = np.flatnonzero(rng.random(SEEN) < 0.5).astype(np.int32)
         view = CellView(ids, (ids % 3).astype(np.uint8), rng.integers(0, 256, (len(ids), 10)).astype(np.uint8), 4, 0.5)
-        found[f"cell-{k:06d}.bin"] = pack_view(view)
+        found[name_entry(k)] = seal(pack_view(view))
     return [{**found, "plan.json": b"{}\n"}]
 
 
 def in_journal(folder: Path, case: Case) -> None:
-    journal = Journal(folder, {}, SEEN)
-    with journal.opened():
-        for cell in journal.finished(3):
-            view = journal.view(cell)
+    work = KeptWork(folder, {})
+    with work.opened():
+        for cell in find_kept_cells(work, 3, SEEN):
+            view = read_view(work, cell, SEEN)
             assert view is not None
             assert len(view.classes) == len(view.directions) == len(view.ids)
 
@@ -233,7 +228,7 @@ TARGETS = [
         lambda: [{"a.pvs": both_stores()[0]}],
         in_visibility,
         kinds={"a.pvs": "pvs"},
-        modules=(PVS + "store", PVS + "_container", PVS + "codec"),
+        modules=(PVS + "store", FILES + "sections", PVS + "codec"),
         weight=1.5,
     ),
     Target(
@@ -243,14 +238,14 @@ TARGETS = [
         kinds={"a.arrow": "active"},
         modules=("gsvis.package.active_terms",),
     ),
-    Target("kept", kept_files, in_kept, (), modules=(FILES + "kept", FILES + "archive"), refuses=False),
+    Target("kept", kept_files, in_kept, (), modules=(FILES + "resume", FILES + "archive"), refuses=False),
     Target(
         "journal",
         journals,
         in_journal,
         (),
         {f"cell-{k:06d}.bin": "journal" for k in range(3)},
-        modules=(PVS + "_journal",),
+        modules=(PVS + "_journal", FILES + "resume"),
         refuses=False,
     ),
     Target(

@@ -9,6 +9,7 @@ import os
 import threading
 import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from gsvis.color.storage import load_srbf
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays
 from gsvis.files.fields import estimate_parsed_bytes, parse_json
-from gsvis.files.kept import Kept
 from gsvis.files.limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
+from gsvis.files.resume import KeptWork
+from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.io.cameras import load_cameras
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.levels import load_levels
@@ -32,9 +34,7 @@ from gsvis.io.poses import load_path
 from gsvis.io.scenes import load_scene
 from gsvis.package import Package
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.pvs._container import HEAD_BYTES, ContainerWriter
-from gsvis.pvs._journal import Journal
-from gsvis.pvs._writer import FORMAT
+from gsvis.pvs._writer import FILE_KIND, FORMAT
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report.staircase import load_staircase_result
 from gsvis.serve.parts import read_part
@@ -114,12 +114,11 @@ def test_a_pipe_among_the_files_of_a_scene_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_pipe_in_place_of_what_was_kept_counts_as_missing(tmp_path: Path) -> None:
-    kept = Kept(tmp_path / "out", {})
-    assert kept.path is not None
-    os.mkfifo(kept.path)
-    assert finish(lambda: kept.load({})) == {}
+    kept = KeptWork(tmp_path, {})
+    os.mkfifo(tmp_path / "found.npz")
+    assert finish(lambda: kept.read_arrays("found.npz", {})) == {}
     os.mkfifo(tmp_path / "cell-000000.bin")
-    assert finish(lambda: Journal(tmp_path, {}, 9).view(0)) is None
+    assert finish(lambda: kept.read("cell-000000.bin")) is None
 
 
 def test_devices_and_folders_are_refused(tmp_path: Path) -> None:
@@ -139,13 +138,11 @@ def test_devices_and_folders_are_refused(tmp_path: Path) -> None:
 
 # Where a file is opened for reading by other means, and why that is no door: file of the package, or call.
 OPENED_OTHERWISE = {
-    "io/_arrow.py": "memory_map",  # opened as a regular file before
-    "visibility/active_terms.py": "memory_map",  # opened as a regular file before
+    "files/arrow.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
-    "visibility/_work.py": "memmap",  # what this run wrote for its workers
+    "pvs/_work.py": "memmap",  # what this run wrote for its workers
     "cli/pictures.py": "load",  # what this run wrote
-    "io/_limits.py": "open",
 }
 
 
@@ -370,7 +367,7 @@ def store_of(path: Path, gaussians: int, cells: int) -> Path:
     grid = {"cells": cells, "origin": [0, 0, 0], "cell_size": 1.0, "shape": [1, 1, 1], "up": [0, 0, 1]}
     header = {"format": FORMAT, "scene": "0", "gaussians": gaussians, "tau": 0.5, "class_edges": [0.5]}
     with path.open("wb") as file:
-        writer = ContainerWriter(file)
+        writer = SectionWriter(file, FILE_KIND)
         writer.append(b"x")
         writer.close_section("coords")
         writer.finish(header | {"config": {}, "grid": grid})
@@ -386,7 +383,7 @@ def test_counts_of_a_store_are_bounded_by_its_size(tmp_path: Path) -> None:
 
 
 def test_a_group_of_terms_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> None:
-    from gsvis.prepare import active_terms as module
+    from gsvis.package import active_terms as module
 
     said = {"format": module.FORMAT, "version": module.VERSION, "cells": 1, "terms": 1, "gaussians": 1}
     said |= {
@@ -399,7 +396,7 @@ def test_a_group_of_terms_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> 
         "sets": "",
     }
     text = json.dumps(said).encode()
-    schema = module._SCHEMA.with_metadata({b"gsvis": text, b"gsvis-crc32": module._crc_text(text)})
+    schema = module._SCHEMA.with_metadata({b"gsvis": text, b"gsvis-crc32": b"%08x" % zlib.crc32(text)})
     path = tmp_path / "a.terms.arrow"
     columns = [[0], [0], [0], [0], [bytes(MIN_BUDGET + (16 << 20))]]
     arrays = [pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)]

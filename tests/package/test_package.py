@@ -273,7 +273,7 @@ def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
     written(tmp_path / "s", 60, stores=True).close()
     reread(tmp_path / "s", lambda value: None)
     for change, told in (
-        (lambda v: v.update(version=2), "update gsvis"),
+        (lambda v: v.update(version=3), "update gsvis"),
         (lambda v: v.update(version=0), "version"),
         (lambda v: v.update(format="other"), "is this a package"),
         (lambda v: v.update(gaussians=61), "gaussians"),

@@ -201,7 +201,7 @@ def test_bad_files_are_told(tmp_path: Path) -> None:
         ActiveTerms.open(tmp_path / "none.terms.arrow")
     with pa.OSFile(str(bad), "wb") as sink, pa.ipc.new_file(sink, pa.schema([("a", pa.int32())])):
         pass
-    with pytest.raises(FormatError, match="another Arrow file"):
+    with pytest.raises(FormatError, match="an Arrow file without them"):
         ActiveTerms.open(bad)
 
 
@@ -228,15 +228,15 @@ def test_no_byte_can_change_unnoticed(tmp_path: Path) -> None:
 
 def test_other_versions_and_foreign_metadata(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     w = world(tmp_path)
-    monkeypatch.setattr("gsvis.prepare.active_terms.VERSION", 2)
+    monkeypatch.setattr("gsvis.package.active_terms.VERSION", 2)
     w.build().close()
     monkeypatch.undo()
-    with pytest.raises(FormatError, match="version: expected 1, got 2; update gsvis"):
+    with pytest.raises(FormatError, match="version: expected at most 1, got 2; update gsvis"):
         ActiveTerms.open(w.path)
-    monkeypatch.setattr("gsvis.prepare.active_terms.FORMAT", "gsvis visible sets")
+    monkeypatch.setattr("gsvis.package.active_terms.FORMAT", "gsvis visible sets")
     w.build().close()
     monkeypatch.undo()
-    with pytest.raises(FormatError, match="format: expected 'gsvis active terms'"):
+    with pytest.raises(FormatError, match="format: expected gsvis active terms, got 'gsvis visible sets'"):
         ActiveTerms.open(w.path)
 
 

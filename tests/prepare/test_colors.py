@@ -65,7 +65,7 @@ def test_a_preparation_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pyt
         prepare_colors(g, scene.navigable, QUICK, keep=out, progress=stopping)
     kept = find_kept(g, scene.navigable, QUICK, out)
     assert kept is not None
-    assert [path.name for path in tmp_path.iterdir()] == [kept.name]
+    assert [path.name for path in tmp_path.iterdir()] == [kept.folder.name]
     found = prepare_colors(g, scene.navigable, QUICK, keep=out, progress=noting)
     assert stages[0] == ("directions", 300)
     assert same(found.fit.colors, prepare_colors(g, scene.navigable, QUICK).fit.colors)
@@ -75,8 +75,11 @@ def test_a_preparation_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pyt
     assert stages[0] == ("directions", len(g))
     assert same(found.fit.colors, again.fit.colors)
     other = ColorConfig(QUICK.fit, ViewSampling(3, 48, 36, seed=1))
-    assert find_kept(g, scene.navigable, other, out) != kept
-    kept.write_bytes(kept.read_bytes()[:-30])  # damaged: it counts as missing
+    another = find_kept(g, scene.navigable, other, out)
+    assert another is not None
+    assert another.folder != kept.folder
+    (entry,) = kept.folder.iterdir()
+    entry.write_bytes(entry.read_bytes()[:-30])  # damaged: it counts as missing
     assert same(prepare_colors(g, scene.navigable, QUICK, keep=out).fit.colors, found.fit.colors)
 
 

@@ -123,7 +123,7 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
-    assert kept == {"gsvis", "levels", "sets", "colors", "directions.partial", "active", "cost"}
+    assert kept == {"gsvis", "plan.json", "levels", "sets", "colors", "directions.partial", "active", "cost"}
     assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
 
 
@@ -297,7 +297,7 @@ def test_two_runs_of_one_package_do_not_meet(rooms: OccluderScene, tmp_path: Pat
     out = tmp_path / "s.gsvis"
 
     def meets(stage: str, done: int, total: int) -> None:
-        with pytest.raises(ValueError, match="that no other process prepares"):
+        with pytest.raises(ValueError, match="out: expected work that no other process is busy with"):
             prepare(rooms, out)
         raise KeyboardInterrupt
 

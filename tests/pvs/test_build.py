@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError, GsvisError, SceneError
+from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.pvs import build
-from gsvis.pvs._journal import Journal
+from gsvis.pvs._journal import name_entry
 from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import CellView, PvsConfig
@@ -205,9 +206,11 @@ def test_a_full_disk_keeps_what_was_found_and_what_was_there(
 ) -> None:
     path = tmp_path / "scene.pvs"
     path.write_bytes(b"what was there before")
-    keep = Journal.keep
+    keep = KeptWork.keep
     with monkeypatch.context() as patched, pytest.raises(OSError, match=r"7 of 12 cells are kept.*make room") as caught:
-        patched.setattr(Journal, "keep", lambda self, cell, data: keep(self, cell, data) if cell < 7 else _full())
+        patched.setattr(
+            KeptWork, "keep", lambda self, name, data: keep(self, name, data) if name < name_entry(7) else _full()
+        )
         job.run(path)
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(path))
     assert path.read_bytes() == b"what was there before"

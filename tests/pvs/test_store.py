@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from pyroaring import BitMap
 
 from gsvis.errors import FormatError
-from gsvis.pvs import _container, _writer
+from gsvis.files import sections
+from gsvis.pvs import _writer
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore, write_store
 from gsvis.scene.content import scene_hash
@@ -239,7 +240,7 @@ def test_damage_in_one_cell_leaves_the_others_usable(tmp_path: Path) -> None:
     path = tmp_path / "x.pvs"
     truth = small_store(path)
     with VisibilityStore.open(path) as store:
-        place = store._container.section("sets").offset + int(store._rows["set_offset"][2])
+        place = store._file.section("sets").offset + int(store._rows["set_offset"][2])
     data = bytearray(path.read_bytes())
     data[place + 9] ^= 1
     path.write_bytes(data)
@@ -307,7 +308,7 @@ def test_other_files_and_newer_versions_are_named_as_such(tmp_path: Path) -> Non
     data = bytearray(path.read_bytes())
     data[8] = 2
     path.write_bytes(data)
-    with pytest.raises(FormatError, match="expected store version 1, got version 2; update gsvis"):
+    with pytest.raises(FormatError, match="expected version 1, got version 2; update gsvis"):
         VisibilityStore.open(path)
     with pytest.raises(FileNotFoundError):
         VisibilityStore.open(tmp_path / "none.pvs")
@@ -317,7 +318,7 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
     small_store(tmp_path / "x.pvs")
     store = VisibilityStore.open(tmp_path / "x.pvs")
     store.close()
-    with pytest.raises(ValueError, match="store: expected an open one, got one that was closed"):
+    with pytest.raises(ValueError, match="file: expected an open one, got one that was closed"):
         store.visible(0)
 
 
@@ -405,11 +406,11 @@ def test_a_store_that_is_not_finished_leaves_nothing(tmp_path: Path, monkeypatch
     with pytest.raises(ValueError, match=r"direction_sets: expected \(90, 10\) uint8"):
         write_store(path, truth.grid, truth.info(), truth.cells(), truth.directions[:5])
 
-    def full(self: _container.ContainerWriter, name: str) -> None:
+    def full(self: sections.SectionWriter, name: str) -> None:
         if name == "classes":
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(_container.ContainerWriter, "close_section", full)
+    monkeypatch.setattr(sections.SectionWriter, "close_section", full)
     with pytest.raises(OSError, match="cannot be written: no space left"):
         write_store(path, truth.grid, truth.info(), truth.cells(), truth.directions)
     assert path.read_bytes() == before

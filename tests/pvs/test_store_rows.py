@@ -118,7 +118,7 @@ def test_parents_are_cells_and_their_chains_are_short(path: Path) -> None:
 def test_sizes_are_those_of_the_sections(path: Path) -> None:
     with VisibilityStore.open(path) as store:
         sizes = store.sizes()
-        sections = {name: section.length for name, section in store._container.sections.items()}
+        sections = {name: section.length for name, section in store._file.sections.items()}
     assert {name: sizes[name] for name in sections} == sections
     file, pairs = path.stat().st_size, sum(len(seen_by(c)) for c in range(CELLS))
     assert sizes["file"] == file

@@ -23,6 +23,7 @@ from gsvis.report.spheres import COUNTS
 from gsvis.scene.procedural import OccluderScene, two_rooms
 from gsvis.scene.view_sampling import ViewSampling
 
+pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 PLOTS = {"bytes", "term_counts", "first_terms", "active", "active_psnr", "spheres"}
 VIEWS = {f"{role}_{name}" for role in ("worst", "median") for name in ("sh", "srbf", "base", "difference")}

@@ -41,7 +41,7 @@ def test_what_is_set_apart_is_named_in_full_and_is_there(tool: ModuleType) -> No
     [
         ("gsvis.files.archive", "save_arrays", True),
         ("gsvis.files.archive", "load_arrays", False),
-        ("gsvis.pvs._container", "ContainerWriter.append", True),  # of a class that writes
+        ("gsvis.files.sections", "SectionWriter.append", True),  # of a class that writes
         ("gsvis.stream.drawn", "Rows.append", False),  # rows that a server sent
         ("gsvis.io.checkpoint", "_Ignored.append", False),
         ("gsvis.package.contents", "Contents.from_levels", True),
@@ -50,7 +50,7 @@ def test_what_is_set_apart_is_named_in_full_and_is_there(tool: ModuleType) -> No
         ("gsvis.io.levels", "check", False),
         ("gsvis.pvs.store", "VisibilityStore.union", True),
         ("gsvis.pvs.levels", "union", False),
-        ("gsvis.pvs._journal", "Journal.opened", False),
+        ("gsvis.files.resume", "KeptWork.opened", False),
         ("gsvis.io._ply_rows", "unpack.compiled", True),
         ("gsvis.io.levels", "save_levels.inner", True),
         ("gsvis.io.levels", "save_levels_of", False),

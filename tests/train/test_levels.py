@@ -234,9 +234,7 @@ def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tm
     ]
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for other in others:
-        with pytest.raises(
-            ValueError, match=r"work: expected .* to the same scene, views and sizes, got another run's"
-        ):
+        with pytest.raises(ValueError, match=r"work: expected .* of the same input and settings, got another run's"):
             train_levels(*other, work=tmp_path)
     for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
         with pytest.raises(ValueError, match=r"checkpoint: expected .* got another run's"):
@@ -266,7 +264,7 @@ def test_damaged_subsets_are_told(scene: Gaussians, views: PosedImages, tmp_path
     with pytest.raises(KeyboardInterrupt):
         train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping("train low", 0))
     damaged(tmp_path / "subsets.npz", how)
-    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to choose again"):
+    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to start again"):
         train_levels(scene, views, BRIEF, work=tmp_path)
 
 

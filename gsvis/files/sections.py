@@ -1,7 +1,11 @@
 """A file of named sections behind a head of 40 bytes, every byte of it under a checksum, read through a memory map.
 
+The second container beside `gsvis.files.arrow`, for data that another coder has packed already and that is read in
+small pieces, each under a checksum of its own. docs/design/011-two-containers.md says why it is no
+Arrow file.
+
 Head, sections one after the other, and a JSON object last, which lists them. The head holds the length of the whole
-file, so that a cut is noticed before anything is read. This module knows nothing of visibility.
+file, so that a cut is noticed before anything is read. This module knows nothing of what sections hold.
 """
 
 from __future__ import annotations
@@ -18,15 +22,29 @@ from typing import Any, BinaryIO
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
-from gsvis.files.limits import open_regular
+from gsvis.files.limits import DAMAGED, open_regular
 
-__all__ = ["HEAD_BYTES", "Container", "ContainerWriter", "Section"]
+__all__ = ["HEAD_BYTES", "FileKind", "Section", "SectionFile", "SectionWriter"]
 
-_MAGIC = b"\x93GSPVS\r\n"  # no text file begins so, and a transfer as text breaks it
-_VERSION = 1
 _HEAD = struct.Struct("<8sIIQQII")
 HEAD_BYTES = _HEAD.size
-AGAIN = "the file is damaged: copy or build it again"
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """What a file of sections is of.
+
+    Attributes:
+        magic: Its first 8 bytes. Begin with one that no text file has, end with a line break that a transfer breaks.
+        version: The only version of the container that is known.
+        name: What the file is, as in "a store of visible sets".
+        remedy: What helps where a file is of another kind.
+    """
+
+    magic: bytes
+    version: int
+    name: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -38,11 +56,16 @@ class Section:
     crc: int
 
 
-class ContainerWriter:
-    """Writes sections one after the other to an open file."""
+class SectionWriter:
+    """Writes sections one after the other to an open file.
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
+    Args:
+        file: The file, empty.
+        kind: What it is of.
+    """
+
+    def __init__(self, file: BinaryIO, kind: FileKind) -> None:
+        self._file, self._kind = file, kind
         self._sections: dict[str, Section] = {}
         self._start = self._end = HEAD_BYTES
         self._crc = 0
@@ -75,22 +98,23 @@ class ContainerWriter:
         fields = (self._end + len(data), self._end, len(data), zlib.crc32(data))
         crc = zlib.crc32(struct.pack("<QQII", *fields))
         self._file.seek(0)
-        self._file.write(_HEAD.pack(_MAGIC, _VERSION, crc, *fields))
+        self._file.write(_HEAD.pack(self._kind.magic, self._kind.version, crc, *fields))
 
 
-class Container:
+class SectionFile:
     """An open file of sections.
 
     Args:
         path: The file.
+        kind: What it has to be of.
 
     Raises:
         FormatError: If head, length, header or list of sections are not as they must be.
         OSError: If the file cannot be opened.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = _check.path("path", path)
+    def __init__(self, path: str | os.PathLike[str], kind: FileKind) -> None:
+        self.path, self.kind = _check.path("path", path), kind
         with open_regular(self.path) as file:
             size = os.fstat(file.fileno()).st_size
             place, length, crc = self._read_head(file.read(HEAD_BYTES), size)
@@ -104,42 +128,44 @@ class Container:
             raise
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._map.close()
 
     def _bytes(self, start: int, length: int) -> bytes:
         if self._map.closed:
-            raise ValueError("store: expected an open one, got one that was closed; open it again")
+            raise ValueError("file: expected an open one, got one that was closed; open it again")
         return self._map[start : start + length]
 
     def _read_head(self, head: bytes, size: int) -> tuple[int, int, int]:
+        known = self.kind.magic
         if len(head) < HEAD_BYTES:
-            if not _MAGIC.startswith(head[: len(_MAGIC)]) and not head.startswith(_MAGIC):
+            if not known.startswith(head[: len(known)]) and not head.startswith(known):
                 raise self._foreign(head)
-            raise FormatError(self.path, "byte 0", f"a head of {HEAD_BYTES} bytes", f"{len(head)} bytes", AGAIN)
+            raise FormatError(self.path, "byte 0", f"a head of {HEAD_BYTES} bytes", f"{len(head)} bytes", DAMAGED)
         magic, version, crc, total, place, length, header_crc = _HEAD.unpack(head)
-        if magic != _MAGIC:
+        if magic != known:
             raise self._foreign(head)
-        if version != _VERSION:
-            remedy = "update gsvis, or build the store again" if version > _VERSION else "build the store again"
-            raise FormatError(self.path, "byte 8", f"store version {_VERSION}", f"version {version}", remedy)
+        if version != self.kind.version:
+            remedy = "update gsvis, or make it again" if version > self.kind.version else "make it again"
+            raise FormatError(self.path, "byte 8", f"version {self.kind.version}", f"version {version}", remedy)
         if zlib.crc32(head[16:]) != crc:
-            raise FormatError(self.path, "byte 16", "a head that fits its checksum", "another checksum", AGAIN)
+            raise FormatError(self.path, "byte 16", "a head that fits its checksum", "another checksum", DAMAGED)
         if size != total:
-            remedy = "the file was cut or lengthened: copy or build it again"
-            raise FormatError(self.path, "byte 16", f"a file of {total} bytes", f"{size} bytes", remedy)
+            raise FormatError(self.path, "byte 16", f"a file of {total} bytes", f"{size} bytes", DAMAGED)
         if not (HEAD_BYTES <= place <= total and place + length == total):
-            raise FormatError(self.path, "byte 24", "a header at the end of the file", f"one at byte {place}", AGAIN)
+            raise FormatError(self.path, "byte 24", "a header at the end of the file", f"one at byte {place}", DAMAGED)
         return place, length, header_crc
 
     def _foreign(self, head: bytes) -> FormatError:
-        remedy = "give a file that `gsvis pvs` has written"
-        return FormatError(self.path, "byte 0", "a store of visible sets", f"a file that begins {head[:8]!r}", remedy)
+        got = f"a file that begins {head[:8]!r}"
+        return FormatError(self.path, "byte 0", self.kind.name, got, self.kind.remedy)
 
     def _read_header(self, place: int, length: int, crc: int) -> Fields:
         data = self._bytes(place, length)
         if zlib.crc32(data) != crc:
-            raise FormatError(self.path, f"byte {place}", "a header that fits its checksum", "another checksum", AGAIN)
+            raise FormatError(
+                self.path, f"byte {place}", "a header that fits its checksum", "another checksum", DAMAGED
+            )
         return parse_object(self.path, data)
 
     def _read_list(self, end: int) -> dict[str, Section]:
@@ -157,7 +183,7 @@ class Container:
     def section(self, name: str) -> Section:
         """Where a section lies."""
         if name not in self.sections:
-            raise FormatError(self.path, "sections", f"a section {name!r}", "none", AGAIN)
+            raise FormatError(self.path, "sections", f"a section {name!r}", "none", DAMAGED)
         return self.sections[name]
 
     def read(self, name: str) -> bytes:
@@ -172,7 +198,7 @@ class Container:
         """A part of a section, checked against its own CRC-32."""
         s = self.section(name)
         if min(offset, length) < 0 or offset + length > s.length:
-            raise FormatError(self.path, where, f"a place inside section {name!r}", f"byte {offset}", AGAIN)
+            raise FormatError(self.path, where, f"a place inside section {name!r}", f"byte {offset}", DAMAGED)
         start = s.offset + offset
         data = self._bytes(start, length)
         if zlib.crc32(data) != crc:
@@ -181,4 +207,4 @@ class Container:
 
     def damaged(self, where: str) -> FormatError:
         """The error for bytes that do not fit their checksum."""
-        return FormatError(self.path, where, "bytes that fit their checksum", "other bytes", AGAIN)
+        return FormatError(self.path, where, "bytes that fit their checksum", "other bytes", DAMAGED)

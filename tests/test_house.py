@@ -1,0 +1,68 @@
+"""The size of things: short files, short functions, few parameters. Read from the source, nothing is imported.
+
+The length of a function is its lines without the docstring. Kernels are exempt: they are compiled whole and take rows
+of arrays. There is no other exception.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "gsvis"
+MOST_LINES_OF_FILE, MOST_LINES_OF_FUNCTION, MOST_PARAMETERS = 500, 60, 8
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def functions_of(path: Path) -> Iterator[Function]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def outside_kernels() -> Iterator[tuple[str, Function]]:
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if "_kernels" not in path.parts:
+            for function in functions_of(path):
+                yield f"{path.relative_to(PACKAGE)}:{function.name}", function
+
+
+def count_lines(function: Function) -> int:
+    first = function.body[0]
+    lines = (function.end_lineno or 0) - function.lineno + 1
+    if ast.get_docstring(function) is None:
+        return lines
+    return lines - ((first.end_lineno or 0) - first.lineno + 1)
+
+
+def count_parameters(function: Function) -> int:
+    given = function.args
+    names = [each.arg for each in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+    more = sum(each is not None for each in (given.vararg, given.kwarg))
+    return len(names) + more - (names[:1] in (["self"], ["cls"]))
+
+
+def test_no_file_is_longer_than_500_lines() -> None:
+    lines = {str(path.relative_to(PACKAGE)): len(path.read_bytes().splitlines()) for path in PACKAGE.rglob("*.py")}
+    assert len(lines) > 200
+    assert {name: count for name, count in lines.items() if count > MOST_LINES_OF_FILE} == {}
+
+
+def test_no_function_outside_kernels_is_longer_than_60_lines() -> None:
+    lines = {name: count_lines(function) for name, function in outside_kernels()}
+    assert len(lines) > 1000
+    assert {name: count for name, count in lines.items() if count > MOST_LINES_OF_FUNCTION} == {}
+
+
+def test_no_function_outside_kernels_takes_more_than_8_parameters() -> None:
+    counts = {name: count_parameters(function) for name, function in outside_kernels()}
+    assert {name: count for name, count in counts.items() if count > MOST_PARAMETERS} == {}
+
+
+def test_lines_and_parameters_are_counted() -> None:
+    source = 'class A:\n def f(self, a, /, b, *c, d=1, **e):\n  """One\n\n  two."""\n  return a\n'
+    function = next(node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef))
+    assert count_lines(function) == 2
+    assert count_parameters(function) == 5
