@@ -157,7 +157,7 @@ def _workers(command: Pvs) -> Iterator[Workers]:
 
 
 def local_workers(count: int | None, max_memory: int | None) -> Workers:
-    """Processes of this machine, one for each core unless told otherwise."""
+    """Processes of this machine, one per core by default."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return Workers(count or cores, max_memory)
 

@@ -65,13 +65,13 @@ def run_simulate(command: Simulate) -> None:
     from gsvis.report.session_page import content_remarks
 
     if command.json:
-        for told in content_remarks(document):
-            sys.stderr.write(f"gsvis: {told}\n")
+        for remark in content_remarks(document):
+            sys.stderr.write(f"gsvis: {remark}\n")
         print_json(document)
     else:
         show(
             *_tables(document),
-            *(f" {told}" for told in content_remarks(document)),
+            *(f" {remark}" for remark in content_remarks(document)),
             *([] if has("matplotlib") else [f" Plots need matplotlib: {remedy_of('matplotlib')}."]),
             f" Report: {Path(command.out) / 'report.html'}",
         )
@@ -122,9 +122,9 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
         count = command.visits or len(places)
         for k in range(count):
             place = places[k % len(places)]
-            path, told = _cut_walk(command, place, walk, k)
+            path, record = _cut_walk(command, place, walk, k)
             later = link if k == 0 else link.from_time(k * config.seconds)
-            visits.append(_simulate_visit(command, place, path, told, later, config, status))
+            visits.append(_simulate_visit(command, place, path, record, later, config, status))
     simulation = Simulation(
         tuple(visits), link, _command_line(command), version(),
         {name: _plain(value) for name, value in vars(command).items() if name not in ("json", "debug")},
@@ -177,8 +177,8 @@ def _file_size(command: Simulate, which: int, g: Gaussians) -> tuple[int, str]:
     with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
         with output_errors(folder, remedy=TEMPORARY):
             save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
-        told = "before it was packaged" if command.scene else "the package's highest level, base colors alone"
-        return (Path(folder) / "scene.sog").stat().st_size, f"SOG as gsvis writes it, of the scene: {told}"
+        text = "before it was packaged" if command.scene else "the package's highest level, base colors alone"
+        return (Path(folder) / "scene.sog").stat().st_size, f"SOG as gsvis writes it, of the scene: {text}"
 
 
 def _cut_walk(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> tuple[HeadPath, dict[str, Any]]:
@@ -186,19 +186,19 @@ def _cut_walk(command: Simulate, place: _Place, walk: HeadPath, visit: int) -> t
     start = visit * command.seconds
     start = start if start + 0.5 * command.seconds <= walk.duration else 0.0
     part = walk.cut(start, start + command.seconds + 1.0) if walk.duration > 0 else walk
-    told: dict[str, Any] = {"from_s": start, "recorded_s": part.duration}
+    record: dict[str, Any] = {"from_s": start, "recorded_s": part.duration}
     if place.space is None:
-        return part, {**told, "rule": "left as it is"}
+        return part, {**record, "rule": "left as it is"}
     from gsvis.scene.retarget import RetargetConfig, retarget
 
     meters = place.scene.package.manifest.info.meters_per_unit
     config = RetargetConfig(meters_per_unit=meters or None, project=True, seed=command.seed + visit)
     moved = retarget(part, place.space, config)
-    return moved.path, {**told, **moved.as_dict()}
+    return moved.path, {**record, **moved.as_dict()}
 
 
 def _simulate_visit(
-    command: Simulate, place: _Place, path: HeadPath, told: dict[str, Any], link: Link, config: ViewingConfig,
+    command: Simulate, place: _Place, path: HeadPath, record: dict[str, Any], link: Link, config: ViewingConfig,
     status: Status,
 ) -> Visit:  # fmt: skip
     """One scene, sent in three ways."""
@@ -220,7 +220,7 @@ def _simulate_visit(
         status("playing", k + 1, len(deliveries))
     sessions = tuple(watch(stage, played, path, config, progress=status))
     return Visit(
-        place.title, sessions, stage.compared_with, told,
+        place.title, sessions, stage.compared_with, record,
         {"gaussians": stage.size[0], "terms": stage.size[1], "levels": list(contents.names)},
         _pictures(stage, sessions, path, config),
     )  # fmt: skip
@@ -263,8 +263,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     from gsvis.report.session_page import format_figures
 
     link = document["link"]
-    told = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
-    parts: list[Any] = [f" Link: {told} there and back."]
+    text = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
+    parts: list[Any] = [f" Link: {text} there and back."]
     for visit in document["visits"]:
         header, rows = format_figures(visit["systems"])
         parts.append(facts(visit["scene"]["name"], rows, header))
