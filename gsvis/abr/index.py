@@ -185,7 +185,7 @@ class SceneIndex:
         )
 
     def __len__(self) -> int:
-        """N."""
+        """Return N."""
         return len(self.means)
 
     def __repr__(self) -> str:

@@ -303,9 +303,9 @@ def _examine(command: Color, plan: _Plan, fitted: FittedColors, status: Status) 
     if command.active is not None and plan.store is not None and epsilon is not None:
         from gsvis.prepare.active_terms import build_active_terms
 
-        told = "given" if fitted.calibration is None else "the model observer FLIP"
+        text = "given" if fitted.calibration is None else "the model observer FLIP"
         with build_active_terms(
-            colors, g, plan.store, epsilon, command.active, provenance=told, progress=status
+            colors, g, plan.store, epsilon, command.active, provenance=text, progress=status
         ) as active:
             shares = np.array([active.share(cell).of_all for cell in range(len(active))])
         fitted = replace(fitted, cell_shares=shares)

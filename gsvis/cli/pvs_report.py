@@ -52,7 +52,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
     status("space", 0, 1)
-    viewpoints, told = _viewpoints(store, source)
+    viewpoints, text = _viewpoints(store, source)
     status("space", 1, 1)
     from gsvis.pvs.quality import QualityConfig, measure_quality  # imports torch
     from gsvis.report import Subject  # imports matplotlib
@@ -65,7 +65,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         title=source.name,
         gaussians=source.gaussians,
         up=store.grid.up,
-        cameras_from=told,
+        cameras_from=text,
         command=_command_line(command),
         version=version(),
         facts={"path": command.scene, "lod": source.lod, **facts_found},
@@ -83,15 +83,15 @@ def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints,
     if space is not None:
         same = store.info.config.get("space") == space_hash(space)
         if same or np.array_equal(space.origin, store.grid.origin):
-            told = "in the navigable space that the store was built in"
+            text = "in the navigable space that the store was built in"
             if not same:
-                told = "in the navigable space of the scene, of which the store covers a part"
+                text = "in the navigable space of the scene, of which the store covers a part"
             try:
-                return CellViewpoints(store.grid, space), told
+                return CellViewpoints(store.grid, space), text
             except ValueError:  # some cell has no free voxel: the cells are of another space
                 pass
-    told = "anywhere in the boxes of the cells, since the space they were cut from is not known"
-    return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), told
+    text = "anywhere in the boxes of the cells, since the space they were cut from is not known"
+    return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), text
 
 
 def _command_line(command: PvsReport) -> str:

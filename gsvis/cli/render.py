@@ -176,10 +176,10 @@ def _lines(command: Render, target: Target, done: _Done) -> list[str]:
         lines = [f"{where}: {count} frames of {size}, {took} a frame"]
     if command.depth:
         more = " and on" if target.kind == "folder" and count > 1 else ""
-        told = "nothing is seen"
+        text = "nothing is seen"
         if done.depth_range:
-            told = "violet {:.4g} to yellow {:.4g}, black where empty".format(*done.depth_range)
-        lines.append(f"{target.depth_files[0]}{more}: {told}")
+            text = "violet {:.4g} to yellow {:.4g}, black where empty".format(*done.depth_range)
+        lines.append(f"{target.depth_files[0]}{more}: {text}")
     return lines
 
 

@@ -131,7 +131,7 @@ class StaircaseRule:
         object.__setattr__(self, "coarse", tuple(_check.positive_int("coarse", step) for step in self.coarse))
         _check.positive_int("discard", self.discard, at_least=len(self.coarse))
         if _check.positive_int("reversals", self.reversals, at_least=2) % 2:
-            raise ValueError(f"reversals: expected an even number, highs and lows alike, got {self.reversals}")
+            raise ValueError(f"reversals: expected an even number, as many highs as lows, got {self.reversals}")
         _check.positive_int("max_trials", self.max_trials)
 
     @property

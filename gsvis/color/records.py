@@ -203,7 +203,7 @@ class QuantizedColors:
         n = len(self.base)
         offsets = _check.integers("offsets", self.offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
-            raise ValueError("offsets: expected to start at 0 and never to fall, got another order")
+            raise ValueError("offsets: expected ascending values from 0, got another order")
         t = int(offsets[-1])
         arrays: dict[str, NDArray[Any]] = {"offsets": offsets}
         for name, shape, most in (

@@ -158,7 +158,7 @@ def fit_function(
     _check.in_range("weights", shares, 0.0, np.inf)
     seen = shares > 0.0
     if not seen.any():
-        raise ValueError("weights: expected some above 0, got none; a function needs a direction to be seen from")
+        raise ValueError("weights: expected some above 0, got none; a function needs at least one direction")
     y, along, shares = y[seen], along[seen], shares[seen] / shares.max()
     shares /= shares.sum()
     base = float(shares @ y)

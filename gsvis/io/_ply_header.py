@@ -93,7 +93,7 @@ class PlyHeader:
             raise FormatError(
                 self.path,
                 f"element {element.name}",
-                "scalar properties, with no list element in front",
+                "scalar properties, with no list element before them",
                 "a list property",
                 "write the Gaussians as the first element",
             )

@@ -47,7 +47,7 @@ def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> I
     for start in range(0, element.count, per_chunk):
         rows = min(per_chunk, element.count - start)
         if stream.readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
-            raise FormatError(header.path, f"row {start:,}", "a file that stays as long as it was", "its end")
+            raise FormatError(header.path, f"row {start:,}", "a file that does not change while it is read", "its end")
         yield buffer[:rows]
 
 

@@ -60,7 +60,9 @@ class FolderStore:
         below = self.folder.relative_to(self._root) if self.folder.is_relative_to(self._root) else Path()
         file = inside(self.path, name, self._root, os.fspath(below / name))
         if not file.is_file():
-            raise FormatError(self.path, name, "a file of that name beside the meta data", "none", "is the copy whole?")
+            raise FormatError(
+                self.path, name, "a file of that name beside the metadata", "none", "is the copy complete?"
+            )
         return file
 
     def file_bytes(self, names: list[str]) -> int:
@@ -115,7 +117,7 @@ class ZipStore:
             entries[safe_name(self.path, "zip entry", info.orig_filename)] = info
         metas = sorted((n for n in entries if PurePosixPath(n).name == "meta.json"), key=lambda n: (n.count("/"), n))
         if not metas:
-            raise FormatError(self.path, "", "a meta.json in the zip", "none", "this is no SOG scene")
+            raise FormatError(self.path, "", "a meta.json in the zip", "none", "this is not a SOG scene")
         prefix = metas[0][: -len("meta.json")]
         return {name[len(prefix) :]: info for name, info in entries.items() if name.startswith(prefix)}
 

@@ -129,7 +129,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
                 lines.append(reader.line_num)
                 continue
             if len(cells) != len(header):
-                where, remedy = f"line {reader.line_num}", "is the file cut short?"
+                where, remedy = f"line {reader.line_num}", "is the file truncated?"
                 raise FormatError(path, where, f"{len(header)} cells, as in the header", f"{len(cells)}", remedy)
             rows.append(cells)
             lines.append(reader.line_num)
@@ -167,7 +167,7 @@ def _unzip(path: Path, data: bytes, budget: Budget) -> bytes:
                 budget.claim(len(part), "gzip")
                 parts.append(part)
     except (OSError, EOFError, zlib.error) as error:
-        raise FormatError(path, "gzip", "a whole gzip file", str(error), "download it again") from error
+        raise FormatError(path, "gzip", "a complete gzip file", str(error), "download it again") from error
     return b"".join(parts)
 
 

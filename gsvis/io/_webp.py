@@ -40,7 +40,7 @@ def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[i
         WebP container specification; WebP lossless bitstream specification, section 3.
     """
     if len(data) < 25 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes of another kind")
+        raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes in another format")
     at, canvas = 12, None
     while at + 8 <= len(data):
         kind, length = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]

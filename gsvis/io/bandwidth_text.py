@@ -57,5 +57,5 @@ def read_bandwidth_text(path: str | os.PathLike[str]) -> tuple[F64, F64]:
             times.append(time)
             rates.append(rate)
     if not times:
-        raise FormatError(path, "", "at least one line after time 0", "none", "is the file cut short?")
+        raise FormatError(path, "", "at least one line after time 0", "none", "is the file truncated?")
     return np.array(times), np.array(rates)

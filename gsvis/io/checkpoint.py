@@ -148,7 +148,9 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
     except _BAD_ZIP as error:
         if isinstance(error, OSError) and error.filename is not None:  # it could not be opened
             raise
-        raise FormatError(path, "zip", "a whole checkpoint", str(error) or "the end of the file", _DAMAGED) from error
+        raise FormatError(
+            path, "zip", "a complete checkpoint", str(error) or "the end of the file", _DAMAGED
+        ) from error
 
 
 def _warn_of_other_ranks(path: Path) -> None:
@@ -178,7 +180,7 @@ def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tens
     """Return descriptions of the tensors of the Gaussians by the names of `from_gsplat`."""
     if not isinstance(content, dict):
         remedy = "for INRIA's checkpoints read point_cloud.ply" if isinstance(content, tuple) else ""
-        raise FormatError(path, "data.pkl", _KNOWN, f"no dict but {type(content).__name__.lstrip('_')}", remedy)
+        raise FormatError(path, "data.pkl", _KNOWN, f"a {type(content).__name__.lstrip('_')}", remedy)
     for key in ("splats", "pipeline"):
         if isinstance(content.get(key), dict):
             content = content[key]
@@ -280,7 +282,9 @@ def _unpickle(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str)
     """Return the content of the pickle of a checkpoint."""
     size = archive.getinfo(name).file_size
     if size > _MOST_STRUCTURE:
-        raise FormatError(path, name, f"at most {_MOST_STRUCTURE:,} bytes", f"{size:,}", "was more than tensors saved?")
+        raise FormatError(
+            path, name, f"at most {_MOST_STRUCTURE:,} bytes", f"{size:,}", "does it contain more than tensors?"
+        )
     data = _record(path, archive, name)
     try:
         for opcode, argument, at in pickletools.genops(data):

@@ -95,7 +95,9 @@ def _rows(header: PlyHeader, element: Element, stream: BufferedReader) -> NDArra
     stream.seek(offset)
     rows = np.frombuffer(stream.read(element.count * row.itemsize), np.uint8)
     if len(rows) != element.count * row.itemsize:
-        raise FormatError(header.path, f"element {element.name}", "a file that stays as long as it was", "its end")
+        raise FormatError(
+            header.path, f"element {element.name}", "a file that does not change while it is read", "its end"
+        )
     return rows.view(row)
 
 

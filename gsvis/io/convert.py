@@ -96,7 +96,7 @@ def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
 
 def _pair(up: object) -> tuple[str, str]:
     if not isinstance(up, tuple | list) or len(up) != 2:
-        raise ValueError(f'up: expected two axes, now and then, such as ("-y", "+z"), got {up!r}')
+        raise ValueError(f'up: expected two axes, old and new, such as ("-y", "+z"), got {up!r}')
     return up[0], up[1]
 
 

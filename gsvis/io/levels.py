@@ -178,7 +178,7 @@ def _info(file: ArrowFile) -> LevelsInfo:
     for row in rows:
         name, digest = row.raw("name"), row.raw("sha256")
         if not isinstance(name, str) or name in names:
-            raise FormatError(file.path, row.where("name"), "a name of its own", repr(name)[:60])
+            raise FormatError(file.path, row.where("name"), "a unique name", repr(name)[:60])
         if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
             raise FormatError(file.path, row.where("sha256"), "64 hexadecimal digits", repr(digest)[:80])
         names.append(name)

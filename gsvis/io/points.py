@@ -131,7 +131,7 @@ def _white(header: PlyHeader, vertex: Element) -> float | None:
     kinds = {vertex.row[name].str[1:] for name in have}
     if len(have) < 3 or len(kinds) > 1 or not kinds <= set(_WHITE):
         got = ", ".join(f"{name} {vertex.row[name].name}" for name in have)
-        expected = "red, green and blue alike, of type uchar, ushort, float or double"
+        expected = "red, green and blue of one type (uchar, ushort, float or double)"
         raise FormatError(header.path, "element vertex", expected, got)
     return _WHITE[kinds.pop()]
 

@@ -71,7 +71,7 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
         return load_streamed_sog(where, lod)
     reader = _reader(where)
     if lod is not None:
-        raise ValueError(f"lod: expected None for a file with one level of detail, got {lod!r}; leave it out")
+        raise ValueError(f"lod: expected None for a file with one level of detail, got {lod!r}; omit it")
     return reader(where)
 
 
@@ -128,7 +128,7 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
     with open_regular(path) as stream:
         head = stream.read(8)
     if not head:
-        raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export cut short?")
+        raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export interrupted?")
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):
             return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]

@@ -241,13 +241,13 @@ def journal_of(
 def _check_levels(g: Gaussians | Levels) -> Levels:
     """The levels, if there is something to see in each."""
     bright = union_of(g).opacities >= MIN_ALPHA
-    told = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
+    problem = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
     if not bright.any():
-        raise SceneError(f"the scene {told}")
+        raise SceneError(f"the scene {problem}")
     levels = as_levels(g)
     for k, name in enumerate(levels.names):
         if not bright[levels.member(k)].any():
-            raise SceneError(f"level {name!r} {told}")
+            raise SceneError(f"level {name!r} {problem}")
     return levels
 
 

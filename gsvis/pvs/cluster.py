@@ -57,7 +57,7 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
     from distributed.diagnostics.plugin import WorkerPlugin
 
     class Threads(WorkerPlugin):  # type: ignore[misc]
-        """Tells a worker how many threads its kernels may use; workers that come later are told too."""
+        """Set the number of threads of kernels in each worker, also in workers that join later."""
 
         name = _PLUGIN
         idempotent = True
@@ -112,10 +112,10 @@ def _check_versions(client: Any) -> None:
     """
     here = version("gsvis")
     found = client.run(_version, on_error="return")
-    other = {worker: told for worker, told in found.items() if told != here}
+    other = {worker: reported for worker, reported in found.items() if reported != here}
     if other:
-        worker, told = next(iter(other.items()))
-        got = f"gsvis {told}" if isinstance(told, str) else f"{type(told).__name__}: {told}"
+        worker, reported = next(iter(other.items()))
+        got = f"gsvis {reported}" if isinstance(reported, str) else f"{type(reported).__name__}: {reported}"
         raise BackendError(f"worker {worker}: expected gsvis {here}, as here, got {got}; install it there")
 
 

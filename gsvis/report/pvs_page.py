@@ -118,7 +118,7 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
     rows = []
     for each in quality.figures():
         worst = f"{format_value(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
-        rows.append((each.told, format_value(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
+        rows.append((each.label, format_value(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
     good, least = (f"{1.0 - value:.1%}" for value in TARGETS["weighted_recall"] if value is not None)
     missed = (
         "Share of the light that the set misses, by measured cell and at each viewpoint; lower is better. The targets"

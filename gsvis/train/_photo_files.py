@@ -72,7 +72,7 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
     if not file.is_file() or file.suffix.lower() != ".json":
         got = "a folder without either" if path.is_dir() else "another file"
         remedy = cameras_remedy(path) if path.is_dir() else ""
-        raise FormatError(path, "", _KNOWN, got, remedy or "make one with COLMAP, and give its folder")
+        raise FormatError(path, "", _KNOWN, got, remedy or "make one with COLMAP, and name its folder")
     content = read_json(file)
     if not isinstance(content, dict):
         raise FormatError(file, "", "a transforms.json", f"JSON of {type(content).__name__}")
@@ -104,7 +104,9 @@ def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
     if not counts or max(counts) == 0:
         looked = ", ".join(dict.fromkeys(str(folder) for folder in folders))
         text = f"none of them in {looked}"
-        raise FormatError(views.path, "", f"the {len(views.names):,} images it names", text, "say where with --images")
+        raise FormatError(
+            views.path, "", f"the {len(views.names):,} images it names", text, "name the folder with --images"
+        )
     best = counts.index(max(counts))
     missing = [name for name, place in zip(views.names, held[best], strict=True) if place is None]
     if missing:
@@ -169,9 +171,9 @@ def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
     (width, height), have = pairs[wrong[0]]
     expected = f"{width} x {height} as the model says, or that divided by one number for all"
     got = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
-    remedy = "give the images that the model was made of, undistorted with it, or evenly shrunk from those"
+    remedy = "use the images of the model, undistorted with it, or evenly shrunk"
     if have == (height, width):
-        remedy = "the model is of turned images: write their EXIF orientation into the pixels"
+        remedy = "the model was made from rotated images: apply their EXIF orientation to the pixels"
     raise FormatError(views.path, f"images {join_names([views.names[i] for i in wrong])}", expected, got, remedy)
 
 

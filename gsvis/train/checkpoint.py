@@ -79,7 +79,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
     header, arrays = _read(path)
     if header.get("run") != trainer.key:
         raise ValueError(
-            f"checkpoint: expected {os.fspath(path)} to be of the same images, Gaussians and configuration, "
+            f"checkpoint: expected {os.fspath(path)} to belong to the same images, Gaussians and configuration, "
             f"got another run's; {_AGAIN}, or name another file"
         )
     try:
@@ -97,7 +97,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         trainer.seconds, trainer.loss = float(header["seconds"]), float(header["loss"])
         trainer.history = [Record(**record) for record in header["history"]]
     except (LookupError, TypeError, ValueError, OverflowError, RuntimeError) as error:
-        raise FormatError(path, "", "a whole checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
+        raise FormatError(path, "", "a complete checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
 
 
 def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:

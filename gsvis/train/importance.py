@@ -63,7 +63,7 @@ def importance(
     cameras = views.cameras if isinstance(views, PosedImages) else views
     if method in ("gradient", "error") and not isinstance(views, PosedImages):
         raise ValueError(
-            f"method: expected photographs for {method!r}, got cameras alone; the error against the scene's own images "
+            f"method: expected photographs for {method!r}, got cameras only; the error against the scene's own images "
             "is zero and so is its gradient: use 'removal'"
         )
     pixels = max(len(cameras), 1) * cameras.width * cameras.height
@@ -122,7 +122,7 @@ def most_important(gaussians: Gaussians, importance: ArrayLike, count: int) -> N
     """
     values = _check.floats("importance", importance, (len(gaussians),), np.float64)
     if _check.positive_int("count", count, at_least=0) > len(values):
-        raise ValueError(f"count: expected at most {len(values)}, the Gaussians there are, got {count}")
+        raise ValueError(f"count: expected at most {len(values)}, the number of Gaussians, got {count}")
     if count == 0:
         return np.zeros(len(values), bool)
     least = -np.partition(-values, count - 1)[count - 1]

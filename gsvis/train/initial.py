@@ -56,7 +56,7 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
     places, of_point = np.unique(points.means.astype(np.float64), axis=0, return_inverse=True)
     if len(places) < 2:
         got = f"{len(points):,} at {len(places)}"
-        raise ValueError(f"points: expected points at 2 places or more, got {got}; random_points makes some")
+        raise ValueError(f"points: expected points at 2 places or more, got {got}; use random_points")
     near, _ = cKDTree(places).query(places, k=min(_NEIGHBORS, len(places) - 1) + 1)
     apart = np.sqrt((near[:, 1:] ** 2).mean(axis=1))  # the first is the point itself
     size = float(np.ptp(places, axis=0).max())
@@ -109,9 +109,7 @@ def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> Poi
         have += len(kept[-1])
         if have >= count:
             return PointCloud(np.concatenate(kept)[:count])
-    raise SceneError(
-        f"the {len(cameras):,} cameras see next to nothing of the box they look at; are their poses right?"
-    )
+    raise SceneError(f"the {len(cameras):,} cameras see almost none of the box in front of them; check their poses")
 
 
 def _box_of(cameras: Cameras) -> tuple[F64, F64]:

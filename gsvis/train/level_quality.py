@@ -56,7 +56,7 @@ def measure_levels(
         ValueError: If there are no views.
     """
     if len(views) == 0:
-        raise ValueError("views: expected at least one to compare in, got none")
+        raise ValueError("views: expected at least one view to compare, got none")
     top, count = len(levels) - 1, len(views)
     scene = np.empty((len(levels), count))
     photo = np.empty((len(levels), count)) if photographs else None

@@ -82,7 +82,7 @@ def draw_views(
 
         found.append(render_views(g, cameras, progress=report))
     if float(found[0].images.max()) < _DARK:
-        raise SceneError("views from inside the scene show nothing of it; is the up axis right?")
+        raise SceneError("views from inside the scene are empty; check the up axis")
     told_space = f"drawn at random where eyes may be ({space.rule})"
     small = {"width": max(sampling.width // 2, 1), "height": max(sampling.height // 2, 1)}
     many = replace(sampling, count=_CHOOSE * sampling.count, stream=sampling.stream + 2, **small)
@@ -111,7 +111,7 @@ def load_photograph_views(
     read = load_photos(photos, size=size, progress=progress)
     views, held_out = read.views.split(_EVERY)
     remarks = list(read.remarks)
-    wrong = "are they of this scene, and in its frame?"
+    wrong = "check that they show this scene, in its frame"
     for c in range(len(held_out)):
         if float(rasterize(g, held_out.cameras[c]).images.max()) >= _DARK:
             break

@@ -104,7 +104,7 @@ def load_photos(
     if len(views.names) < FEWEST_VIEWS:
         raise SceneError(
             f"{views.path}: expected at least {FEWEST_VIEWS} posed images, got {len(views.names)};"
-            " add photographs, or find out why COLMAP left them out"
+            " add photographs, or check why COLMAP dropped them"
         )
     files = find_files(views, folders)
     sizes = read_sizes(files)
@@ -128,7 +128,7 @@ def load_photos(
 def _check_target(downscale: float | None, size: Size | None) -> None:
     if size is not None:
         if downscale is not None:
-            raise ValueError("size / downscale: expected one of them, got both; leave one out")
+            raise ValueError("size / downscale: expected one of them, got both; omit one")
         if not isinstance(size, tuple | list) or len(size) != 2:
             raise ValueError(f"size: expected (width, height), got {size!r}")
         for name, side in zip(("width", "height"), size, strict=True):
@@ -211,7 +211,7 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
     if len(broken) > 1:
         names = join_names([Path(error.path).name for error in broken])
         got = f"{len(broken):,} that cannot be read: {names}"
-        raise FormatError(files[0].parent, "", "whole images", got, broken[0].got)
+        raise FormatError(files[0].parent, "", "complete images", got, broken[0].got)
     if broken:
         raise broken[0]
     return pixels, count
@@ -232,7 +232,7 @@ def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
                 rgb = image.convert("RGB")
     except FAULTS as error:
         got = str(error) or type(error).__name__
-        raise FormatError(path, "", "a whole image", got, "is it damaged? copy it again") from error
+        raise FormatError(path, "", "a complete image", got, "is it damaged? copy it again") from error
     if rgb.size != size:
         rgb = rgb.resize(size, Image.Resampling.LANCZOS)
     return np.asarray(rgb), transparent

@@ -250,10 +250,12 @@ def test_missing_and_wrong_scenes_are_refused_in_one_line(tmp_path: Path, capsys
 
 def test_arguments_that_contradict_each_other_are_refused(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "cameras.json").write_text("[]")
-    told = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json", "--fov", "50")
-    assert "--fov" in told
-    told = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "none.json")
-    assert "none.json" in told
+    output = refused(
+        capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json", "--fov", "50"
+    )
+    assert "--fov" in output
+    output = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "none.json")
+    assert "none.json" in output
     refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json")
     assert not (tmp_path / "o").exists()
 
@@ -283,7 +285,7 @@ def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monk
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["inspect"], "SCENE"),
         (["inspct", "x"], "inspct"),
@@ -300,11 +302,11 @@ def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monk
         (["convert", "x", "y.ply", "--max-sh-degree", "4"], "0 to 3"),
     ],
 )
-def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert told in err
+    assert message in err
     assert "Traceback" not in err
 
 

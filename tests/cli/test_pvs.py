@@ -50,8 +50,8 @@ def test_a_store_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Ca
     assert main(["pvs", str(ply), "-o", str(out), *QUICK]) == 0
     text = capsys.readouterr().out
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
-    for told in ("visible from a cell", "viewpoints a cell", "bits a visible Gaussian"):
-        assert told in text
+    for label in ("visible from a cell", "viewpoints a cell", "bits a visible Gaussian"):
+        assert label in text
     assert [path.name for path in out.parent.iterdir()] == ["rooms.pvs"]
     found = document(capsys, ply, "-o", out, *QUICK)
     assert (found["format"], found["version"], found["out"]) == ("gsvis-pvs", 1, str(out))
@@ -91,8 +91,8 @@ def test_a_dry_run_tells_the_cost_and_writes_nothing(ply: Path, tmp_path: Path, 
     words = [ply, "-o", tmp_path / "out" / "a.pvs", *QUICK, *BOX, "--dry-run"]
     assert main(["pvs", *map(str, words)]) == 0
     text = capsys.readouterr().out
-    for told in ("time", "memory", "disk", "Nothing was written."):
-        assert told in text
+    for label in ("time", "memory", "disk", "Nothing was written."):
+        assert label in text
     estimate = document(capsys, *words)["estimate"]
     assert estimate["finished"] == 0
     assert min(estimate[name] for name in ("seconds", "memory", "disk", "working_disk", "cells", "workers")) > 0
@@ -120,7 +120,7 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--max-memory", "4"], "4GB"),
         (["--max-memory", "lots"], "4GB"),
@@ -134,8 +134,8 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
         (["--box", "1", "1", "1", "0", "2", "2"], "X0 < X1"),
     ],
 )
-def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
-    assert told in refused(capsys, "builtin:two_rooms", "-o", "x.pvs", *words)
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:
+    assert message in refused(capsys, "builtin:two_rooms", "-o", "x.pvs", *words)
     assert not Path("x.pvs").exists()
 
 
@@ -208,10 +208,10 @@ def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> Non
     assert not out.exists()
     stopped = Halted("cells", 4, "pvs", *LONG, "-o", out, "--workers", "2")
     stopped.wait()
-    code, said, told = stopped.end(signal.SIGINT)
+    code, said, text = stopped.end(signal.SIGINT)
     assert (code, said) == (130, "")
-    last = told.splitlines()[-1]
-    assert "Traceback" not in told
+    last = text.splitlines()[-1]
+    assert "Traceback" not in text
     assert last.startswith("gsvis: interrupted; ")
     assert "the same command goes on from there" in last
     now = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}

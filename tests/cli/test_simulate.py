@@ -61,8 +61,8 @@ def test_it_writes_a_report_and_prints_tables(
     text = capsys.readouterr().out
     assert "report/report.html" in text.split()
     assert max(map(len, text.splitlines())) <= 80
-    for told in ("QoE of a step", "whole file", "Morton order", "records sent twice", "0.2 Mbit/s"):
-        assert told in text
+    for label in ("QoE of a step", "whole file", "Morton order", "records sent twice", "0.2 Mbit/s"):
+        assert label in text
     names = {path.name for path in Path("report").iterdir()}
     assert {"report.html", "report.json", "qoe.png", "psnr.png", "latency.png", "bandwidth.png", "start.png"} <= names
 

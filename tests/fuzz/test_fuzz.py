@@ -79,7 +79,7 @@ def test_mutators_change_and_do_not_fail(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "verdict"),
+    ("message", "verdict"),
     [
         ("checkpoint: expected x to be of the same images, got another run's", "refused"),
         ("checkpoint is no array", "found"),
@@ -87,9 +87,9 @@ def test_mutators_change_and_do_not_fail(name: str) -> None:
         ("a: checkpoint: expected x", "found"),
     ],
 )
-def test_of_value_errors_a_target_allows_those_it_names_alone(told: str, verdict: str) -> None:
+def test_of_value_errors_a_target_allows_those_it_names_alone(message: str, verdict: str) -> None:
     def fail(folder: Path, case: dict[str, bytes]) -> None:
-        raise ValueError(told)
+        raise ValueError(message)
 
     for target in (TARGETS["checkpoint"], TARGETS["subsets"]):
         fails = Target("x", lambda: [{"a": b""}], fail, target.allowed, beginnings=target.beginnings)

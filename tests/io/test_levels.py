@@ -164,8 +164,8 @@ def test_a_header_that_does_not_fit_is_told(tmp_path: Path, changes: dict[str, o
         ("file", "../low.ply", "leave the folder"),
         ("file", "/etc/passwd", "leave the folder"),
         ("count", 3, "3 Gaussians"),
-        ("name", "high", "a name of its own"),
-        ("name", 7, "a name of its own"),
+        ("name", "high", "a unique name"),
+        ("name", 7, "a unique name"),
         ("sha256", "no", "64 hexadecimal"),
     ],
 )

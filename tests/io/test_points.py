@@ -145,7 +145,7 @@ def test_colors_that_are_none_are_refused(tmp_path: Path) -> None:
     for columns, kind, message in (
         ({"red": [1.0], "green": [0.0], "blue": [2.0]}, "f4", r"row 0\): expected colors from 0 to white"),
         ({"red": [1.0], "green": [np.nan], "blue": [0.0]}, "f4", "got 1 nan 0"),
-        ({"red": [1.0], "green": [0.0]}, "f4", "expected red, green and blue alike"),
+        ({"red": [1.0], "green": [0.0]}, "f4", "expected red, green and blue of one type"),
         ({"red": [1], "green": [0], "blue": [0]}, "i4", "got red int32"),
     ):
         file.write_bytes(ply_bytes(base | columns, types=dict.fromkeys(columns, kind)))

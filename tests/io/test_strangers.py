@@ -54,7 +54,7 @@ def test_content_counts_and_not_the_suffix(ply: Path, name: str) -> None:
 def test_an_empty_file_is_called_so(tmp_path: Path, suffix: str) -> None:
     (tmp_path / f"scene{suffix}").touch()
     text = refusal(lambda: load_scene(tmp_path / f"scene{suffix}"))
-    assert "got an empty file; was the download or the export cut short?" in text
+    assert "got an empty file; was the download or the export interrupted?" in text
 
 
 @pytest.mark.parametrize(

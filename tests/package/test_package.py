@@ -272,7 +272,7 @@ def reread(folder: Path, change: object, *, resign: bool = True) -> None:
 def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
     written(tmp_path / "s", 60, stores=True).close()
     reread(tmp_path / "s", lambda value: None)
-    for change, told in (
+    for change, message in (
         (lambda v: v.update(version=3), "update gsvis"),
         (lambda v: v.update(version=0), "version"),
         (lambda v: v.update(format="other"), "is this a package"),
@@ -294,7 +294,7 @@ def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
         (lambda v: v.update(scene="0" * 64), "visibility"),
         (lambda v: v.update(blocks={}), "blocks"),
     ):
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             reread(tmp_path / "s", change)
     with pytest.raises(FormatError, match="hash of the rest"):
         reread(tmp_path / "s", lambda value: None, resign=False)

@@ -264,7 +264,7 @@ def test_damaged_subsets_are_told(scene: Gaussians, views: PosedImages, tmp_path
     with pytest.raises(KeyboardInterrupt):
         train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping("train low", 0))
     damaged(tmp_path / "subsets.npz", how)
-    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to begin anew"):
+    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to start again"):
         train_levels(scene, views, BRIEF, work=tmp_path)
 
 

@@ -179,7 +179,7 @@ def test_damaged_images_are_told(tmp_path: Path) -> None:
     (tmp_path / "images" / "photo_005.png").write_bytes(whole[:100])
     file.write_bytes(whole[:100])
     with pytest.raises(
-        FormatError, match=r"expected whole images, got 2 that cannot be read: 'photo_004.png', 'photo_005"
+        FormatError, match=r"expected complete images, got 2 that cannot be read: 'photo_004.png', 'photo_005"
     ):
         load_photos(tmp_path)
     Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint16)).save(file)

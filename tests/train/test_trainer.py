@@ -116,7 +116,7 @@ def test_a_checkpoint_of_another_run_is_refused(views: PosedImages, start: Gauss
     brief = replace(CONFIG, iterations=2)
     train(views, start, brief, checkpoint=path)
     for others in ((views[:5], start, brief), (views, start[:30], brief), (views, start, replace(brief, seed=1))):
-        with pytest.raises(ValueError, match=r"checkpoint: expected .* of the same images, Gaussians and config"):
+        with pytest.raises(ValueError, match=r"checkpoint: expected .* to the same images, Gaussians and config"):
             train(*others, checkpoint=path)
 
 
