@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,34 @@ def test_modules_that_moved_are_where_the_changelog_says() -> None:
             package = old_home.rpartition(".")[0]
             assert package == "gsvis.visibility" or find_spec(old_home) is None, f"{old_home} still exists"
     assert not list((ROOT / "gsvis" / "visibility").glob("*.py"))
+
+
+def resolve(name: str) -> object:
+    """What a dotted name below gsvis means; None if it means nothing."""
+    found: object = gsvis
+    path = "gsvis"
+    for word in name.split("."):
+        path = f"{path}.{word}"
+        found = getattr(found, word, None)
+        if found is None:
+            try:
+                found = import_module(path)
+            except ModuleNotFoundError:
+                return None
+    return found
+
+
+def test_names_that_changed_are_called_as_the_changelog_says() -> None:
+    (table,) = re.findall(
+        r"^  \| old name \| new name \|\n  \|---\|---\|\n(.*?)\n\n", read("CHANGELOG.md"), re.DOTALL | re.M
+    )
+    rows = [re.findall(r"^  \| `([\w.]+)`(.*?) \| `([\w.]+)", row)[0] for row in table.splitlines()]
+    assert len(rows) >= 15
+    for old, others, new in rows:
+        assert resolve(old) is None, f"{old} still exists"
+        for other in re.findall(r"^, `(\w+)`", others):  # a sibling: in the class of the first, or beside it
+            assert resolve(f"{old.rpartition('.')[0]}.{other}") is None, f"{other} still exists"
+        assert resolve(new) is not None, f"{new} does not exist"
 
 
 def test_requirements_are_hashed_and_in_range() -> None:
@@ -102,3 +131,15 @@ def test_the_image_copies_files_that_exist_and_are_sent() -> None:
         for source in sources.split():
             assert (ROOT / source).exists()
             assert f"!{source}" in ignored
+
+
+def test_pages_of_formats_name_the_versions_of_the_code() -> None:
+    from gsvis.package.manifest import FORMAT, VERSION
+    from gsvis.stream import PROTOCOL
+
+    assert f'| `format`, `version` | `"{FORMAT}"`, {VERSION} |' in read("docs/package.md")
+    wire = read("docs/streaming.md")
+    assert f"The version of the protocol is {PROTOCOL}." in wire
+    assert f"| `protocol` | {PROTOCOL} |" in wire
+    assert f"| u8 | version, {PROTOCOL};" in wire
+    assert f"**Packages and the protocol are version {VERSION}**" in read("CHANGELOG.md")

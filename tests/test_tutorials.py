@@ -1,11 +1,13 @@
-"""The commands and programs of the tutorials and how-to pages run as they stand, on a small scene."""
+"""The commands and programs of the tutorials, how-to pages and notebooks run as they stand, on a small scene."""
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,12 +16,13 @@ from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 
 # What makes a command quick and changes nothing that a page says. An option of the page itself wins.
 SETS = {"--cells": "2", "--max-viewpoints": "1", "--workers": "1"}
 QUICK = {
-    "analyze": {"--views": "2", "--width": "24", "--height": "18", "--traced-sample": "10", "--rays-per-face": "1"},
+    "analyze": {"--views": "2", "--width": "128", "--height": "96", "--traced-sample": "10", "--rays-per-face": "1"},
     "color": {"--views": "2"},
     "levels": {"--iterations": "2", "--views": "2", "--held-out": "1", "--size": "24x20"},
     "prepare": {**SETS, "--face-size": "16", "--max-terms": "0", "--steps": "2", "--views": "2", "--size": "24x20"},
@@ -51,8 +54,8 @@ def quicker(words: list[str]) -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small scene under the name that the pages use, no kernels in advance, few views for costs."""
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> None:
+    """A small scene under the name that the pages use, no kernels in advance, few views for costs, blank plots."""
     from gsvis.prepare import PrepareConfig
 
     made = two_rooms(1000, sh_degree=1)
@@ -89,3 +92,58 @@ def test_the_page_runs_from_top_to_bottom(page: Path, capsys: pytest.CaptureFixt
 
 def test_every_page_of_the_tutorials_has_commands() -> None:
     assert sum(len(blocks(page)) for page in PAGES) > 30
+
+
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+COMMANDS = [
+    (page.name, line)
+    for page in [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))]
+    for language, block in FENCED.findall(page.read_text(encoding="utf-8"))
+    if language in {"", "sh"}
+    for line in re.findall(r"^(?:[A-Z_]+=\S+ )?gsvis (.*?)(?: \| .*)?$", block, flags=re.MULTILINE)
+]
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS)
+def test_commands_that_pages_only_show_are_commands(page: str, line: str) -> None:
+    parse(words_of(line))
+
+
+def test_the_pages_show_commands() -> None:
+    assert {"README.md", "cli.md"} <= {page for page, _ in COMMANDS}
+    assert len(COMMANDS) > 30
+
+
+def cells_of(notebook: Path) -> list[dict[str, Any]]:
+    found = json.loads(notebook.read_text(encoding="utf-8"))
+    assert (found["nbformat"], found["nbformat_minor"]) == (4, 5)
+    return list(found["cells"])
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
+def test_the_notebook_runs_from_top_to_bottom(notebook: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plt = pytest.importorskip("matplotlib.pyplot")
+    drawn: list[int] = []
+    monkeypatch.setattr(plt, "show", lambda: (drawn.append(1), plt.close("all")))
+    plt.switch_backend("agg")
+    names: dict[str, object] = {"__name__": "__main__"}
+    for cell in cells_of(notebook):
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), f"{notebook.name}, {cell['id']}", "exec"), names)
+    assert len(drawn) >= 3
+    assert not plt.get_fignums()
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
+def test_notebooks_hold_what_a_person_wrote_and_no_outputs(notebook: Path) -> None:
+    cells = cells_of(notebook)
+    assert len({cell["id"] for cell in cells}) == len(cells)
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert (cell["outputs"], cell["execution_count"]) == ([], None), cell["id"]
+
+
+def test_the_page_of_notebooks_lists_each() -> None:
+    page = (DOCS / "notebooks" / "index.md").read_text(encoding="utf-8")
+    assert len(NOTEBOOKS) == 2
+    assert all(f"]({notebook.name})" in page for notebook in NOTEBOOKS)

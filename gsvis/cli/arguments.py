@@ -71,7 +71,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Inspect:
-    """Tell what a scene holds and what looks wrong with it."""
+    """Report what a scene holds and what looks wrong with it."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
@@ -85,7 +85,7 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Analyze:
-    """Trace what views need and from where each Gaussian can be seen; write a report."""
+    """Trace what views need and from where each Gaussian is visible; write a report."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
@@ -175,7 +175,7 @@ class Render:
     contributors: Annotated[tuple[int, int] | None, PIXEL, hint("none")] = None
     """List the Gaussians blended into the pixel in column X and row Y, front to back; for one camera."""
     backend: Annotated[Literal["auto", "cpu", "cuda", "reference"], PLAIN] = "auto"
-    """What draws; auto takes a GPU where there is one that can. (default: auto)"""
+    """Renderer; auto uses a GPU if there is one that can draw. (default: auto)"""
     overwrite: Flag = False
     """Replace pictures that something else wrote; those of gsvis render are replaced without it."""
     json: Flag = False
@@ -191,7 +191,7 @@ class Convert:
     scene: Annotated[Positional[str], arg(metavar="IN", help_behavior_hint="")]
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     output: Annotated[Positional[str], arg(metavar="OUT", help_behavior_hint="")]
-    """File to write; one that exists is replaced with --overwrite alone."""
+    """File to write. An existing file needs --overwrite."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     crop: Annotated[tuple[float, ...] | None, BOX, hint("no crop")] = None
@@ -214,26 +214,27 @@ class Convert:
 
 @dataclass(frozen=True)
 class Pvs:
-    """Find what can be seen from each cell of a scene; write it as a store."""
+    """Find what is visible from each cell of a scene; write it as a store."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
-    """The store to write, such as scene.pvs; replaced, when the new one is whole, if it exists."""
+    """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cells: Annotated[int | None, CELLS, hint("512")] = None
-    """Most cells to cut the space into; as small as that allows."""
+    """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""
     box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
-    """Eyes may be anywhere in this box, frame of SCENE."""
+    """Restrict viewpoints to this box, in the frame of SCENE."""
     path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
-    """Eyes follow this walk: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS recording, frame of SCENE."""
+    """Restrict viewpoints to this walk, in the frame of SCENE: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS
+    recording."""
     margin: Annotated[float | None, DISTANCE, hint("3 voxels of the navigable space")] = None
-    """How far eyes may be from --path, scene units."""
+    """Distance of viewpoints from --path, at most, in scene units."""
     retarget: Flag = False
-    """Bring --path into the scene by a similarity transform, where it was recorded in another frame."""
+    """Move --path into the scene by a similarity transform, if it was recorded in another frame."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], PLAIN] = "hybrid"
@@ -243,17 +244,17 @@ class Pvs:
     tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""
     growth: Annotated[float | None, SHARE, hint("0.01")] = None
-    """A cell is done when two viewpoints in turn made its set grow by at most this share."""
+    """A cell is finished when two viewpoints in a row grow its set by at most this share."""
     max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
-    """Viewpoints after which a cell is done in any case."""
+    """Largest number of viewpoints in a cell."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
-    """Processes that look; fewer are started if --max-memory asks for it."""
+    """Number of processes; fewer if --max-memory requires it."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
-    """Memory that all processes together may take, such as 4GB or 2GiB."""
+    """Memory limit of all processes together, such as 4GB or 2GiB."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
     """Work on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786; extra 'cluster'."""
     dry_run: Flag = False
-    """Try a few cells, tell time, memory and disk, and write nothing."""
+    """Try a few cells, print time, memory and disk, and write nothing."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     debug: Flag = False
@@ -285,7 +286,7 @@ class PvsReport:
     fov: Annotated[float, DEGREES, hint("70")] = 70.0
     """Horizontal field of view of the images."""
     rays: Flag = False
-    """Ask by ray casting, too, what the fresh viewpoints see."""
+    """Trace rays at the fresh viewpoints, too."""
     bytes_per_gaussian: Annotated[int | None, COUNTED, hint("32 bits for each attribute")] = None
     """What sending one Gaussian costs."""
     seed: Annotated[int, WHOLE] = 0
@@ -298,7 +299,7 @@ class PvsReport:
 
 @dataclass(frozen=True)
 class Color:
-    """Put a base color and a few terms in place of SH colors, to be sent in pieces."""
+    """Replace SH colors with a base color and a few terms that can be sent in pieces."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
@@ -313,7 +314,7 @@ class Color:
     max_terms: Annotated[int | None, TERMS, hint("8")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
-    """Terms a Gaussian on average; they go where they serve most. With all, each that lowers an error."""
+    """Terms a Gaussian on average; they go where they lower errors most. all: every term that lowers an error."""
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""
     views: Annotated[int, COUNTED] = 96
@@ -373,13 +374,13 @@ class Train:
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same scene."""
     backend: Annotated[Literal["auto", "cpu", "cuda"], PLAIN] = "auto"
-    """What draws; auto takes a GPU where there is one that can. (default: auto)"""
+    """Renderer; auto uses a GPU if there is one that can draw. (default: auto)"""
     checkpoint: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: OUT.checkpoint)")] = None
-    """Keeps a run that is not done, and is removed with its end. The same command goes on from it."""
+    """Keeps an unfinished run, and is removed at its end. The same command resumes from it."""
     checkpoint_seconds: Annotated[int, COUNTED] = 120
     """Seconds from one write of it to the next: what a kill may cost."""
     restart: Flag = False
-    """Begin anew where there is a checkpoint."""
+    """Ignore a checkpoint and begin again."""
     overwrite: Flag = False
     """Replace a scene that exists. To go on from a checkpoint needs no --overwrite."""
     json: Flag = False
@@ -395,7 +396,7 @@ class Levels:
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
-    """Folder for low.ply, medium.ply, high.ply and levels.arrow, which tells what they share; made if missing."""
+    """Folder for low.ply, medium.ply, high.ply and levels.arrow, which lists what they share; made if missing."""
     lod: Lod = None
     """Level of detail of a streamed scene to start from; 0 is the finest."""
     photos: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: renders of the scene)")] = None
@@ -409,9 +410,9 @@ class Levels:
     iterations: Annotated[int, STEPS] = 1000
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("160")] = None
-    """Cameras to train on, drawn where eyes may be; not with --photos, which trains on 7 of 8."""
+    """Cameras to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
     held_out: Annotated[int | None, WHOLE, hint("12")] = None
-    """Further ones, to measure on; 0 for none. With --photos it is every 8th."""
+    """Further cameras, to measure on; 0 for none. With --photos it is every 8th."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
     """Pixels of the views; photographs are shrunk to it."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None

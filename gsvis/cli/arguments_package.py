@@ -41,7 +41,7 @@ class Prepare:
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json, levels) or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
-    """Folder of the package, such as scene.gsvis; scene.gsvis.work beside it keeps what the next run need not make."""
+    """Folder of the package, such as scene.gsvis; scene.gsvis.work beside it keeps work for the next run."""
     lod: Lod = None
     """Level of detail of a streamed scene to start from; 0 is the finest."""
     photos: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: renders of the scene)")] = None
@@ -55,27 +55,27 @@ class Prepare:
     steps: Annotated[int, STEPS] = 1000
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("160")] = None
-    """Cameras to train levels from, drawn where eyes may be; not with --photos."""
+    """Cameras to train levels from, sampled where viewers may stand; not with --photos."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
     """Pixels of these views; photographs are shrunk to it."""
     cells: Annotated[int | None, CELLS, hint("256")] = None
-    """Most cells to cut the space into; as small as that allows."""
+    """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""
     box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
-    """Eyes may be anywhere in this box, frame of SCENE."""
+    """Restrict viewpoints to this box, in the frame of SCENE."""
     face_size: Annotated[int | None, FACE_PIXELS, hint("320")] = None
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
-    """Viewpoints after which a cell is done in any case."""
+    """Largest number of viewpoints in a cell."""
     variant: Annotated[Literal["rgb", "hsl"], PLAIN] = "rgb"
     """How colors are split. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("8")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
-    """Terms a Gaussian on average; they go where they serve most. With all, each that lowers an error."""
+    """Terms a Gaussian on average; they go where they lower errors most. all: every term that lowers an error."""
     epsilon: Annotated[float | None, CHANGE, hint("0.02")] = None
-    """Change of a color that a term must make to be sent; gsvis color --epsilon auto finds that of a scene."""
+    """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
@@ -83,13 +83,13 @@ class Prepare:
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same package."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
-    """Processes that look for visible sets; the package is the same whatever their number."""
+    """Processes that find visible sets. The package is the same for any number."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
-    """Memory that these may take together with this one, such as 4GB or 2GiB."""
+    """Memory limit of all processes together, such as 4GB or 2GiB."""
     dry_run: Flag = False
-    """Tell what would be done, time, memory and disk, and write nothing."""
+    """Print the stages, time, memory and disk, and write nothing."""
     discard: Flag = False
-    """Delete what is kept between runs once the package is whole."""
+    """Delete what is kept between runs when the package is complete."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     debug: Flag = False

@@ -22,13 +22,12 @@ _MILLISECONDS = number("MS", float, 0.0, 10_000.0, "milliseconds in [0, 10000]")
 
 @dataclass(frozen=True)
 class Simulate:
-    """Tell what a viewer sees while a package arrives over a link; write a report."""
+    """Simulate what a viewer sees while a package arrives over a link; write a report."""
 
     package: Annotated[Positional[tuple[str, ...]], PACKAGES, arg(help_behavior_hint="")]
     """Folders of packages, such as scene.gsvis; several are visited one after the other."""
     path: Annotated[str, arg(metavar="FILE", help_behavior_hint="(required)")]
-    """Recorded head poses, of EyeNavGS or with columns t,x,y,z,qw,qx,qy,qz. Brought into the scene if they lie
-    outside."""
+    """Recorded head poses: EyeNavGS, or columns t,x,y,z,qw,qx,qy,qz. Moved into the scene if they lie outside."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     trace: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: --mbit)")] = None
@@ -36,19 +35,19 @@ class Simulate:
     mbit: Annotated[float | None, _MBIT, hint("10, without --trace")] = None
     """A link of one rate instead, Mbit/s."""
     round_trip: Annotated[float, _MILLISECONDS, hint("40")] = 40.0
-    """Milliseconds that the link takes there and back."""
+    """Round-trip time of the link, milliseconds."""
     seconds: Annotated[float, SECONDS] = 30.0
     """How long the viewer stays in each scene."""
     visits: Annotated[int | None, COUNTED, hint("one for each package")] = None
-    """Scenes visited, in the order of the packages and round again; each begins with nothing."""
+    """Number of visits, in the order of the packages, in turns; each begins with nothing."""
     policy: Annotated[Literal["utility", "fov-first", "low-first"], PLAIN] = "utility"
     """What is sent first. (default: utility)"""
     scene: Annotated[tuple[str, ...], _FILES, hint("the packages themselves")] = ()
-    """The scene that each package was made of, to compare with before anything was rounded."""
+    """The scene that each package was made of; compare with it instead of the rounded records."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
     whole_file: Annotated[tuple[str, ...], _FILES, hint("written as SOG and measured")] = ()
-    """A file (or folder) of each scene, whose size is that of the whole file."""
+    """A file or folder of each scene; its size is used for the whole file."""
     width: Annotated[int, PIXELS] = 320
     """Pixels of the images that are compared."""
     height: Annotated[int, PIXELS] = 240
@@ -56,7 +55,7 @@ class Simulate:
     fov: Annotated[float, DEGREES] = 90.0
     """Horizontal field of view."""
     every: Annotated[float, SECONDS] = 0.5
-    """Seconds between comparisons after the first three seconds; until then it is a tenth."""
+    """Seconds between comparisons after the first three seconds; 0.1 before."""
     as_is: Flag = False
     """Leave the path where it is, even outside of the scene."""
     seed: Annotated[int, WHOLE] = 0

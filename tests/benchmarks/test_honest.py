@@ -17,7 +17,7 @@ from gsvis.stream.batch import Sections
 from tests.stream.worlds import package_of
 
 
-@pytest.fixture(scope="module", params=["rgb", "hsl"])
+@pytest.fixture(scope="module", params=["rgb", "axis"])
 def visited(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Checker, Visit]:
     """A check of a package, and what a viewer who walks has received."""
     folder = tmp_path_factory.mktemp("visited") / "s.gsvis"
@@ -75,7 +75,7 @@ def test_what_is_missing_or_comes_twice_is_refused(visited: tuple[Checker, Visit
 @pytest.mark.parametrize(
     ("said", "other"),
     [
-        (b'"gaussians":1500', b'"gaussians":1499'), (b'"chunks":', b'"chunkz":'), (b'"protocol":2', b'"protocol":3'),
+        (b'"gaussians":1500', b'"gaussians":1499'), (b'"chunks":', b'"chunkz":'), (b'"protocol":2', b'"protocol":1'),
         (b'"up":[', b'"vp":['), (b'"name":"', b'"nome":"'), (b'"meters_per_unit":', b'"meters_per_unit":1'),
     ],
 )  # fmt: skip
