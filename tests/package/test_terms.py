@@ -53,6 +53,6 @@ def test_terms_that_are_too_wide_are_refused() -> None:
 def test_variants_that_packages_do_not_hold_are_refused_by_name() -> None:
     for variant in sorted(set(VARIANTS) - {"rgb", "hsl"}):
         with pytest.raises(ValueError, match=f"variant: expected rgb or hsl in a package, got '{variant}'; fit"):
-            RecordLayout.of(variant)
+            RecordLayout.from_variant(variant)
         with pytest.raises(ValueError, match="variant: expected rgb or hsl in a package"):
             PrepareConfig(colors=ColorConfig(FitConfig(variant=variant)))
