@@ -73,6 +73,7 @@ def bare_plots(coarse_plots: None) -> Iterator[None]:
         return draw_png(draw_marks, colors, size)
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.report.theme.draw_png", drawn)  # of those that import it when they draw
         for page in PAGES:
             patch.setattr(f"gsvis.report.{page}.draw_png", drawn)
         yield
