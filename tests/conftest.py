@@ -61,7 +61,7 @@ def blank() -> bytes:
 def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
     """Leave the plots of reports blank, for tests that look at none: drawing takes most of a small report's time."""
     for page in ("document", "color_document", "pvs_document", "session_document"):
-        monkeypatch.setattr(f"gsvis.report.{page}.drawn", lambda *arguments: blank)
+        monkeypatch.setattr(f"gsvis.report.{page}.draw_png", lambda *arguments: blank)
 
 
 def pytest_xdist_auto_num_workers() -> int:
