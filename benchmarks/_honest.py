@@ -40,7 +40,6 @@ __all__ = ["Checker", "Checks", "Link", "Viewer", "Visit", "begin_checks", "chec
 VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 DRY_S = 0.08  # nothing has come for so long though all is acknowledged: ask whether the server is awake
 VISIT_S = 20.0  # longest visit
-_AXES = {"axis": 1, "axes": 2, "axes-split": 2}  # color axes of a Gaussian, where it has some
 
 
 @dataclass(frozen=True)
@@ -283,10 +282,10 @@ class Checker:
             receiver = Receiver(visit.welcome)
             found["bytes"] = len(visit.welcome)
             found["wrong"] = 0 if self._is_right(visit.welcome) else len(visit.welcome)
-            held, terms = np.zeros(len(self._contents), bool), [np.zeros(0, np.int64)]
+            terms = [np.zeros(0, np.int64)]
             for data in visit.batches:
                 sections = Sections.parse(data, receiver.about)
-                self._check_batch(sections, held, found)
+                self._check_batch(sections, found)
                 terms.append(sections.terms)
                 receiver.receive(data)
         except (ProtocolError, ValueError):
@@ -310,16 +309,12 @@ class Checker:
             and said == self._welcome
         )
 
-    def _check_batch(self, s: Sections, held: np.ndarray, found: dict[str, int]) -> None:
+    def _check_batch(self, s: Sections, found: dict[str, int]) -> None:
         c = self._contents
-        fresh = np.unique(s.owners)
-        fresh = fresh[~held[fresh]]
-        held[fresh] = True
         rows = np.searchsorted(self._starts, s.chunks)
         for got, expected in (
             (s.records, c.records[s.gaussians]), (s.term_records, c.term_records[s.terms]),
             (s.owners, self._owners(s.terms)), (s.chunks, self._starts[rows]),
-            (s.axes, c.axes[fresh] if c.axes.shape[1] else c.axes[:0]),
             *((s.rows[name], values[rows]) for name, values in self._rows.items()),
         ):  # fmt: skip
             _compare(got, expected, found)
@@ -354,7 +349,7 @@ def _welcome_of(manifest: dict[str, Any]) -> dict[str, Any]:
     return {
         "protocol": 2, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
         "chunks": sum(part["count"] for part in manifest["chunks"]), "levels": manifest["levels"], "record_bytes": 16,
-        "term_bits": bits, "axis_bytes": 2 * _AXES.get(colors["variant"], 0), "colors": colors,
+        "term_bits": bits, "colors": colors,
         "up": manifest["up"], "meters_per_unit": manifest["meters_per_unit"],
     }  # fmt: skip
 

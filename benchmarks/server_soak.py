@@ -2,7 +2,7 @@
 
 A server process pinned to one core; viewers who keep what they receive; after a sixth of the time all kinds of
 `_hostile.py` at once, in processes on the other cores. What a visit has brought is compared with the package, byte for
-byte: records, terms, axes, rows of chunks as they came, and what the viewer then draws. What is expected comes from the
+byte: records, terms, rows of chunks as they came, and what the viewer then draws. What is expected comes from the
 manifest, as JSON, and from the parts, through the reader of packages that the server uses, too; messages are taken
 apart by the code of our client. Neither is what encodes messages. WELCOME is compared with the rules of
 docs/streaming.md, but for its identity, which only has to be the same in all visits.

@@ -68,7 +68,7 @@ class Clock:
 def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, Any], Receiver]:
     session, receiver = Session(scene, VIEW), Receiver(scene.header)
     clock, squeeze = Clock(session), zstandard.ZstdCompressor(level=3)
-    bytes_of = dict.fromkeys(("records", "terms", "ids", "chunks", "axes", "fixed"), 0)
+    bytes_of = dict.fromkeys(("records", "terms", "ids", "chunks", "fixed"), 0)
     encode, receive, ready, sizes, gaussians, terms, zstd, deflate = [], [], [], [], 0, 0, 0, 0
     for k in range(ticks):
         session.on_pose(k / 10, *pose(scene, k))
@@ -84,7 +84,7 @@ def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, An
         s = Sections.parse(message.data, scene.about)
         parts = {
             "records": s.records.nbytes, "terms": -(-len(s.terms) * scene.about.term_bits // 8),
-            "chunks": len(s.rows) * CHUNK_ROW.itemsize, "axes": s.axes.nbytes,
+            "chunks": len(s.rows) * CHUNK_ROW.itemsize,
         }  # fmt: skip
         fixed = FIXED_BYTES - 8
         parts |= {"fixed": fixed, "ids": len(message.data) - fixed - sum(parts.values())}
@@ -123,7 +123,7 @@ def per_gaussian(scene: StreamedScene, ticks: int) -> dict[str, float]:
         s = Sections.parse(message.data, scene.about)
         none = s.terms[:0]
         bare = Sections(
-            s.sequence, s.chunks, s.rows, s.gaussians, s.records, none, none, s.term_records[:0], s.axes[:0], s.gone
+            s.sequence, s.chunks, s.rows, s.gaussians, s.records, none, none, s.term_records[:0], s.gone
         ).to_message(scene.about)
         sizes, zstd, count = sizes + len(bare), zstd + len(squeeze.compress(bare)), count + len(s.gaussians)
     return {"record": RECORD, "with all": sizes / count, "with all, zstd": zstd / count, "gaussians": count}

@@ -77,3 +77,10 @@ def test_what_gsvis_depends_on_is_pinned_within_its_range() -> None:
 @pytest.mark.skipif(os.name != "posix", reason="POSIX file modes")
 def test_ci_can_be_run() -> None:
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
+
+
+def test_the_page_of_gsvis_lists_every_name_of_it() -> None:
+    import gsvis
+
+    text = (ROOT / "docs" / "api" / "gsvis.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"\[`(\w+)`\]\(", text)) == {name for name in gsvis.__all__ if not name.startswith("_")}

@@ -66,7 +66,12 @@ def summary_page(results: dict[str, dict[str, Any]]) -> str:
     """Return the summary with fresh tables: every section of it is one table with a question as its title."""
     parts = []
     for section in SECTIONS:
-        lines = [f"### {section.title}", "", "| question | ours | best peer | target | |", "|---|---|---|---|---|"]
+        lines = [
+            f"### {section.title}",
+            "",
+            "| question | ours | best peer | target | verdict |",
+            "|---|---|---|---|---|",
+        ]
         lines += [summary_row(row, results) for row in section.rows]
         parts.append("\n".join([*lines, "", f"Details: [{PAGES[section.page].title}](results/{section.page}.md)."]))
     page = (DOCS / "results.md").read_text(encoding="utf-8")
@@ -125,7 +130,7 @@ def benchmark_table(stem: str, result: dict[str, Any]) -> str:
     notes = read_benchmark_notes(stem)
     if notes:
         lines += ["", *(f"- {name}: {text}" for name, text in notes.items())]
-    lines += ["", "| figure | ours | target | |", "|---|---|---|---|"]
+    lines += ["", "| figure | ours | target | verdict |", "|---|---|---|---|"]
     for figure in result["figures"]:
         verdict = {True: "reached", False: "**missed**", None: ""}[figure["met"]]
         ours = with_unit(figure["reached"], figure["unit"])

@@ -68,7 +68,7 @@ class Prepare:
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
     """Largest number of viewpoints in a cell."""
-    variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
+    variant: Annotated[Literal["rgb", "hsl"], PLAIN] = "rgb"
     """How colors are split. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("8")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from gsvis._extras import require
 from gsvis.cli.arguments import Levels
@@ -22,18 +18,16 @@ from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.errors import FormatError, OutputError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
-from gsvis.files.resume import folder_beside
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
     from gsvis.scene.view_sampling import ViewSampling
-    from gsvis.train.images import PosedImages
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
 
-__all__ = ["check_views", "levels_config", "run_levels", "view_sampling", "work_of"]
+__all__ = ["check_views", "levels_config", "run_levels", "view_sampling"]
 
 _VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 160, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
@@ -79,11 +73,6 @@ def run_levels(command: Levels) -> None:
         trained, record = _run(command, plan, status)
         seconds = dict(status.seconds)
     tell_result(command, trained.levels, record, plan.remarks, seconds)
-
-
-def work_of(out: str, plan: str) -> Path:
-    """The hidden folder beside the result that keeps a run which is not done; `plan` says which run."""
-    return folder_beside(_target(out), plan, hidden=True)
 
 
 def _begun(work: Path) -> bool:
@@ -190,19 +179,13 @@ def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
         remarks.append(
             f" Going up level by level may send {least:.1%} more than the scene alone; a higher --reuse sends less."
         )
-    work = _work(command, config, g, drawn.views)
+    from gsvis.prepare.levels import find_levels_work
+
+    work = find_levels_work(_target(command.out), g, drawn, config)
     if _begun(work):
         status.line(f"going on from {work.name}, which an earlier run left")
         remarks.append(" It went on from what an earlier run had kept; the time is of this one alone.")
     return _Plan(source, config, drawn, work, remarks)
-
-
-def _work(command: Levels, config: LevelsConfig, g: Gaussians, views: PosedImages) -> Path:
-    """Where this very run keeps its work: another scene, configuration or other views have another folder."""
-    digest = hashlib.sha256()
-    for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
-        digest.update(np.ascontiguousarray(array).data)
-    return work_of(command.out, json.dumps([scene_hash(g), asdict(config), digest.hexdigest()]))
 
 
 def _check_target(command: Levels, names: tuple[str, ...]) -> None:
@@ -264,11 +247,9 @@ def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) ->
 
 def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, dict[str, object]]:
     """Everything between a plan and the last file; the record of it."""
-    from gsvis.train.level_quality import measure_levels
-    from gsvis.train.levels import train_levels
+    from gsvis.prepare.levels import make_levels
 
-    g, work, drawn = plan.source.gaussians, plan.work, plan.drawn
-    quality = None
+    g, work = plan.source.gaussians, plan.work
     try:
         with between_steps() as stop_if_asked:
             said = "", 0
@@ -280,20 +261,10 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
                 said = stage, done
                 stop_if_asked()
 
-            trained = train_levels(
-                g,
-                drawn.views,
-                plan.config,
-                held_out=drawn.held_out,
-                choose_by=drawn.choose_by,
-                work=work,
-                progress=report,
-            )
-        if drawn.held_out is not None:
-            quality = measure_levels(trained.levels, drawn.held_out, photographs=drawn.photographs, progress=status)
-        record = record_of(command, plan, trained, quality)
+            made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
+        record = record_of(command, plan, made.trained, made.quality)
         status("writing", 0, 1)
-        save_levels(trained.levels, command.out, record)
+        save_levels(made.trained.levels, command.out, record)
         status("writing", 1, 1)
     except KeyboardInterrupt:
         if not _begun(work):
@@ -308,4 +279,4 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
             raise
         raise error.keeping(f"what was chosen and trained is kept in {work.name}") from error
     shutil.rmtree(work, ignore_errors=True)
-    return trained, record
+    return made.trained, record

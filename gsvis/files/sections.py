@@ -1,7 +1,7 @@
 """A file of named sections behind a head of 40 bytes, every byte of it under a checksum, read through a memory map.
 
 The second container beside `gsvis.files.arrow`, for data that another coder has packed already and that is read in
-small pieces, each under a checksum of its own. docs/design/011-two-containers.md says why it is no
+small pieces, each under a checksum of its own. docs/design/030-two-containers.md says why it is no
 Arrow file.
 
 Head, sections one after the other, and a JSON object last, which lists them. The head holds the length of the whole

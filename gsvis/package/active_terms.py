@@ -22,12 +22,12 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis.color.srbf import SrbfColors
-from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
 from gsvis.files.arrow import ArrowFile, write_arrow
 from gsvis.files.cache import Cache
 from gsvis.files.fields import Fields
 from gsvis.files.limits import DAMAGED, Budget
+from gsvis.package.layout import PACKED_VARIANTS, check_packed
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
@@ -274,8 +274,8 @@ class ActiveTerms:
             return value
 
         epsilon = fields.number("epsilon")
-        if text("variant") not in VARIANTS or epsilon < 0.0:
-            raise self._fault("variant, epsilon", "a known variant and a threshold", f"{text('variant')!r}, {epsilon}")
+        if text("variant") not in PACKED_VARIANTS or epsilon < 0.0:
+            raise self._fault("variant, epsilon", "rgb or hsl, and a threshold", f"{text('variant')!r}, {epsilon}")
         return ActiveTermsInfo(
             cells=fields.integer("cells", 1, 1 << 31),
             terms=fields.integer("terms", 0, (1 << 32) - 1),
@@ -304,8 +304,10 @@ def write_active_terms(
         cells: For each cell the rising ids of its active terms, and the number of terms of the Gaussians it sees.
 
     Raises:
+        ValueError: If packages do not hold the variant.
         OSError: If the file cannot be written; what stood at the path before stays.
     """
+    check_packed(info.variant)
     header = {"format": FORMAT, "version": VERSION, **asdict(info)}
     write_arrow(path, _SCHEMA, header, _batches(cells), seal="header")
 

@@ -97,11 +97,6 @@ class ChunkTable:
         """(C + 1,) id of the first Gaussian of each chunk, and N."""
         return np.concatenate([np.zeros(1, np.int64), np.cumsum(self.counts, dtype=np.int64)])
 
-    def of_ids(self, ids: ArrayLike) -> NDArray[np.int32]:
-        """(M,) the chunk of each of these Gaussians."""
-        found = np.searchsorted(self.starts, np.asarray(ids, np.int64), side="right") - 1
-        return found.astype(np.int32)
-
     def of_all(self) -> NDArray[np.int32]:
         """(N,) the chunk of every Gaussian."""
         return np.repeat(np.arange(len(self), dtype=np.int32), self.counts)

@@ -41,7 +41,6 @@ class Contents:
         records: (N, 16) uint8.
         term_counts: (N,) uint8 terms of each Gaussian.
         term_records: (T, B) uint8, Gaussian by Gaussian, in the order to be sent.
-        axes: (N, 2 A) uint8 color axes, which travel with the first term of a Gaussian; A is 0 for most variants.
         grids: What base colors and terms point into.
         starts: (P + 1,) where parts begin.
     """
@@ -52,7 +51,6 @@ class Contents:
     records: U8
     term_counts: U8
     term_records: U8
-    axes: U8
     grids: Grids
     starts: I64
 
@@ -65,7 +63,8 @@ class Contents:
             colors: Of their union, rounded with at most 8 bits for each part of the base color ("wire", "coarse").
 
         Raises:
-            ValueError: If lengths or the order do not fit, or a Gaussian has more than 255 terms.
+            ValueError: If lengths or the order do not fit, a Gaussian has more than 255 terms, or packages do not hold
+                the variant.
         """
         g = levels.union
         if len(colors) != len(g):
@@ -85,7 +84,7 @@ class Contents:
         return cls(
             levels.names, table, np.stack([levels.first[heads], levels.last[heads]], axis=1),
             encode_records(g, base, table, layout), counts.astype(np.uint8), encode_terms(colors),
-            colors.axes.reshape(len(g), -1).astype(np.uint8), colors.grids, order.starts,
+            colors.grids, order.starts,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -144,7 +143,7 @@ class Contents:
         n, base = len(self), base_colors(self.records, self.layout).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
         terms = decode_terms(self.term_records, self.grids)
-        axes = self.axes.astype(np.uint16).reshape(n, self.grids.kind.num_axes, 2)
+        axes = np.zeros((n, 0, 2), np.uint16)  # of variants that no package holds
         return QuantizedColors(self.grids, base[:, :3], scales, axes, self.term_offsets, *terms)
 
 

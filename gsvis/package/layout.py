@@ -16,10 +16,25 @@ from numpy.typing import NDArray
 from gsvis.color.records import Grids, has_scales
 from gsvis.color.variants import variant
 
-__all__ = ["RECORD_BYTES", "RecordLayout", "TermLayout"]
+__all__ = ["PACKED_VARIANTS", "RECORD_BYTES", "RecordLayout", "TermLayout", "check_packed"]
 
 RECORD_BYTES = 16
 """Bytes of geometry and base color of a Gaussian."""
+
+PACKED_VARIANTS = ("rgb", "hsl")
+"""Variants of colors that packages and streams hold; the others are there to be compared."""
+
+
+def check_packed(name: str) -> str:
+    """Return the name of a variant if packages hold it.
+
+    Raises:
+        ValueError: If they do not; names those that they hold.
+    """
+    if name not in PACKED_VARIANTS:
+        known = " or ".join(PACKED_VARIANTS)
+        raise ValueError(f"variant: expected {known} in a package, got {name!r}; fit the colors with one of these")
+    return name
 
 
 @dataclass(frozen=True)
@@ -44,8 +59,12 @@ class RecordLayout:
 
     @classmethod
     def from_variant(cls, name: str) -> RecordLayout:
-        """The layout for a variant of colors; those with a scale have fewer bits for the rest."""
-        return cls(13, 8, 8, True) if has_scales(variant(name)) else cls(14, 9, 9, False)
+        """Return the layout for a variant of colors; those with a scale have fewer bits for the rest.
+
+        Raises:
+            ValueError: If packages do not hold the variant.
+        """
+        return cls(13, 8, 8, True) if has_scales(variant(check_packed(name))) else cls(14, 9, 9, False)
 
     @property
     def packed_from(self) -> int:
@@ -88,8 +107,8 @@ class TermLayout:
         p, kind = grids.precision, grids.kind
         function = (len(kind.functions) - 1).bit_length()
         layout = cls(function, p.center, p.center + 1, p.decay, p.intensity, kind.intensities)
-        if p.base > 8 or (has_scales(kind) and p.scale > 8) or p.axis > 8:
-            raise ValueError(f"precision: expected at most 8 bits for base, scale and axis, got {p}; use 'wire'")
+        if p.base > 8 or (has_scales(kind) and p.scale > 8):
+            raise ValueError(f"precision: expected at most 8 bits for base and scale, got {p}; use 'wire'")
         if sum(layout.widths) > 64:
             raise ValueError(f"precision: expected terms of at most 64 bits, got {sum(layout.widths)}; use 'wire'")
         return layout

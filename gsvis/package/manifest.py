@@ -17,11 +17,10 @@ import numpy as np
 from gsvis import _check
 from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
-from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, inside, read_whole
-from gsvis.package.layout import RecordLayout, TermLayout
+from gsvis.package.layout import PACKED_VARIANTS, RecordLayout, TermLayout
 from gsvis.package.parts import Part
 
 __all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
@@ -235,7 +234,7 @@ class Manifest:
     def _of(cls, fields: Fields) -> Manifest:
         scene, quantized = fields.text("scene"), fields.child("quantization")
         colors = quantized.child("colors")
-        name = colors.text("variant", VARIANTS)
+        name = colors.text("variant", PACKED_VARIANTS)
         grids = grids_of(colors, name)
         for key, layout in (("record", RecordLayout.from_variant(name)), ("term", TermLayout.from_grids(grids))):
             if quantized.raw(key) != asdict(layout):

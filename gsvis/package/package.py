@@ -135,21 +135,21 @@ class Package:
         levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
         blocks = [self.block(block, budget) for block in m.blocks]
         empty = [np.zeros((0, width), np.uint8) for width in self._widths]
-        records, axes, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(3))
-        counts = np.concatenate([np.zeros(0, np.uint8), *(b[3] for b in blocks)])
+        records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
+        counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
         starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
         if int(table.counts.sum(dtype=np.int64)) != m.gaussians:
             raise self._fault("chunks", f"{m.gaussians:,} Gaussians", f"{table.counts.sum():,}")
         if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
             raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
-        found = Contents(m.names, table, levels, records, counts, terms, axes, m.grids, starts)
+        found = Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
         members = [int(((found.first <= k) & (k <= found.last)).sum()) for k in range(len(m.names))]
         if members != list(m.counts):
             raise self._fault("levels", f"{m.counts} Gaussians", f"{members}")
         return found
 
-    def block(self, block: Block, budget: Budget | None = None) -> tuple[U8, U8, U8, U8]:
-        """Records (M, 16), axes (M, 2 A), terms (T, B) and numbers of terms (M,) of one block of the manifest.
+    def block(self, block: Block, budget: Budget | None = None) -> tuple[U8, U8, U8]:
+        """Records (M, 16), terms (T, B) and numbers of terms (M,) of one block of the manifest.
 
         Args:
             block: Which.
@@ -158,10 +158,8 @@ class Package:
         Raises:
             FormatError: If one of its parts is missing or damaged.
         """
-        wide, axes, narrow = self._widths
-        types: dict[str, type[np.generic]] = {
-            **{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8, **{f"a{k}": np.uint8 for k in range(axes)},
-        }  # fmt: skip
+        wide, narrow = self._widths
+        types: dict[str, type[np.generic]] = {**{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8}
         columns = self._parts.read_columns(block.gaussians, "gaussians", types, block.count, budget)
         counts: U8 = columns["terms"]
         if int(counts.sum(dtype=np.int64)) != block.num_terms:
@@ -174,7 +172,7 @@ class Package:
         terms = np.concatenate(pieces)
         if len(terms) != block.num_terms:
             raise self._fault("term_parts", f"{block.num_terms:,} terms", f"{len(terms):,}")
-        return _stack(columns, "r", wide), _stack(columns, "a", axes), terms, counts
+        return _stack(columns, "r", wide), terms, counts
 
     @cached_property
     def visibility(self) -> VisibilityStore:
@@ -239,10 +237,9 @@ class Package:
         return Verified(len(parts), size + sum(p.nbytes for p in parts), m.gaussians, m.terms, cells, strays)
 
     @property
-    def _widths(self) -> tuple[int, int, int]:
-        """Bytes of a record, of axes and of a term."""
-        grids = self.manifest.grids
-        return RECORD_BYTES, 2 * grids.kind.num_axes, TermLayout.from_grids(grids).nbytes
+    def _widths(self) -> tuple[int, int]:
+        """Bytes of a record and of a term."""
+        return RECORD_BYTES, TermLayout.from_grids(self.manifest.grids).nbytes
 
     def _budget(self) -> Budget:
         """Memory for all parts together, by their real size; a part that is named twice counts once."""

@@ -124,7 +124,7 @@ def _blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterat
     for k in range(total):
         some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
         columns = _planes("r", contents.records[some]) | {"terms": contents.term_counts[some]}
-        gaussians = parts.write_columns("gaussians", columns | _planes("a", contents.axes[some]))
+        gaussians = parts.write_columns("gaussians", columns)
         low, high = contents.term_offsets[[some.start, some.stop]].tolist()
         rows, terms = MOST_BYTES // width, []
         for start in range(low, high, rows):

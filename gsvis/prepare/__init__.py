@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from gsvis.prepare.config import PrepareConfig
     from gsvis.prepare.estimate import PreparationEstimate, StageEstimate, estimate_preparation
     from gsvis.prepare.fitted_colors import FittedColors
+    from gsvis.prepare.levels import MadeLevels, make_levels
     from gsvis.prepare.prepare import Prepared, prepare_package
     from gsvis.prepare.stages import StageRecord
     from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
@@ -28,6 +29,7 @@ __all__ = [
     "ColorQuality",
     "ColorQualityConfig",
     "FittedColors",
+    "MadeLevels",
     "PreparationEstimate",
     "PrepareConfig",
     "Prepared",
@@ -36,6 +38,7 @@ __all__ = [
     "WalkTerms",
     "build_active_terms",
     "estimate_preparation",
+    "make_levels",
     "measure_colors",
     "prepare_colors",
     "prepare_package",
@@ -61,6 +64,7 @@ _HOMES = {
         "estimate_preparation",
     ),
     "fitted_colors": ("FittedColors",),
+    "levels": ("MadeLevels", "make_levels"),
     "prepare": (
         "Prepared",
         "prepare_package",

@@ -33,6 +33,7 @@ from gsvis.package.active_terms import colors_hash
 from gsvis.prepare.active_terms import build_active_terms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.levels import make_levels
 from gsvis.prepare.work import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
 from gsvis.pvs.build import Workers, build_pvs
@@ -42,9 +43,7 @@ from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.train.level_quality import measure_levels
 from gsvis.train.level_views import LevelViews, draw_views, load_photograph_views
-from gsvis.train.levels import train_levels
 
 __all__ = ["StageRecord", "Stages"]
 
@@ -239,13 +238,8 @@ class Stages:
         self.remarks += views.remarks
         for last in (False, True):
             try:
-                trained = train_levels(
-                    self.scene,
-                    views.views,
-                    self.config.levels,
-                    choose_by=views.choose_by,
-                    work=begun,
-                    progress=self.progress,
+                made = make_levels(
+                    self.scene, views, self.config.levels, work=begun, with_curve=False, progress=self.progress
                 )
                 break
             except FormatError:  # what an earlier run left is damaged
@@ -253,15 +247,13 @@ class Stages:
                 if last:
                     raise
         record: dict[str, Any] = {"cameras": views.cameras_from}
-        if views.held_out is not None:
-            quality = measure_levels(
-                trained.levels, views.held_out, photographs=views.photographs, progress=self.progress
-            )
+        quality = made.quality
+        if views.held_out is not None and quality is not None:
             record |= {"views": len(views.held_out), "width": views.held_out.cameras.width,
                        "height": views.held_out.cameras.height, "psnr": _spreads(quality.scene_psnr)}  # fmt: skip
             if quality.photo_psnr is not None:
                 record["psnr_photographs"] = _spreads(quality.photo_psnr)
-        save_levels(in_package_order(trained.levels), folder, record)
+        save_levels(in_package_order(made.trained.levels), folder, record)
         shutil.rmtree(begun, ignore_errors=True)
         return load_levels(folder)
 

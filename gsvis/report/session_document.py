@@ -7,9 +7,6 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gsvis import _check
 from gsvis._extras import has
 from gsvis.files.atomic import atomic_folder
@@ -20,32 +17,11 @@ from gsvis.report.pictures import png_of
 from gsvis.report.session_page import session_page
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
-from gsvis.simulate.viewing import Viewing
+from gsvis.simulate.visits import Visit
 
-__all__ = ["Simulation", "Visit", "session_document", "write_session_report"]
+__all__ = ["Simulation", "session_document", "write_session_report"]
 
 _PLOTS = ("qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start")
-
-
-@dataclass(frozen=True, eq=False)
-class Visit:
-    """One scene, from the moment of its request.
-
-    Attributes:
-        title: Name of the scene.
-        sessions: Sessions of every system, ours first.
-        compared_with: Description of the full scene.
-        path: Facts on the path, ready for JSON.
-        scene: Facts on the scene, ready for JSON.
-        pictures: (seconds, system, (H, W, 3) image) shown; the full scene has the name "".
-    """
-
-    title: str
-    sessions: tuple[Viewing, ...]
-    compared_with: str
-    path: dict[str, Any] = field(default_factory=dict)
-    scene: dict[str, Any] = field(default_factory=dict)
-    pictures: tuple[tuple[float, str, NDArray[np.float32]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.viewing import GOOD_DB
 
 if TYPE_CHECKING:
-    from gsvis.report.session_document import Simulation, Visit
+    from gsvis.report.session_document import Simulation
+    from gsvis.simulate.visits import Visit
 
 __all__ = ["PAPER_SENT", "content_remarks", "format_figures", "session_page"]
 

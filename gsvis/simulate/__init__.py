@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from gsvis.simulate.link import Link, Pipe
     from gsvis.simulate.playback import Playback, play
     from gsvis.simulate.viewing import Viewing, ViewingConfig, show_at, watch
+    from gsvis.simulate.visits import Place, Visit, simulate_visits
 
 __all__ = [
     "Adaptive",
@@ -29,14 +30,17 @@ __all__ = [
     "MortonProgressive",
     "Parcel",
     "Pipe",
+    "Place",
     "Playback",
     "Stage",
     "Viewing",
     "ViewingConfig",
+    "Visit",
     "WholeFile",
     "morton_order",
     "play",
     "show_at",
+    "simulate_visits",
     "watch",
 ]
 
@@ -47,6 +51,7 @@ _HOMES = {
     "link": ("Link", "Pipe"),
     "playback": ("Playback", "play"),
     "viewing": ("Viewing", "ViewingConfig", "show_at", "watch"),
+    "visits": ("Place", "Visit", "simulate_visits"),
 }
 
 

@@ -104,7 +104,7 @@ class MortonProgressive(_Unaware):
         members = np.flatnonzero(contents.last == len(contents.names) - 1)
         ids = members[morton_order(contents.gaussians(members).means)]
         counts = contents.term_counts[ids].astype(np.int64)
-        ends = np.cumsum(gaussian_bytes + size * counts + contents.axes.shape[1] * (counts > 0))
+        ends = np.cumsum(gaussian_bytes + size * counts)
         self.nbytes = int(np.ceil(ends[-1])) if len(ends) else 0
         cuts = np.unique(np.searchsorted(ends, np.arange(_CHUNK, self.nbytes + _CHUNK, _CHUNK), side="right"))
         cuts = np.unique(np.concatenate([[0], cuts, [len(ids)]]))

@@ -1,4 +1,4 @@
-"""BATCH: what is sent at once, as one Arrow record batch of five rows: ids, rows of chunks, records, terms, axes.
+"""BATCH: what is sent at once, as one Arrow record batch of four rows: ids, rows of chunks, records, terms.
 
 Records travel as they are. Ids rise and travel as their distances, a few bits each. A batch can be read on its own by
 whoever has the rows of the chunks that came before. The bytes around the rows are the same in every batch but for two
@@ -40,13 +40,13 @@ MOST_BYTES = 1 << 28
 _ARROW = bytes.fromhex(
     "ffffffff9800000014000000000000000c0016000600050008000c000c000000"
     "0003040018000000000000000000000000000a0018000c00040008000a000000"
-    "4c00000010000000050000000000000000000000030000000000000000000000"
-    "0000000000000000000000000000000018000000000000001800000000000000"
-    "0000000000000000000000000100000005000000000000000000000000000000"
-)  # marker, length, and metadata of a record batch of five rows of bytes, without the two numbers below
+    "4c00000010000000040000000000000000000000030000000000000000000000"
+    "0000000000000000000000000000000014000000000000001800000000000000"
+    "0000000000000000000000000100000004000000000000000000000000000000"
+)  # marker, length, and metadata of a record batch of four rows of bytes, without the two numbers below
 _BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
 _NUMBER = struct.Struct("<q")
-_ENDS = struct.Struct("<6i")  # where the rows begin and end
+_ENDS = struct.Struct("<5i4x")  # where the rows begin and end
 _IDS = struct.Struct("<2I5B")  # how many terms, and gone; orders of the codes of chunks, Gaussians, terms, owners, gone
 _ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
 
@@ -67,7 +67,6 @@ class Sections:
         terms: (M,) rising ids.
         owners: (M,) the Gaussian of each, never falling.
         term_records: (M, B) uint8.
-        axes: (K, 2 A) uint8 of the owners whose first terms these are, rising.
         gone: (D,) rising ids of those that have been replaced since the last batch, whether they were sent or not.
     """
 
@@ -79,7 +78,6 @@ class Sections:
     terms: NDArray[Any]
     owners: NDArray[Any]
     term_records: U8
-    axes: U8
     gone: NDArray[Any]
 
     def to_message(self, about: SceneHeader) -> bytes:
@@ -88,7 +86,7 @@ class Sections:
         Args:
             about: Of the scene.
         """
-        pieces = self._ids(about), self.rows, self.records, _packed(self.term_records, about.term_bits), self.axes
+        pieces = self._ids(about), self.rows, self.records, _packed(self.term_records, about.term_bits)
         rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
         ends = [0]
         for row in rows:
@@ -127,31 +125,26 @@ class Sections:
             raise ProtocolError(f"BATCH: expected at most {MOST_BYTES:,} bytes, got {len(data):,}", FAULTS["too-large"])
         sequence = HEAD.unpack_from(data)[3]
         ends = _ENDS.unpack_from(data, HEAD.size + len(_ARROW))
-        head = bytearray(HEAD.pack(BATCH, 0, 0, sequence) + _ARROW)
+        head = bytearray(HEAD.pack(BATCH, 0, 0, sequence) + _ARROW + _ENDS.pack(*ends))
         _NUMBER.pack_into(head, HEAD.size + _BODY_AT, len(data) - HEAD.size - len(_ARROW))
         _NUMBER.pack_into(head, HEAD.size + _DATA_AT, ends[-1])
         whole = _ROWS_AT + ends[-1] + -ends[-1] % 8 == len(data)
         if data[: len(head)] != head or ends[0] != 0 or any(b < a for a, b in pairwise(ends)) or not whole:
-            _refuse(sequence, "five rows that fill the message", "others")
+            _refuse(sequence, "four rows that fill the message", "others")
         rows = [np.frombuffer(data, np.uint8, stop - start, _ROWS_AT + start) for start, stop in pairwise(ends)]
-        widths = CHUNK_ROW.itemsize, RECORD_BYTES, 1, max(about.axis_bytes, 1)
+        widths = CHUNK_ROW.itemsize, RECORD_BYTES, 1
         for row, width in zip(rows[1:], widths, strict=True):
             if len(row) % width:
                 _refuse(sequence, f"a multiple of {width} bytes", f"{len(row)}")
-        c, g, _, k = (len(row) // width for row, width in zip(rows[1:], widths, strict=True))
+        c, g, _ = (len(row) // width for row, width in zip(rows[1:], widths, strict=True))
         chunks, gaussians, terms, owners, gone = _ids_of(sequence, rows[0], c, g, about)
         m, bits = len(terms), about.term_bits
         if len(rows[3]) != -(-m * bits // 8):
             _refuse(sequence, f"{-(-m * bits // 8):,} bytes of terms", f"{len(rows[3]):,}")
-        if k > (m if about.axis_bytes else 0):
-            _refuse(sequence, f"axes of at most {m} Gaussians", f"{k}")
         term_records = np.empty((m, about.term_bytes), np.uint8)
         kernels.unpack_rows(rows[3], bits, term_records)
-        axes = rows[4].reshape(k, -1) if k else np.zeros((0, about.axis_bytes), np.uint8)
         records = rows[2].reshape(g, RECORD_BYTES)
-        return cls(
-            sequence, chunks, rows[1].view(CHUNK_ROW), gaussians, records, terms, owners, term_records, axes, gone
-        )
+        return cls(sequence, chunks, rows[1].view(CHUNK_ROW), gaussians, records, terms, owners, term_records, gone)
 
 
 def _packed(records: U8, bits: int) -> U8:

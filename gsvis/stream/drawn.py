@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.color.grids import unoctahedral
 from gsvis.color.records import has_scales
 from gsvis.color.srbf import SrbfColors
 from gsvis.package.codec import ChunkTable, decode_records
@@ -105,9 +104,6 @@ class Drawn:
             intensities=none(kind.intensities),
         )  # fmt: skip
         self._slots = np.zeros(about.gaussians, np.int32)  # of each Gaussian, from 1; zeros take no memory
-        self._axes = Rows(1, axes=none(kind.num_axes, 3))  # the first is of those whose axes have not come
-        self._axes.append(axes=unoctahedral(np.zeros((1, kind.num_axes, 2), np.uint16), grids.precision.axis))
-        self._axis_rows = np.zeros(about.gaussians if kind.num_axes else 0, np.int32)
         self._made: tuple[Gaussians, SrbfColors] | None = None
 
     def __len__(self) -> int:
@@ -117,13 +113,6 @@ class Drawn:
     def ids(self) -> I32:
         """(M,) of what is drawn."""
         return self._gaussians["ids"]
-
-    def without_axes(self, owners: I64) -> I64:
-        """Those of the owners, which never fall, whose axes have not come yet; none in variants without axes."""
-        if not len(self._axis_rows) or not len(owners):
-            return owners[:0]
-        first = owners[np.append(True, np.diff(owners) > 0)]
-        return np.asarray(first[self._axis_rows[first] == 0])
 
     def add(self, s: Sections, chunks: I32, table: ChunkTable) -> None:
         """Take what a batch has, which has been checked.
@@ -136,11 +125,6 @@ class Drawn:
         self._made = None
         if len(s.gaussians):
             self._add_gaussians(s, chunks, table)
-        fresh = self.without_axes(s.owners)
-        if len(fresh):
-            self._axis_rows[fresh] = len(self._axes) + np.arange(len(fresh), dtype=np.int32)
-            cells = s.axes.reshape(len(fresh), -1, 2).astype(np.uint16)
-            self._axes.append(axes=unoctahedral(cells, self._grids.precision.axis))
         if len(s.terms):
             found, (theta, phi, decay, intensity) = decode_terms(s.term_records, self._grids), self._term_tables
             centers = np.stack([theta[found.centers[:, 0]], phi[found.centers[:, 1]]], axis=1)
@@ -167,13 +151,13 @@ class Drawn:
             terms, offsets = tuple(t[name] for name in names), np.zeros(n + 1, np.int64)
             found = tuple(np.empty_like(array) for array in terms)
             count = kernels.group_terms(t["owners"], self._slots, terms, offsets, found)
-            rows = self._axis_rows[self.ids] if len(self._axis_rows) else np.zeros(n, np.int32)
             gaussians = _unchecked(
                 Gaussians, shN=np.zeros((n, 0, 3), np.float32),
                 **{name: g[name] for name in ("means", "quats", "scales", "opacities", "sh0")},
             )  # fmt: skip
             colors = _unchecked(
-                SrbfColors, base=g["base"], scales=g["color_scales"], axes=self._axes["axes"][rows], offsets=offsets,
+                SrbfColors, base=g["base"], scales=g["color_scales"], axes=np.zeros((n, 0, 3), np.float32),
+                offsets=offsets,
                 **{name: array[:count] for name, array in zip(names, found, strict=True)},
             )  # fmt: skip
             object.__setattr__(colors, "variant", self._grids.variant)

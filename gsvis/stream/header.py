@@ -17,10 +17,9 @@ import pyarrow as pa
 
 from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
-from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError, ProtocolError, SceneError
 from gsvis.files.fields import Fields, parse_object
-from gsvis.package.layout import RECORD_BYTES, TermLayout
+from gsvis.package.layout import PACKED_VARIANTS, RECORD_BYTES, TermLayout
 from gsvis.package.manifest import Manifest, PackageInfo
 from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
 
@@ -95,11 +94,6 @@ class SceneHeader:
         """Bits of it, which are what travels."""
         return int(TermLayout.from_grids(self.grids).widths.sum())
 
-    @cached_property
-    def axis_bytes(self) -> int:
-        """Bytes of the color axes of a Gaussian, which come with its first term."""
-        return 2 * self.grids.kind.num_axes
-
     def to_message(self) -> bytes:
         """WELCOME."""
         said = {
@@ -110,7 +104,6 @@ class SceneHeader:
             "levels": [{"name": name, "count": count} for name, count in zip(self.names, self.counts, strict=True)],
             "record_bytes": RECORD_BYTES,
             "term_bits": self.term_bits,
-            "axis_bytes": self.axis_bytes,
             "colors": asdict(self.grids),
             "up": list(self.up),
             "meters_per_unit": self.meters_per_unit,
@@ -144,7 +137,7 @@ class SceneHeader:
     @classmethod
     def _of(cls, said: Fields) -> SceneHeader:
         colors, identity = said.child("colors"), said.text("identity")
-        name = colors.text("variant", VARIANTS)
+        name = colors.text("variant", PACKED_VARIANTS)
         if not _IDENTITY.fullmatch(identity):
             raise ProtocolError("WELCOME: expected an identity of 64 hexadecimal digits, got another")
         levels = [Fields(_WHERE, "levels", row) for row in said.items("levels")]
@@ -159,7 +152,7 @@ class SceneHeader:
             tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
             info.meters_per_unit, identity,
         )  # fmt: skip
-        sizes = RECORD_BYTES, found.term_bits, found.axis_bytes
-        if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits", "axis_bytes")) != sizes:
-            raise ProtocolError(f"WELCOME: expected records, terms and axes of {sizes}, got others")
+        sizes = RECORD_BYTES, found.term_bits
+        if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits")) != sizes:
+            raise ProtocolError(f"WELCOME: expected records and terms of {sizes}, got others")
         return found

@@ -160,9 +160,6 @@ class Receiver:
             raise ValueError("terms: expected those of Gaussians that have come, got others")
         if np.any(_are_in(self.holdings.gone, s.gone)):
             raise ValueError("gone: expected each once, got one again")
-        axes = self._drawn.without_axes(s.owners)
-        if len(axes) != len(s.axes):
-            raise ValueError(f"axes: expected those of {len(axes)} Gaussians, got {len(s.axes)}")
         self.holdings = held
         return s.gone[_are_in(held.sent, s.gone)]
 

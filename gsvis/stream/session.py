@@ -1,7 +1,7 @@
 """The session of one viewer: what it holds, may be sent, and when. No socket, no clock.
 
 Poses and acknowledgements go in, messages come out. The planner chooses records; the session measures the link, limits
-the bytes in flight, and adds what the client needs to decode the records: rows of chunks and color axes. It measures
+the bytes in flight, and adds what the client needs to decode the records: rows of chunks. It measures
 throughput itself, so simulator and server see the same, and a client cannot claim one. Seconds; bytes of messages.
 """
 
@@ -86,9 +86,6 @@ class Session:
         self._starts = scene.contents.table.starts
         self._has_row = np.zeros(len(scene.chunk_rows), bool)
         self._has_row[scene.contents.chunks[self.holdings.received]] = True
-        self._has_axes = np.zeros(len(scene) if scene.about.axis_bytes else 0, bool)
-        if scene.about.axis_bytes:
-            self._has_axes[scene.owners[self.holdings.received_terms]] = True
         self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.ending, np.int32)
 
     @classmethod
@@ -203,10 +200,6 @@ class Session:
         gaussians, terms = np.sort(batch.gaussians), np.sort(batch.terms)
         fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
         chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
-        axes = contents.axes[:0]
-        if scene.about.axis_bytes:
-            fresh = np.empty(len(terms), np.int32)
-            axes = contents.axes[fresh[: kernels.first_times(terms, scene.owners, self._has_axes, fresh)]]
         sections = Sections(
             sequence=self._sequence,
             chunks=self._starts[chunks],
@@ -216,7 +209,6 @@ class Session:
             terms=terms,
             owners=scene.owners[terms],
             term_records=_gather(contents.term_records, terms),
-            axes=axes,
             gone=self._room[: kernels.added(self.holdings.gone, self._gone, self._room)],
         )
         return sections.to_message(scene.about)

@@ -33,8 +33,7 @@ BLOCKED = {
     "open3d": ("open3d",),
     "torch": ("torch",),
     "matplotlib": ("matplotlib",),
-    "pycolmap": ("pycolmap",),
-    "dask": ("dask", "distributed"),
+    "dask and pycolmap": ("dask", "distributed", "pycolmap"),
     "all of them": tuple(EXTRAS),
 }
 BOX = ["--box", "1", "1", "1", "7", "3", "2"]
@@ -47,7 +46,8 @@ COMMANDS = {
     "render": ["render", "IN/rooms.ply", "-o", "OUT/view.png", *SMALL],
     "render --depth": ["render", "IN/rooms.ply", "-o", "OUT/depth.png", *SMALL, "--depth"],
     "render --contributors": ["render", "IN/rooms.ply", "--contributors", "3,3", *SMALL],
-    "pvs": ["pvs", "IN/rooms.ply", "-o", "OUT/a.pvs", "--dry-run", "--cells", "2", "--size", "16", "--workers", "1"],
+    "pvs": ["pvs", "IN/rooms.ply", "-o", "OUT/a.pvs", "--dry-run", "--cells", "2", "--size", "16", "--workers", "1",
+            "--max-viewpoints", "1"],
     "pvs --scheduler": ["pvs", "IN/rooms.ply", "-o", "OUT/b.pvs", "--cells", "2", "--scheduler", "CLUSTER"],
     "pvs-report": ["pvs-report", "IN/rooms.pvs", "IN/rooms.ply", "-o", "OUT/sets", "--cells", "1", "--viewpoints", "1"],
     "color": ["color", "IN/rooms.ply", "-o", "OUT/c.arrow", "--views", "2", "--held-out", "0", "--max-terms", "0"],

@@ -261,7 +261,7 @@ def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
 
 
 def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "80"]
+    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "16"]
     stopped = Halted("train", 1, "levels", *words)
     stopped.wait()
     code, said, text = stopped.end(signal.SIGINT)

@@ -57,7 +57,8 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 
 
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
-    stopped = Halted("cameras", 2, "analyze", "builtin:two_rooms", "-o", tmp_path / "out", "--views", "50")
+    small = ["--views", "50", "--width", "32", "--height", "24"]
+    stopped = Halted("cameras", 2, "analyze", "builtin:two_rooms", "-o", tmp_path / "out", *small)
     stopped.wait()
     code, _, text = stopped.end(signal.SIGINT)
     assert code == 130

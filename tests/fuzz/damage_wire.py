@@ -53,41 +53,33 @@ def welcomes() -> Damaged:
 
 def batches() -> Damaged:
     """Batches that fit the scene one by one, but not what came before."""
-    found: Damaged = {}
-    for variant in ("rgb", "axes"):
-        about = wire.scenes()[variant].about
-        first, *rest = wire.batches(variant)
-        parsed = [Sections.parse(data, about) for data in rest]
-        nothing = replace(
-            parsed[0], chunks=NO_IDS, rows=parsed[0].rows[:0], gaussians=NO_IDS, records=parsed[0].records[:0],
-            terms=NO_IDS, owners=NO_IDS, term_records=parsed[0].term_records[:0], axes=parsed[0].axes[:0], gone=NO_IDS,
-        )  # fmt: skip
-        at = next(k for k, s in enumerate(parsed) if len(s.terms))
-        s, before = parsed[at], rest[:at]
-        if variant == "axes":
-            less = replace(s, axes=s.axes[:-1]).to_message(about)
-            found["axes of one fewer"] = case(first, *before, less)
-            continue
-        crossed = s.rows.copy()
-        crossed["first_level"], crossed["last_level"] = 2, 0
-        ids, gone = parsed[0].gaussians[:2], replace(nothing, sequence=3)
-        once, again = replace(nothing, sequence=2, gone=ids), replace(gone, gone=ids)
-        rows = wire.rows_of(rest[0])
-        orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:2], 255, 0, 0, 0, 0)
-        many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0) + bytes(about.gaussians)
-        found |= {
-            "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
-            "no chunk": case(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
-            "terms of nobody": case(
-                first, replace(s, sequence=1, gaussians=NO_IDS, records=s.records[:0]).to_message(about)
-            ),
-            "gone again": case(first, rest[0], once.to_message(about), again.to_message(about)),
-            "a message of another kind": case(first, b"\x7f" * 400),
-            "axes where there are none": case(first, wire.framed(rest[0], [*rows[:4], b"\0"])),
-            "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
-            "more gone than there are": case(first, wire.framed(rest[0], [many, b"", b"", b"", b""])),
-        }
-    return found
+    about = wire.scenes()["rgb"].about
+    first, *rest = wire.batches("rgb")
+    parsed = [Sections.parse(data, about) for data in rest]
+    nothing = replace(
+        parsed[0], chunks=NO_IDS, rows=parsed[0].rows[:0], gaussians=NO_IDS, records=parsed[0].records[:0],
+        terms=NO_IDS, owners=NO_IDS, term_records=parsed[0].term_records[:0], gone=NO_IDS,
+    )  # fmt: skip
+    at = next(k for k, s in enumerate(parsed) if len(s.terms))
+    s, before = parsed[at], rest[:at]
+    crossed = s.rows.copy()
+    crossed["first_level"], crossed["last_level"] = 2, 0
+    ids, gone = parsed[0].gaussians[:2], replace(nothing, sequence=3)
+    once, again = replace(nothing, sequence=2, gone=ids), replace(gone, gone=ids)
+    rows = wire.rows_of(rest[0])
+    orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:2], 255, 0, 0, 0, 0)
+    many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0) + bytes(about.gaussians)
+    return {
+        "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
+        "no chunk": case(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
+        "terms of nobody": case(
+            first, replace(s, sequence=1, gaussians=NO_IDS, records=s.records[:0]).to_message(about)
+        ),
+        "gone again": case(first, rest[0], once.to_message(about), again.to_message(about)),
+        "a message of another kind": case(first, b"\x7f" * 400),
+        "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
+        "more gone than there are": case(first, wire.framed(rest[0], [many, b"", b"", b""])),
+    }
 
 
 def faults() -> Damaged:

@@ -31,7 +31,7 @@ N = 40
 def packages() -> list[Case]:
     found = []
     with TemporaryDirectory() as folder:
-        for variant, stores in (("rgb", True), ("hsl", False), ("axes", False)):
+        for variant, stores in (("rgb", True), ("hsl", False)):
             package_of(Path(folder) / variant, N, variant, stores=stores).close()
             found.append(files_in(Path(folder) / variant))
     return found

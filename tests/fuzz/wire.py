@@ -50,7 +50,7 @@ def scenes() -> dict[str, StreamedScene]:
     opened, found = ExitStack(), {}
     atexit.register(opened.close)
     folder = Path(opened.enter_context(TemporaryDirectory(prefix="gsvis-fuzz-")))
-    for variant, stores in (("rgb", True), ("hsl", False), ("axes", False)):
+    for variant, stores in (("rgb", True), ("hsl", False)):
         package = opened.enter_context(package_of(folder / variant, N, variant, stores=stores))
         found[variant] = StreamedScene.open(package)
     return found
@@ -275,7 +275,7 @@ def batches(variant: str) -> list[bytes]:
 
 def downstream() -> list[Case]:
     fault = ServerFault(3, "too large").to_bytes()
-    made = [{f"{k:02d}.down": data for k, data in enumerate([*batches(variant)])} for variant in ("rgb", "hsl", "axes")]
+    made = [{f"{k:02d}.down": data for k, data in enumerate([*batches(variant)])} for variant in ("rgb", "hsl")]
     return [*made, {"00.down": batches("rgb")[0], "01.down": fault}]
 
 
@@ -311,7 +311,7 @@ def _change_welcome(rng: Random, data: bytes) -> bytes:
 
 
 def rows_of(data: bytes) -> list[bytes]:
-    """The five rows of a BATCH."""
+    """The four rows of a BATCH."""
     at = HEAD.size + len(_ARROW)
     ends, start = _ENDS.unpack_from(data, at), at + _ENDS.size
     return [data[start + a : start + b] for a, b in pairwise(ends)]

@@ -110,10 +110,10 @@ def test_any_subset_decodes_as_it_does_among_all(layout: RecordLayout) -> None:
     records = encode_records(g, colors_of(3000, layout), table, layout)
     whole = decode_records(records, table, layout)
     ids = np.random.default_rng(1).permutation(3000)[:777]
-    some = decode_records(records[ids], table, layout, chunks=table.of_ids(ids))
+    some = decode_records(records[ids], table, layout, chunks=table.of_all()[ids])
     for one, all_of_it in zip(some, whole, strict=True):
         np.testing.assert_array_equal(one, all_of_it[ids])
-    alone = table[table.of_ids(ids[:1])]
+    alone = table[table.of_all()[ids[:1]]]
     np.testing.assert_array_equal(decode_records(records[ids[:1]], alone, layout, chunks=[0]).means, some.means[:1])
 
 

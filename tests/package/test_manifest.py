@@ -22,7 +22,7 @@ from tests.stream.worlds import package_of
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A package, and what its manifest says."""
     folder = tmp_path_factory.mktemp("made") / "s.gsvis"
-    package_of(folder, 60, "axis").close()
+    package_of(folder, 60, "hsl").close()
     value = json.loads((folder / manifests.MANIFEST).read_bytes())
     del value["sha256"]
     return folder, value

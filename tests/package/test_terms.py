@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gsvis.color.fit import FitConfig
 from gsvis.color.records import Precision, QuantizedColors, bytes_per_term, quantize
 from gsvis.color.variants import VARIANTS
 from gsvis.package import TermLayout, decode_terms, encode_terms
+from gsvis.package.layout import RecordLayout
+from gsvis.prepare import ColorConfig, PrepareConfig
 from tests.color.samples import random_colors
 
 
@@ -45,3 +48,11 @@ def test_terms_that_are_too_wide_are_refused() -> None:
         encode_terms(quantize(colors, wide))
     with pytest.raises(ValueError, match="records: expected shape"):
         decode_terms(np.zeros((2, 3), np.uint8), quantize(colors).grids)
+
+
+def test_variants_that_packages_do_not_hold_are_refused_by_name() -> None:
+    for variant in sorted(set(VARIANTS) - {"rgb", "hsl"}):
+        with pytest.raises(ValueError, match=f"variant: expected rgb or hsl in a package, got '{variant}'; fit"):
+            RecordLayout.of(variant)
+        with pytest.raises(ValueError, match="variant: expected rgb or hsl in a package"):
+            PrepareConfig(colors=ColorConfig(FitConfig(variant=variant)))

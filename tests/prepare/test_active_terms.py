@@ -57,7 +57,7 @@ def world(folder: Path, cells: int = 11, seed: int = 0, variant: str = "rgb", na
     return World(g, random_colors(rng, len(g), variant), seen, VisibilityStore.open(folder / name))
 
 
-@pytest.mark.parametrize("variant", ["rgb", "hsl", "axes"])
+@pytest.mark.parametrize("variant", ["rgb", "hsl"])
 @pytest.mark.parametrize("cells", [1, 8, 11])
 def test_queries_give_what_the_activation_says(tmp_path: Path, cells: int, variant: str) -> None:
     w = world(tmp_path, cells, seed=cells, variant=variant)

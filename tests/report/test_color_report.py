@@ -149,7 +149,7 @@ def test_colors_without_terms_have_a_report_too(tmp_path: Path) -> None:
     assert not (tmp_path / "spheres.png").exists()
     outline = Outline((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert outline.open == []
-    assert "The colors have no terms" in " ".join(outline.words)
+    assert "The colors have no terms." in " ".join(outline.words)
 
 
 def test_a_report_needs_a_comparison(kept: tuple[FittedColors, Path], scene: OccluderScene, tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from gsvis.abr import AbrConfig, BandwidthTrace
-from gsvis.report.session_document import Simulation, Visit, session_document, write_session_report
-from gsvis.simulate import Adaptive, Link, MortonProgressive, WholeFile, play, show_at, watch
+from gsvis.report.session_document import Simulation, session_document, write_session_report
+from gsvis.simulate import Adaptive, Link, MortonProgressive, Visit, WholeFile, play, show_at, watch
 from tests.report.test_color_report import Outline
 from tests.simulate.streets import QUICK, street, walk
 

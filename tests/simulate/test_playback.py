@@ -85,8 +85,7 @@ def test_morton_order_sends_the_highest_level_with_its_terms(scene: StreamedScen
     assert np.array_equal(np.isfinite(p.term_at), terms)
     owners = np.repeat(np.arange(len(contents)), contents.term_counts)
     assert np.array_equal(p.term_at[terms], p.gaussian_at[owners][terms])
-    axes = contents.axes.shape[1] * np.count_nonzero(contents.term_counts[highest])
-    expected = 16 * highest.sum() + contents.term_records.shape[1] * terms.sum() + axes
+    expected = 16 * highest.sum() + contents.term_records.shape[1] * terms.sum()
     assert p.sizes.sum() == expected
     assert p.twice == 0
 

@@ -23,7 +23,7 @@ IDS = st.lists(st.integers(0, 2**31 - 2), max_size=60, unique=True).map(sorted)
 
 
 def test_any_arrow_client_reads_a_stream(tmp_path: Path) -> None:
-    with package_of(tmp_path / "s.gsvis", 1500, "axes") as package:
+    with package_of(tmp_path / "s.gsvis", 1500, "hsl") as package:
         scene = StreamedScene.open(package)
         session = Session(scene, FieldOfView.from_degrees(90, 70))
         messages = [session.welcome(0.0).data]
@@ -40,10 +40,10 @@ def test_any_arrow_client_reads_a_stream(tmp_path: Path) -> None:
         for data, batch in zip(messages[1:], batches, strict=True):
             batch.validate(full=True)
             found, rows = Sections.parse(data, scene.about), batch.column(0).to_pylist()
-            assert len(rows) == 5
-            assert [rows[k] for k in (1, 2, 4)] == [a.tobytes() for a in (found.rows, found.records, found.axes)]
+            assert len(rows) == 4
+            assert rows[1:3] == [found.rows.tobytes(), found.records.tobytes()]
             assert len(rows[3]) == -(-len(found.terms) * scene.about.term_bits // 8)
-            assert batch.column(0).is_valid().to_pylist() == 5 * [True]
+            assert batch.column(0).is_valid().to_pylist() == 4 * [True]
 
 
 def test_bytes_around_the_rows_are_those_of_pyarrow() -> None:
@@ -99,7 +99,7 @@ def test_owners_go_on_with_their_terms(counts: list[int], data: st.DataObject) -
 def test_what_is_read_is_what_was_written() -> None:
     about, s = header(), sections(np.array([0, 1, 2, 70, 4000]))
     found = Sections.parse(s.to_message(about), about)
-    for name in ("chunks", "rows", "gaussians", "records", "terms", "owners", "term_records", "axes", "gone"):
+    for name in ("chunks", "rows", "gaussians", "records", "terms", "owners", "term_records", "gone"):
         np.testing.assert_array_equal(getattr(found, name), getattr(s, name), err_msg=name)
     assert found.sequence == s.sequence
 
@@ -118,7 +118,7 @@ def sections(ids: np.ndarray) -> Sections:
     terms = np.arange(n) * 2 + 1
     return Sections(
         7, ids[: len(rows)], rows, ids, rng.integers(0, 256, (n, 16), np.uint8), terms, np.sort(ids),
-        rng.integers(0, 256, (n, 5), np.uint8) & TERM_MASK, np.zeros((0, 0), np.uint8), ids[:1] + 1,
+        rng.integers(0, 256, (n, 5), np.uint8) & TERM_MASK, ids[:1] + 1,
     )  # fmt: skip
 
 

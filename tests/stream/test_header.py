@@ -21,7 +21,7 @@ from tests.damage import OTHERS, places, replaced, without
 from tests.stream.worlds import package_of
 
 
-@pytest.fixture(scope="module", params=["axis", "hsl"])
+@pytest.fixture(scope="module", params=["rgb", "hsl"])
 def said(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What a WELCOME says."""
     with package_of(tmp_path_factory.mktemp("said") / "s.gsvis", 60, request.param, stores=False) as package:
@@ -94,7 +94,7 @@ def test_what_no_client_takes_is_not_offered(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_identity_is_of_all_that_ids_and_records_mean(tmp_path: Path) -> None:
-    def about(name: str, variant: str = "axis", seed: int = 0) -> SceneHeader:
+    def about(name: str, variant: str = "rgb", seed: int = 0) -> SceneHeader:
         with package_of(tmp_path / name / "s.gsvis", 60, variant, seed, stores=False) as package:
             return SceneHeader.from_manifest(package.manifest)
 

@@ -153,10 +153,9 @@ def message(about: SceneHeader, **ids: Any) -> bytes:
     lists = {name: np.array(ids.get(name, NONE), np.int64) for name in ("gaussians", "terms", "owners", "gone")}
     records = np.zeros((len(lists["gaussians"]), 16), np.uint8)
     term_records = np.zeros((len(lists["terms"]), about.term_bytes), np.uint8)
-    axes = np.zeros((0, about.axis_bytes), np.uint8)
     empty = Sections(
         1, NONE, np.zeros(0, np.uint8), lists["gaussians"], records, lists["terms"], lists["owners"], term_records,
-        axes, lists["gone"],
+        lists["gone"],
     )  # fmt: skip
     return empty.to_message(about)
 

@@ -130,7 +130,7 @@ def test_a_field_of_view_without_an_inside_is_refused() -> None:
         parse_client(bytes(data))
 
 
-@pytest.mark.parametrize("variant", ["rgb", "axes"])
+@pytest.mark.parametrize("variant", ["rgb", "hsl"])
 def test_a_client_takes_a_batch_whole_or_not_at_all(tmp_path: Path, variant: str) -> None:
     with package_of(tmp_path / "s.gsvis", variant=variant) as package:
         scene = StreamedScene.open(package)

@@ -1,0 +1,80 @@
+"""Quality levels from a scene and its views: trained, measured, and resumed where an earlier run stopped."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gsvis.files.resume import folder_beside
+from gsvis.progress import Progress, silent
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.level_quality import LevelQuality, measure_levels
+from gsvis.train.level_views import LevelViews
+from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
+
+__all__ = ["MadeLevels", "find_levels_work", "make_levels"]
+
+
+@dataclass(frozen=True, eq=False)
+class MadeLevels:
+    """Levels and how good they are.
+
+    Attributes:
+        trained: The levels.
+        quality: In held-out views; None where there are none.
+    """
+
+    trained: TrainedLevels
+    quality: LevelQuality | None
+
+
+def make_levels(
+    g: Gaussians,
+    views: LevelViews,
+    config: LevelsConfig,
+    *,
+    work: str | os.PathLike[str],
+    with_curve: bool = True,
+    progress: Progress = silent,
+) -> MadeLevels:
+    """Train levels and measure them in the views that are held out.
+
+    Args:
+        g: The scene.
+        views: Images to train on and to measure on.
+        config: Sizes and training.
+        work: Folder that keeps what is not finished, such as `find_levels_work`; the caller deletes it.
+        with_curve: Measure while training too.
+        progress: Called with the stages of `train_levels` and `measure_levels`.
+
+    Raises:
+        FormatError: If what an earlier run kept is damaged.
+        ValueError: If the scene is too small for its levels, or the work is that of another run.
+    """
+    held_out = views.held_out
+    trained = train_levels(
+        g,
+        views.views,
+        config,
+        held_out=held_out if with_curve else None,
+        choose_by=views.choose_by,
+        work=work,
+        progress=progress,
+    )
+    quality = None
+    if held_out is not None:
+        quality = measure_levels(trained.levels, held_out, photographs=views.photographs, progress=progress)
+    return MadeLevels(trained, quality)
+
+
+def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelViews, config: LevelsConfig) -> Path:
+    """Return the hidden folder beside a result that keeps this very run: other views or settings have another."""
+    digest = hashlib.sha256()
+    for array in (views.views.images, views.views.cameras.viewmats, views.views.cameras.Ks):
+        digest.update(np.ascontiguousarray(array).data)
+    return folder_beside(out, [scene_hash(g), asdict(config), digest.hexdigest()], hidden=True)

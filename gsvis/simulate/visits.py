@@ -1,0 +1,240 @@
+"""Visits of packages, one after the other over one link: a scene sent in three ways along a recorded walk.
+
+places = [Place.open(package) for package in packages]
+visits = simulate_visits(places, load_path("walk.csv"), link, config)
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.abr import AbrConfig
+from gsvis.errors import ArgumentError, SceneError
+from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.io.sog_writer import save_sog
+from gsvis.package.package import Package
+from gsvis.progress import Progress, silent
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.retarget import RetargetConfig, retarget
+from gsvis.simulate.baselines import MortonProgressive, WholeFile, morton_order
+from gsvis.simulate.delivery import Adaptive, Delivery
+from gsvis.simulate.frames import Stage
+from gsvis.simulate.link import Link
+from gsvis.simulate.playback import play
+from gsvis.simulate.viewing import Viewing, ViewingConfig, show_at, watch
+from gsvis.stream import StreamedScene
+
+__all__ = ["Place", "Visit", "simulate_visits"]
+
+Picture = tuple[float, str, NDArray[np.float32]]
+
+_SHOWN_AT = (0.5, 2.0)  # seconds of the pictures
+_AFTER = 1.0  # seconds of the walk beyond a visit, for prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """What belongs to one package, made ready once however often it is visited.
+
+    Attributes:
+        title: Name of the scene.
+        scene: As it is streamed.
+        reference: The scene before it was packaged, to compare with; None compares with the package.
+        whole_file: Bytes of the scene as one file, and how they were found.
+        space: Where the walk is moved into; None leaves it as it is.
+    """
+
+    title: str
+    scene: StreamedScene
+    reference: Gaussians | None
+    whole_file: tuple[int, str]
+    space: NavigableSpace | None
+
+    @classmethod
+    def open(
+        cls,
+        package: Package,
+        *,
+        reference: Gaussians | None = None,
+        whole_file: str | os.PathLike[str] | None = None,
+        as_is: bool = False,
+    ) -> Place:
+        """Make a package ready to be visited; it must stay open.
+
+        Args:
+            package: The package.
+            reference: The scene before it was packaged.
+            whole_file: A file or folder of the scene, whose size counts; None measures the scene as SOG.
+            as_is: Leave walks as they are, because they lie in the scene.
+
+        Raises:
+            SceneError: If there is nothing to see, or nowhere to walk.
+            ArgumentError: If the whole file is empty.
+        """
+        scene = StreamedScene.open(package)
+        contents = scene.contents
+        highest = np.flatnonzero(contents.last == len(contents.names) - 1)
+        if len(highest) == 0:
+            raise SceneError(
+                f"{package.path}: the package has no Gaussian in its highest level: there is nothing to see"
+            )
+        space = None if as_is else _find_space(contents.gaussians(highest), package)
+        if whole_file is not None:
+            measured = _file_size(_check.path("whole_file", whole_file))
+        elif reference is not None:
+            measured = _sog_size(reference), "SOG as gsvis writes it, of the scene: before it was packaged"
+        else:
+            told = "SOG as gsvis writes it, of the scene: the package's highest level, base colors alone"
+            measured = _sog_size(contents.gaussians(highest)), told
+        return cls(package.path.resolve().name.removesuffix(".gsvis"), scene, reference, measured, space)
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """One scene, from the moment at which it is asked for.
+
+    Attributes:
+        title: The scene's name.
+        sessions: Of every system, ours first.
+        compared_with: What the full scene is, in words.
+        path: Facts on the path, ready for JSON.
+        scene: Facts on the scene, ready for JSON.
+        pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene under the name "".
+    """
+
+    title: str
+    sessions: tuple[Viewing, ...]
+    compared_with: str
+    path: dict[str, Any] = field(default_factory=dict)
+    scene: dict[str, Any] = field(default_factory=dict)
+    pictures: tuple[Picture, ...] = ()
+
+
+def simulate_visits(
+    places: Sequence[Place],
+    walk: HeadPath,
+    link: Link,
+    config: ViewingConfig,
+    *,
+    count: int | None = None,
+    abr: AbrConfig | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> tuple[Visit, ...]:
+    """Visit places in turn over one link; send each scene as gsvis does, as a whole file, and progressively.
+
+    Args:
+        places: Where.
+        walk: The recording; each visit replays its next part while it lasts, else the first.
+        link: As it is when the first visit begins.
+        config: Length of a visit, pictures and measures.
+        count: Visits; None means one of each place.
+        abr: How gsvis plans; None means `AbrConfig()`.
+        seed: Of the places into which walks are moved.
+        progress: Called with stages "playing" and those of `watch`.
+
+    Raises:
+        SceneError: If the walk fits nowhere.
+    """
+    visits = []
+    for k in range(len(places) if count is None else count):
+        place = places[k % len(places)]
+        path, facts = _cut_walk(place, walk, config.seconds, k, seed)
+        later = link if k == 0 else link.from_time(k * config.seconds)
+        visits.append(_simulate_visit(place, (path, facts), later, config, abr or AbrConfig(), progress))
+    return tuple(visits)
+
+
+def _find_space(g: Gaussians, package: Package) -> NavigableSpace:
+    try:
+        return NavigableSpace.from_scene(g, up=np.array(package.manifest.info.up))
+    except SceneError as error:
+        raise SceneError(
+            f"{package.path}: {error}; if the path lies in the scene, ask for it as it is (--as-is)"
+        ) from None
+
+
+def _file_size(path: Path) -> tuple[int, str]:
+    """Return the bytes of a file or of all files in a folder, and how they were found."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    size = sum(file.stat().st_size for file in files)
+    if size == 0:
+        raise ArgumentError("whole_file", f"expected a file with something in it, got {path}, which is empty")
+    return size, f"size of {path.name}"
+
+
+def _sog_size(g: Gaussians) -> int:
+    """Return the bytes of a scene as SOG."""
+    with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+        with output_errors(folder, remedy=TEMPORARY):
+            save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
+        return (Path(folder) / "scene.sog").stat().st_size
+
+
+def _cut_walk(place: Place, walk: HeadPath, seconds: float, visit: int, seed: int) -> tuple[HeadPath, dict[str, Any]]:
+    """Return the part of the recording that a visit replays, in its scene, and facts on it."""
+    start = visit * seconds
+    start = start if start + 0.5 * seconds <= walk.duration else 0.0
+    part = walk.cut(start, start + seconds + _AFTER) if walk.duration > 0 else walk
+    facts: dict[str, Any] = {"from_s": start, "recorded_s": part.duration}
+    if place.space is None:
+        return part, {**facts, "rule": "left as it is"}
+    meters = place.scene.package.manifest.info.meters_per_unit
+    config = RetargetConfig(meters_per_unit=meters or None, project=True, seed=seed + visit)
+    moved = retarget(part, place.space, config)
+    return moved.path, {**facts, **moved.as_dict()}
+
+
+def _simulate_visit(
+    place: Place,
+    walk: tuple[HeadPath, dict[str, Any]],
+    link: Link,
+    config: ViewingConfig,
+    abr: AbrConfig,
+    progress: Progress,
+) -> Visit:
+    """Return one scene, sent in three ways."""
+    contents, (path, facts) = place.scene.contents, walk
+    stage = Stage(contents, place.reference)
+    deliveries: tuple[Delivery, ...] = (
+        Adaptive(place.scene, config.view, abr),
+        WholeFile(contents, *place.whole_file),
+        MortonProgressive(contents),
+    )
+    progress("playing", 0, len(deliveries))
+    played = []
+    for k, delivery in enumerate(deliveries):
+        played.append(play(delivery, link, path, stage.size, seconds=config.watched, tick=config.tick))
+        progress("playing", k + 1, len(deliveries))
+    sessions = tuple(watch(stage, played, path, config, progress=progress))
+    return Visit(
+        place.title,
+        sessions,
+        stage.compared_with,
+        facts,
+        {"gaussians": stage.size[0], "terms": stage.size[1], "levels": list(contents.names)},
+        _pictures(stage, sessions, path, config),
+    )
+
+
+def _pictures(stage: Stage, sessions: Sequence[Viewing], path: HeadPath, config: ViewingConfig) -> tuple[Picture, ...]:
+    """Return what was shown now and then, beside the full scene; black where there was no image."""
+    shown: list[Picture] = []
+    for t in _SHOWN_AT:
+        if t < config.seconds:
+            full, images = show_at(stage, [session.playback for session in sessions], path, t, config)
+            shown.append((t, "", full))
+            for session, image in zip(sessions, images, strict=True):
+                shown.append((t, session.playback.name, np.zeros_like(full) if image is None else image))
+    return tuple(shown)
