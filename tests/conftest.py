@@ -28,7 +28,7 @@ settings.register_profile(
 )
 settings.load_profile("gsvis")
 
-PAGES = ("document", "color_document", "pvs_document", "session_document", "spheres")
+PAGES = ("document", "color_document", "pvs_document", "spheres")
 """Modules of the room report that draw plots."""
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
