@@ -19,6 +19,8 @@ BIN := .venv/bin
 export PYTHON
 # As many workers as cores that this process may use; nproc knows, and without it pytest-xdist counts them all.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
+# Tests start hundreds of Python processes: without bytecode each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
@@ -44,7 +46,7 @@ demo: .venv/.gsvis
 	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT)
 	@echo "The report with its pictures: $(OUT)/report.html"
 
-# A file stays with one worker: what a module prepares for its tests is prepared once. tests/conftest.py orders them.
+# A file stays with one worker: what a module prepares for its tests is prepared once.
 test: .venv/.gsvis-dev
 	@$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
@@ -98,7 +100,7 @@ lowest: .venv/.gsvis-dev
 	@[ -x .venv-lowest/bin/python ] || "$(PYTHON)" -m venv .venv-lowest
 	@$(BIN)/python tools/lowest.py > .venv-lowest/constraints.txt
 	@.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check \
-	    --constraint .venv-lowest/constraints.txt --editable ".[dev]"
+	    --constraint .venv-lowest/constraints.txt --editable ".[all,dev]"
 	@NUMBA_CACHE_DIR="$(CURDIR)/.venv-lowest/numba" .venv-lowest/bin/python -m pytest --numprocesses auto --dist loadfile
 
 fuzz: .venv/.gsvis-dev

@@ -302,7 +302,7 @@ class Checker:
         self._identity = self._identity or identity
         plain = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
         return (
-            struct.unpack_from("<BBHI", welcome) == (129, 1, 0, 0)
+            struct.unpack_from("<BBHI", welcome) == (129, 2, 0, 0)
             and schema.remove_metadata().equals(plain)
             and len(identity) == 64
             and identity == self._identity
@@ -347,7 +347,7 @@ def _welcome_of(manifest: dict[str, Any]) -> dict[str, Any]:
     colors, term = quantization["colors"], quantization["term"]
     bits = sum(term[name] for name in ("function", "theta", "phi", "decay")) + term["intensities"] * term["intensity"]
     return {
-        "protocol": 1, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
+        "protocol": 2, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
         "chunks": sum(part["count"] for part in manifest["chunks"]), "levels": manifest["levels"], "record_bytes": 16,
         "term_bits": bits, "colors": colors,
         "up": manifest["up"], "meters_per_unit": manifest["meters_per_unit"],

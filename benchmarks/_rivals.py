@@ -19,7 +19,7 @@ from PIL import Image
 from gsvis.io import load_scene, save_scene
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train.merge import merged
+from gsvis.train.merge import merge_gaussians
 
 __all__ = [
     "DECIMATIONS",
@@ -49,7 +49,7 @@ def octree(g: Gaussians, count: int) -> Gaussians:
         Ren et al., "Octree-GS: Toward consistent real-time rendering with LOD-structured 3D Gaussians", 2024;
         SRBF-Gaussian, section 3.2 and figures 4 and 18.
     """
-    return merged(g, count)
+    return merge_gaussians(g, count)
 
 
 def heaviest(g: Gaussians, weights: ArrayLike, count: int) -> Gaussians:

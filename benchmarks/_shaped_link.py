@@ -139,7 +139,7 @@ class ShapedLink:
         return result
 
     def follow(self, trace: BandwidthTrace, start: float, stopped: threading.Event) -> None:
-        """Change the rate as the trace says, from monotonic time `start` until told to stop."""
+        """Change the rate as the trace says, from monotonic time `start` until asked to stop."""
         while not stopped.is_set():
             now = max(time.monotonic() - start, 0.0)
             self.rate(trace.rate_at(now))

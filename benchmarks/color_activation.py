@@ -98,7 +98,7 @@ class View:
     full: NDArray[np.float32]
 
     @classmethod
-    def of(cls, subject: Subject, camera: Cameras) -> View:
+    def from_subject(cls, subject: Subject, camera: Cameras) -> View:
         largest = view_weights(subject.g, camera).largest[0]
         ids = np.flatnonzero(largest >= np.float32(WalkConfig.tau))
         return cls(camera, ids, np.minimum(largest[ids], 1.0), subject.image(camera))
@@ -135,9 +135,9 @@ def main() -> None:
     subject = Subject(g, colors, Evaluator(colors))
     log(f"{g}, {colors}: {colors.num_terms / max(1, len(g)):.2f} terms a Gaussian")
 
-    views = [View.of(subject, camera) for camera in cameras_of(space, 4, 2, size)]
+    views = [View.from_subject(subject, camera) for camera in cameras_of(space, 4, 2, size)]
     found = {rule: calibration(subject, views, weighted, options.epsilon) for rule, weighted in RULES.items()}
-    views = [View.of(subject, camera) for camera in cameras_of(space, options.cameras, 1, size)]
+    views = [View.from_subject(subject, camera) for camera in cameras_of(space, options.cameras, 1, size)]
     rows = {}
     for rule, weighted in RULES.items():
         curve = by_epsilon(subject, views, weighted, sorted({*EPSILONS, found[rule]["epsilon"]}))
@@ -170,7 +170,7 @@ def main() -> None:
                     log(f"{name}, {rule}: {eye.terms[-1]:.2%} of the terms, by cells {cell.terms[-1]:.2%}")
         walks.append(row)
 
-    figures = told(rows, walks)
+    figures = summarize(rows, walks)
     activation = Activation(colors, g.means, rows["gaussian"]["epsilon"])
     eye = views[0].camera.viewpoints[0]
     low, high = eye - 0.5 * side, eye + 0.5 * side
@@ -267,13 +267,13 @@ def by_cells(
             walk = terms_over_walk(subject.colors, subject.g, path, terms, sets=store, config=config)
             shares = [terms.share(cell) for cell in range(len(terms))]
             pairs = sum(share.active for share in shares)
-            told = {
+            record = {
                 "build_s": seconds, "cells": len(shares), "bytes": file.stat().st_size, "pairs": pairs,
                 "bits_per_pair": 8.0 * file.stat().st_size / max(1, pairs),
                 "of_visible": float(np.mean([share.of_visible for share in shares])),
                 "of_all": float(np.mean([share.of_all for share in shares])),
             }  # fmt: skip
-    return walk, told
+    return walk, record
 
 
 def shown(subject: Subject, path: HeadPath, walk: WalkTerms) -> dict[str, float]:
@@ -287,7 +287,7 @@ def shown(subject: Subject, path: HeadPath, walk: WalkTerms) -> dict[str, float]
     return {"psnr": float(np.mean(values)), "least_psnr": float(np.min(values))}
 
 
-def told(rows: dict[str, Any], walks: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def summarize(rows: dict[str, Any], walks: list[dict[str, Any]]) -> list[dict[str, Any]]:
     def figure(name: str, reached: float, unit: str, target: float | None = None) -> dict[str, Any]:
         better = "lower" if target is None else "higher"
         return {"name": name, "target": target, "reached": reached, "unit": unit, "better": better}

@@ -177,10 +177,10 @@ def people(views: Views) -> list[dict[str, Any]]:
     """Observers with a spread: how far single runs lie from the threshold, by our rule and by the page's for people."""
     difference = views.difference("p99", DISTANCES[0], np.max)
     rows = []
-    for told, rule in (("default rule", StaircaseRule(lowest=min(GRID), highest=max(GRID))), ("page", PERSON_RULE)):
+    for label, rule in (("default rule", StaircaseRule(lowest=min(GRID), highest=max(GRID))), ("page", PERSON_RULE)):
         for guess in (0.0, 0.5):
             runs = [calibrate_epsilon(MetricObserver(difference, FLIP_JND, 0.3, guess, k), rule) for k in range(SEEDS)]
-            rows.append({"rule": told, "guess": guess, "slope": 0.3, **spread(runs)})
+            rows.append({"rule": label, "guess": guess, "slope": 0.3, **spread(runs)})
     return rows
 
 

@@ -48,7 +48,7 @@ def main() -> None:
     g = load_scene(realdata() / "scenes/showroom/lod-meta.json", lod=3)
     space = NavigableSpace.from_scene(g)
     eyes = space.sample_viewpoints(options.eyes, np.random.default_rng(options.seed))
-    splats, tracer, size = Splats.of(g), Tracer(EllipsoidProxies.from_scene(g)), options.size
+    splats, tracer, size = Splats.from_gaussians(g), Tracer(EllipsoidProxies.from_scene(g)), options.size
     hybrid(g, splats, eyes[0], size=16)
     visible_gaussians(g, eyes[0])
     visible_from(tracer, eyes[:1], size=4)

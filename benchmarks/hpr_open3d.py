@@ -138,8 +138,8 @@ def main() -> None:
     for name, (points, eye) in clouds(options.points, scenes["showroom"], eyes["showroom"][0]).items():
         for times in (1.0, 30.0):
             rows[f"{name} x{times:g}"] = row = against_open3d(points, eye, times, options.repeats)
-            told = f"{row['ours'].median:.2f} s against {row['open3d'].median:.2f} s"
-            print(f"{name} x{times:g}: {row['visible']:,} visible, {told}", file=sys.stderr)
+            text = f"{row['ours'].median:.2f} s against {row['open3d'].median:.2f} s"
+            print(f"{name} x{times:g}: {row['visible']:,} visible, {text}", file=sys.stderr)
     inside = [row["ratio"] for name, row in rows.items() if "outside" not in name]
     outside = [row["ratio"] for name, row in rows.items() if "outside" in name]
     found = {name: on_gaussians(scenes[name], eyes[name]) for name in scenes}

@@ -70,10 +70,10 @@ def main() -> None:
         flat = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
         colors = fit_srbf(flat, None, FitConfig(variant="hsl", max_terms=0)).colors
     single = Levels.single(g)
-    permutation = PackageOrder.of(single).permutation
+    permutation = PackageOrder.from_levels(single).permutation
     levels, colors = in_package_order(single), colors[permutation]
     packed = quantize(colors, "wire")
-    contents = Contents.of(levels, packed)
+    contents = Contents.from_levels(levels, packed)
     cost = measure_cost(levels, colors, packed, cameras)
     with tempfile.TemporaryDirectory() as place:
         with write_package(Path(place) / "s.gsvis", levels, packed) as package:
@@ -84,9 +84,9 @@ def main() -> None:
         others = {}
         flat = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
         for suffix in ("spz", "sog"):
-            for told, scene in (("base", flat), *((("sh", g),) if g.sh_degree else ())):
+            for label, scene in (("base", flat), *((("sh", g),) if g.sh_degree else ())):
                 save_scene(scene, Path(place) / f"s.{suffix}")
-                others[f"{suffix}_{told}"] = (Path(place) / f"s.{suffix}").stat().st_size
+                others[f"{suffix}_{label}"] = (Path(place) / f"s.{suffix}").stat().st_size
     ids = np.random.default_rng(0).choice(len(g), min(BATCH, len(g)), replace=False)
     chunks, rows = np.unique(contents.chunks[ids], return_inverse=True)
     table, rows = contents.table[chunks], rows.astype(np.int32)
@@ -109,7 +109,7 @@ def main() -> None:
         return float(np.median(found))
 
     whole = None if options.package is None else sizes_of(options.package)
-    rivals = {told: others[name] for name, told in TOLD.items() if name in others}
+    rivals = {label: others[name] for name, label in TOLD.items() if name in others}
     if whole is not None:
         rivals["package with levels, terms, visible sets"] = whole["all"]
         rivals["records, rows of chunks and terms of that"] = whole["records"] + whole["chunks"] + whole["terms"]
@@ -127,8 +127,8 @@ def main() -> None:
              "reached": cost.psnr, "unit": "dB", "better": "higher"},
             {"name": f"the worst of them, {name}", "target": None, "reached": cost.worst, "unit": "dB",
              "better": "higher"},
-            *({"name": f"{told}, {options.scene}", "target": None, "reached": size / len(g),
-               "unit": "bytes a Gaussian of the scene", "better": "lower"} for told, size in rivals.items()),
+            *({"name": f"{label}, {options.scene}", "target": None, "reached": size / len(g),
+               "unit": "bytes a Gaussian of the scene", "better": "lower"} for label, size in rivals.items()),
             {"name": f"{len(ids):,} Gaussians ready to draw, processor time, {name}", "target": 50.0,
              "reached": cpu_ms(), "unit": "ms", "better": "lower"},
         ],

@@ -109,9 +109,9 @@ def figures(found: Quality) -> list[dict[str, Any]]:
     listed = []
     for each in found.figures():
         pairs = (("mean", each.mean, each.targets[0]), (f"worst {each.worst_of}", each.worst, each.targets[1]))
-        for told, reached, target in pairs:
+        for label, reached, target in pairs:
             if reached is not None:
-                name = f"{each.told}, {told}"
+                name = f"{each.label}, {label}"
                 better = each.better or "lower"
                 listed.append({"name": name, "target": target, "reached": reached, "unit": each.unit, "better": better})
     return listed

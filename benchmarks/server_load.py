@@ -181,10 +181,10 @@ def measured(package: Path, count: int, core: int, seconds: float, warm: float) 
         env=os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
     try:
-        told = ""
-        while not told.endswith("}\n"):
-            told += server.stdout.readline()
-        url = json.loads(told)["url"]
+        text = ""
+        while not text.endswith("}\n"):
+            text += server.stdout.readline()
+        url = json.loads(text)["url"]
         asyncio.run(crowd(url, 1, package, 3.0, 0.5))  # kernels and cells
         memory, marks = memory_of(server.pid), []
 
@@ -232,7 +232,7 @@ def main() -> None:
     for count in args.viewers:
         found = measured(args.package, count, args.core, args.seconds, args.warm)
         details[str(count)] = found
-        for told, key, target, unit, better in (
+        for label, key, target, unit, better in (
             ("median rate of a viewer", "median_mbit_per_s", 0.9 * MBIT if count <= 50 else None, "Mbit/s", "higher"),
             ("rate of the slowest tenth", "tenth_mbit_per_s", None, "Mbit/s", "higher"),
             ("looked after too late, 95th percentile", "late_95_s", None, "s", "lower"),
@@ -242,7 +242,7 @@ def main() -> None:
         ):
             figures.append(
                 {
-                    "name": f"{count} viewers: {told}",
+                    "name": f"{count} viewers: {label}",
                     "target": target,
                     "reached": found[key],
                     "unit": unit,

@@ -95,7 +95,7 @@ def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, An
         zstd += len(squeeze.compress(message.data))
         deflate += len(zlib.compress(message.data, 1))
     total = sum(sizes)
-    told = {
+    text = {
         "batches": len(sizes), "gaussians": gaussians, "terms": terms, "wire_bytes": total, "bytes_of": bytes_of,
         "overhead": total / max(bytes_of["records"] + bytes_of["terms"], 1) - 1, "zstd": zstd / total,
         "deflate": deflate / total, "median_message": float(np.median(sizes)),
@@ -103,7 +103,7 @@ def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, An
         **{name: quartiles(values) for name, values in
            (("encode_ms", encode), ("receive_ms", receive), ("ready_ms", ready))},
     }  # fmt: skip
-    return told, receiver
+    return text, receiver
 
 
 def quartiles(seconds: list[float]) -> dict[str, float]:
@@ -175,25 +175,25 @@ def main() -> None:
 
     for path in args.packages:
         scene, name = StreamedScene.open(path), path.stem
-        told: dict[str, Any] = {"gaussians": len(scene), "terms": scene.about.terms}
+        record: dict[str, Any] = {"gaussians": len(scene), "terms": scene.about.terms}
         each = per_gaussian(scene, 100)
         figure(f"{name}: record of a Gaussian, before entropy coding", each["record"], "bytes", 16.0)
         figure(f"{name}: a Gaussian with id, rows of chunks and the message, at 10 Mbit/s", each["with all"], "bytes")
         figure(f"{name}: the same after zstd of the message", each["with all, zstd"], "bytes")
-        told["per_gaussian"] = each
+        record["per_gaussian"] = each
         receivers = {}
         for mbit in RATES:
             found, receivers[mbit] = session(scene, mbit, int(10 * args.seconds))
-            told[f"{mbit} Mbit/s"] = found
+            record[f"{mbit} Mbit/s"] = found
             figure(f"{name}, {mbit} Mbit/s: what the wire adds to records", 100 * found["overhead"], "%")
             least = 1.0 if mbit == 10 else None
             figure(f"{name}, {mbit} Mbit/s: encoding, median", found["encode_ms"]["median"], "ms", least)
         for key, held in (("nothing held", None), ("much held", receivers[1])):
-            told[f"50,000, {key}"] = found = large(scene, held, args.repeats)
+            record[f"50,000, {key}"] = found = large(scene, held, args.repeats)
             if found:
                 reached = found["thread_ms"]["median"]
                 figure(f"{name}: {found['gaussians']:,} Gaussians ready to draw, {key}", reached, "ms", 50.0)
-        details[name] = told
+        details[name] = record
     write_result(args.out, "What does the wire add, and how long do its two ends take over a batch?", figures, details)
 
 

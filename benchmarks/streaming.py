@@ -205,7 +205,7 @@ def walked(
         found: list[dict[str, Any]] = json.loads(kept.read_text())
         return found
     g, file_size = place(name)
-    path, told = brought(name, g, walk, visit * config.seconds, config.watched)
+    path, text = brought(name, g, walk, visit * config.seconds, config.watched)
     with Package.open(package) as opened:
         scene = StreamedScene.open(opened)
         contents, stage = scene.contents, Stage(scene.contents, g)
@@ -226,7 +226,7 @@ def walked(
             )
             for delivery in deliveries:
                 playbacks.append(play(delivery, later, path, stage.size, seconds=config.watched, tick=config.tick))
-                rows.append({"scene": name, "walk": WALKS[walk], "link": link.trace.name, "path": told})
+                rows.append({"scene": name, "walk": WALKS[walk], "link": link.trace.name, "path": text})
         for row, session in zip(rows, watch(stage, playbacks, path, config), strict=True):
             row.update(session.as_dict())
     if kept is not None:
@@ -260,13 +260,13 @@ def steady_figures(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]
     out = []
     for system in (OURS, WHOLE, MORTON):
         some = chosen(rows, system, True)
-        for key, told, target in (
+        for key, label, target in (
             ("seconds_to_first_image", "first image of 20 dB, median", 0.5),
             ("seconds_to_good_image", "image of 35 dB, median", 2.0),
         ):
             reached = float(np.median(values(some, key)))
             out.append(
-                {"name": f"{told}, {STEADY:g} Mbit/s, {system}, {name}", "target": target if system == OURS else None,
+                {"name": f"{label}, {STEADY:g} Mbit/s, {system}, {name}", "target": target if system == OURS else None,
                  "reached": reached if np.isfinite(reached) else 1e9, "unit": "s", "better": "lower"}
             )  # fmt: skip
         out.append(
@@ -274,7 +274,7 @@ def steady_figures(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]
              "reached": values(some, "score").mean(), "unit": "at most 1", "better": "higher"}
         )  # fmt: skip
     ours = chosen(rows, OURS, True)
-    for key, told, unit in (
+    for key, label, unit in (
         ("gaussian_share", "Gaussians sent in 30 s", "of all levels; paper 0.8685"),
         ("term_share", "SRBFs sent in 30 s", "of all; paper 0.2239"),
         ("unseen_share", "Gaussians sent that never reached a pixel", "of those sent"),
@@ -282,7 +282,7 @@ def steady_figures(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]
     ):
         if key != "term_share" or values(ours, "terms").any():
             out.append(
-                {"name": f"{told}, {STEADY:g} Mbit/s, {OURS}, {name}", "target": None,
+                {"name": f"{label}, {STEADY:g} Mbit/s, {OURS}, {name}", "target": None,
                  "reached": values(ours, key).mean(), "unit": unit, "better": "lower"}
             )  # fmt: skip
     return out

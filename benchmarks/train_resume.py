@@ -67,8 +67,8 @@ def main() -> None:
         for life in range(arguments.kills + 1):
             wanted = whole_s * float(rng.uniform(*_BETWEEN)) if life < arguments.kills else None
             began = time.monotonic()
-            with log.open("w", encoding="utf-8") as told:
-                run = subprocess.Popen(command(killed_at, arguments.iterations), stdout=subprocess.DEVNULL, stderr=told)
+            with log.open("w", encoding="utf-8") as file:
+                run = subprocess.Popen(command(killed_at, arguments.iterations), stdout=subprocess.DEVNULL, stderr=file)
                 try:
                     ended = run.wait(wanted) == 0
                 except subprocess.TimeoutExpired:
@@ -106,9 +106,9 @@ def main() -> None:
     write_result(arguments.out, "Does a killed run end where another ends?", figures, details)
 
 
-def gone_on_from(told: str) -> int:
+def gone_on_from(text: str) -> int:
     """The step that a run says it goes on from; 0 if it began anew."""
-    words = re.search(r"going on from step ([\d,]+)", told)
+    words = re.search(r"going on from step ([\d,]+)", text)
     return int(words[1].replace(",", "")) if words else 0
 
 

@@ -95,7 +95,7 @@ def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
     before = None
     for rays in (1, 4, 16, 64):
         sets = directions.trace_directions(tracer, navigable, ids=sample, rays_per_face=rays)
-        cdf, agreement = DirectionCdf.of(sets), asdict(Agreement.of(gathered, sets))
+        cdf, agreement = DirectionCdf.from_sets(sets), asdict(Agreement.from_sets(gathered, sets))
         traced.append({"rays_per_face": rays, **shares(cdf), "change": moved(before, cdf), "agreement": agreement})
         print(f"{label}: traced {traced[-1]}", file=sys.stderr)
         before = cdf
@@ -131,7 +131,7 @@ def views(tracer: Tracer, navigable: NavigableSpace, count: int) -> dict[str, An
     seconds = time.perf_counter() - start
     some, by_width = cameras[::8], []
     for width, height in ((64, 48), (128, 96), (256, 192), (512, 384), (1024, 768)):
-        seen = [visible_in(tracer, some[i].resized(width, height)) >= TAU for i in range(len(some))]
+        seen = [visible_in(tracer, some[i].resize(width, height)) >= TAU for i in range(len(some))]
         by_width.append({"width": width, "height": height, "mean": float(np.mean(seen))})
     fractions = found.visible_fractions
     return {
@@ -157,7 +157,7 @@ def gather(tracer: Tracer, points: np.ndarray, sample: np.ndarray) -> tuple[list
         sets |= directions.seen_directions(part, weights, eyes)
         done = first + len(eyes)
         if done & (done - 1) == 0:  # a power of two
-            cdf = DirectionCdf.of(sets)
+            cdf = DirectionCdf.from_sets(sets)
             seconds = time.perf_counter() - start
             steps.append({"viewpoints": done, "seconds": seconds, **shares(cdf), "change": moved(before, cdf)})
             print(f"gathered {steps[-1]}", file=sys.stderr)

@@ -54,19 +54,19 @@ def main() -> None:
     results = [measured(name, walks, config, store) for name, store in zip(options.scenes, stores, strict=True)]
     print(table(results))
     figures = [
-        {"name": f"{told}, {result['scene']}", "target": None, "reached": result[key], "unit": unit, "better": better}
+        {"name": f"{label}, {result['scene']}", "target": None, "reached": result[key], "unit": unit, "better": better}
         for result in results
-        for key, told, unit, better in (
+        for key, label, unit, better in (
             ("mean_visible", "visible per camera, mean", "of all Gaussians; paper 0.2021", "lower"),
             ("max_visible", "visible per camera, most", "of all Gaussians; paper 0.3358", "lower"),
             ("seen_at_end", "ever seen in 30 s, mean over walks", "of all Gaussians; paper 0.8685", "lower"),
         )
     ]
     for result in results:
-        for key, told in (("cells_at_end", "of a 30 s walk, ever"), ("cells_mean", "of the poses of a walk, mean")):
+        for key, label in (("cells_at_end", "of a 30 s walk, ever"), ("cells_mean", "of the poses of a walk, mean")):
             if key in result:
                 figures.append(
-                    {"name": f"seen by the cells {told}, {result['scene']}", "target": None, "reached": result[key],
+                    {"name": f"seen by the cells {label}, {result['scene']}", "target": None, "reached": result[key],
                      "unit": "of all Gaussians" + ("; paper 0.8685" if key == "cells_at_end" else ""),
                      "better": "lower"}
                 )  # fmt: skip
@@ -93,9 +93,9 @@ def measured(name: str, walks: tuple[str, ...], config: WalkConfig, store: Path 
         if seed == 0:
             slower = WalkConfig(config.seconds, config.rate / 2.0, config.width, config.height, config.fov)
             taken[0]["seen_at_end_at_half_the_rate"] = float(measure_walk(g, placed.path, slower).seen[-1])
-        told = f"{seen.visible.mean():.2%} per camera, {seen.seen[-1]:.2%} in all, {seconds:.1f} s"
+        text = f"{seen.visible.mean():.2%} per camera, {seen.seen[-1]:.2%} in all, {seconds:.1f} s"
         print(
-            f"{label}: {walk}: {placed.similarity}, {placed.inside:.2%} inside, {placed.looking:.0%} looking: {told}",
+            f"{label}: {walk}: {placed.similarity}, {placed.inside:.2%} inside, {placed.looking:.0%} looking: {text}",
             file=sys.stderr,
         )
     cells = [walk["cells"] for walk in taken if "cells" in walk]

@@ -4,8 +4,8 @@
     tracer = gsvis.Tracer(gsvis.EllipsoidProxies.from_scene(scene))
     weights = gsvis.visible_in(tracer, gsvis.load_cameras("sparse/0"))
 
-The names here are the ones most programs need; each room (`gsvis.raycast`, `gsvis.render`, ...) has its own. They are
-imported when first used, so that `import gsvis` is quick.
+Only the most common names are here; each room (`gsvis.raycast`, `gsvis.render`, ...) has its own. Names are imported on
+first use, so that `import gsvis` is fast.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Coerce and check array arguments; every error about a shape, a dtype or a range is worded here.
 
-Shapes are tuples of integers and names: `("N", 3)` takes any first length. Nothing here copies an array
-that is already of the right dtype and contiguous. Torch tensors are taken from any device; torch is not imported.
+Shapes are tuples of integers and names: `("N", 3)` accepts any first length. Nothing here copies an array that already
+has the right dtype and is contiguous. Torch tensors are accepted from any device; torch is not imported.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _fits(have: tuple[int, ...], shape: Shape) -> bool:
 
 
 def _reshaping(name: str, have: tuple[int, ...], shape: Shape) -> str:
-    """What makes the shape fit, where that is an axis of length 1 too many or too few."""
+    """Return the remedy if the shape only has an axis of length 1 too many or too few."""
     if have[-1:] == (1,) and _fits(have[:-1], shape):
         return f"pass {name}[..., 0]"
     for axis, want in enumerate(shape):
@@ -60,13 +60,13 @@ def _reshaping(name: str, have: tuple[int, ...], shape: Shape) -> str:
 
 
 def is_tensor(value: Any) -> bool:
-    """Whether the value is a torch tensor; torch is not imported to find out."""
+    """Return whether the value is a torch tensor, without importing torch."""
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(value, torch.Tensor)
 
 
 def plain(value: Any) -> Any:
-    """Return a torch tensor, or a list of them, as NumPy arrays; anything else as it is.
+    """Convert a torch tensor, or a list of them, to NumPy arrays; return anything else unchanged.
 
     A tensor that requires a gradient is copied, because an optimizer will write to it.
     """
@@ -82,7 +82,7 @@ def plain(value: Any) -> Any:
 
 
 def _holds_tensors(value: Any, tensor: type) -> bool:
-    """Whether the first item, at whatever depth, is a tensor."""
+    """Return whether the first item, at any depth, is a tensor."""
     while isinstance(value, list | tuple) and value:
         value = value[0]
     return isinstance(value, tensor)
@@ -91,12 +91,12 @@ def _holds_tensors(value: Any, tensor: type) -> bool:
 def floats(
     name: str, value: ArrayLike, shape: Shape, dtype: type[np.floating[Any]] = np.float32, *, finite: bool = True
 ) -> NDArray[Any]:
-    """A C-contiguous float array of the given shape, finite unless told otherwise."""
+    """Return a C-contiguous float array of the given shape, finite unless `finite` is False."""
     try:
         numbers = plain(value)
         if np.iscomplexobj(numbers):
             raise TypeError
-        with np.errstate(over="ignore"):  # what overflows to inf is refused below
+        with np.errstate(over="ignore"):  # overflow becomes inf, which is rejected below
             array = np.asarray(numbers, dtype=dtype, order="C")
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise ValueError(f"{name}: expected numbers of shape {_spell(shape)}, got {type(value).__name__}") from error
@@ -108,19 +108,19 @@ def floats(
 
 
 def all_finite(array: NDArray[Any]) -> bool:
-    """Whether no entry is NaN or infinite; one pass and no mask in the usual case."""
+    """Return whether no entry is NaN or infinite; usually one pass without a mask."""
     with np.errstate(over="ignore", invalid="ignore"):
-        # A sum of finite float32 taken in float64 cannot overflow, and NaN and inf survive it.
+        # A sum of finite float32 values in float64 cannot overflow, and NaN and inf survive it.
         total = np.add.reduce(array, axis=None, dtype=np.float64)
     return bool(np.isfinite(total)) or bool(np.isfinite(array).all())
 
 
 def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[Any]] = np.int64) -> NDArray[Any]:
-    """A C-contiguous integer array of the given shape; floats are refused, not rounded."""
+    """Return a C-contiguous integer array of the given shape; reject floats instead of rounding them."""
     array = np.asarray(plain(value))
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"{name}: expected integers, got dtype {array.dtype}")
-    if array.size and not np.can_cast(array.dtype, dtype):  # would wrap around in silence
+    if array.size and not np.can_cast(array.dtype, dtype):  # would wrap around silently
         in_range(name, array, np.iinfo(dtype).min, np.iinfo(dtype).max)
     array = np.asarray(array, dtype=dtype, order="C")
     _check_shape(name, array, shape)
@@ -128,10 +128,10 @@ def integers(name: str, value: ArrayLike, shape: Shape, dtype: type[np.integer[A
 
 
 def read_only(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Return views that cannot be written.
+    """Return read-only views.
 
-    A kernel is compiled once for arrays that can be written and once for those that cannot. Where a kernel is given
-    either kind, this makes them one.
+    numba compiles a kernel once for writable arrays and once for read-only ones. Read-only views for both avoid the
+    second compilation.
     """
     views = tuple(array.view() for array in arrays)
     for view in views:
@@ -147,7 +147,7 @@ def in_range(
         return
     least, most = array.min(), array.max()
     above = least > low if open_low else least >= low
-    if not (above and most <= high):  # worded so that NaN fails
+    if not (above and most <= high):  # NaN fails this test too
         worst = most if above else least
         left = "(" if open_low or low == -np.inf else "["
         right = ")" if high == np.inf else "]"
@@ -159,23 +159,23 @@ def _and(remedy: str) -> str:
 
 
 def same_length(**arrays: NDArray[Any]) -> int:
-    """The common first length of the arrays, given by their names."""
+    """Return the common first length of the arrays, given by their names."""
     lengths = {name: len(array) for name, array in arrays.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ValueError(f"{' / '.join(lengths)}: expected one length for all, got {told}")
+        got = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ValueError(f"{' / '.join(lengths)}: expected one length for all, got {got}")
     return next(iter(lengths.values()))
 
 
 def positive_int(name: str, value: Any, *, at_least: int = 1) -> int:
-    """A Python integer of at least `at_least`."""
+    """Return a Python integer of at least `at_least`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
         raise ValueError(f"{name}: expected an integer of at least {at_least}, got {value!r}")
     return int(value)
 
 
 def one_of(name: str, value: str, choices: tuple[str, ...]) -> str:
-    """The value, if it is one of the choices."""
+    """Return the value if it is one of the choices."""
     if value not in choices:
         raise ValueError(
             f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}" + _and(suggestion(value, choices))
@@ -184,13 +184,13 @@ def one_of(name: str, value: str, choices: tuple[str, ...]) -> str:
 
 
 def suggestion(value: object, choices: Iterable[str]) -> str:
-    """Return 'did you mean X?' for the choice that looks most like the value; nothing where none is near.
+    """Return 'did you mean X?' for the choice nearest to the value, or '' if none is near.
 
     Examples:
         >>> suggestion("anlyze", ("analyze", "convert"))
         'did you mean analyze?'
     """
-    if not isinstance(value, str) or len(value) > 100:  # the comparison takes time by the square of the length
+    if not isinstance(value, str) or len(value) > 100:  # the comparison takes quadratic time
         return ""
     lowered = {choice.lower(): choice for choice in choices}
     near = difflib.get_close_matches(value.lower(), lowered, n=1, cutoff=0.7)
@@ -198,9 +198,9 @@ def suggestion(value: object, choices: Iterable[str]) -> str:
 
 
 def path(name: str, value: str | os.PathLike[str]) -> Path:
-    """The path of a string or of anything with `__fspath__`; a leading `~` of a string becomes the home folder.
+    """Return the path of a string or of anything with `__fspath__`; a leading `~` of a string becomes the home folder.
 
-    A `Path` stays as it is: `./~/x` is `~/x` once it is one.
+    A `Path` is unchanged, because `./~/x` is `~/x` once it is a `Path`.
     """
     try:
         text = os.fsdecode(value)
@@ -214,7 +214,7 @@ def path(name: str, value: str | os.PathLike[str]) -> Path:
 
 
 def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
-    """(R, 3) directions, scaled to unit length; a zero vector is refused."""
+    """Return (R, 3) directions, scaled to unit length; reject zero vectors."""
     array = floats(name, value, ("R", 3), dtype)
     norms = _lengths(array)
     if array.size and not 1e-150 < norms.min() <= norms.max() < 1e150:  # the squares left the range of float64

@@ -1,4 +1,4 @@
-"""Optional packages: which extra of gsvis brings which, and one error for one that is missing.
+"""Optional packages: the extra of gsvis that installs each, and one error for a missing one.
 
 Nothing here imports a package. A module that needs one calls `require` before the work begins.
 """
@@ -23,7 +23,7 @@ EXTRAS = {
     "torch": "torch",
     "torchvision": "metrics",
 }
-"""Extra of pyproject.toml that brings each optional package."""
+"""The extra of pyproject.toml that installs each optional package."""
 
 
 def remedy_of(package: str) -> str:
@@ -37,7 +37,7 @@ def remedy_of(package: str) -> str:
 
 
 def has(package: str) -> bool:
-    """Whether a package is installed; it is not imported."""
+    """Return whether a package is installed, without importing it."""
     try:
         return find_spec(package) is not None
     except ModuleNotFoundError:

@@ -104,7 +104,7 @@ class ProtocolError(GsvisError):
     """A message from the other end of a connection does not hold what the wire promises.
 
     Args:
-        message: What was expected and what came, in a line that may be told to the other end.
+        message: What was expected and what came, in a line that is safe to send to the other end.
         code: Number of the fault, as ERROR messages carry it; `gsvis.stream.wire` names them.
     """
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -26,6 +28,9 @@ settings.register_profile(
 )
 settings.load_profile("gsvis")
 
+PAGES = ("document", "color_document", "pvs_document", "session_document", "spheres")
+"""Modules of the room report that draw plots."""
+
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -36,6 +41,54 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip("no real data: set GSVIS_REALDATA to the folder that holds scenes/ and photos/")
     return folder
+
+
+@pytest.fixture(scope="module")
+def coarse_plots() -> Iterator[None]:
+    """Draw the plots of reports with few pixels."""
+    from gsvis.report import theme
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(theme, "_DPI", 40)
+        yield
+
+
+@pytest.fixture(scope="module")
+def bare_plots(coarse_plots: None) -> Iterator[None]:
+    """Draw the plots of reports without axes and words, which take most of the time."""
+    from gsvis.report import theme
+
+    def drawn(
+        draw: Callable[..., None], colors: theme.Theme = theme.LIGHT, size: tuple[float, float] = (5, 3)
+    ) -> bytes:
+        def draw_marks(axes: Any, colors: theme.Theme) -> None:
+            draw(axes, colors)
+            axes.set_axis_off()
+            for part in (axes.xaxis, axes.yaxis, axes.title, axes.get_legend(), *axes.texts):
+                if part is not None:
+                    part.set_visible(False)
+
+        return theme.draw_png(draw_marks, colors, size)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for page in PAGES:
+            patch.setattr(f"gsvis.report.{page}.draw_png", drawn)
+        yield
+
+
+@pytest.fixture(scope="session")
+def blank() -> bytes:
+    """A plot without any content, as PNG bytes."""
+    from gsvis.report import theme
+
+    return theme.draw_png(lambda axes, colors: axes.set_axis_off())
+
+
+@pytest.fixture
+def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
+    """Leave the plots of reports blank, for tests that look at none: drawing takes most of a small report's time."""
+    for page in PAGES:
+        monkeypatch.setattr(f"gsvis.report.{page}.draw_png", lambda *arguments: blank)
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -7,7 +7,6 @@ at once is lost. Kernels call each other in no circle, so that no two processes 
 from __future__ import annotations
 
 import os
-import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -23,10 +22,13 @@ try:
 except ImportError:  # not on Windows: there, kernels may be compiled twice
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["compile_once"]
+__all__ = ["LOCKS", "compile_once"]
+
+LOCKS = Path(__file__).parent / "__pycache__" / "kernels.lock"
+"""In the checkout, as the caches are: in a folder for all, such as /tmp, somebody else could put a link here."""
 
 _compile = Dispatcher.compile
-_files: dict[int, int] = {}
+_files: dict[int, int | None] = {}
 
 
 def compile_once() -> None:
@@ -45,20 +47,25 @@ def _compile_alone(dispatcher: Any, signature: Any) -> Any:
 
 @contextmanager
 def _locked(name: str) -> Iterator[None]:
-    """Hold the byte of a file that stands for a name."""
+    """Hold the byte of a file that stands for a name; nothing, where the file cannot be opened."""
     file, place = _file(), zlib.crc32(name.encode())
     with suppress(OSError):
-        fcntl.lockf(file, fcntl.LOCK_EX, 1, place)
+        if file is not None:
+            fcntl.lockf(file, fcntl.LOCK_EX, 1, place)
     try:
         yield
     finally:
         with suppress(OSError):
-            fcntl.lockf(file, fcntl.LOCK_UN, 1, place)
+            if file is not None:
+                fcntl.lockf(file, fcntl.LOCK_UN, 1, place)
 
 
-def _file() -> int:
-    """The file of locks, open in this process. A lock ends with its process, and a fork has none."""
+def _file() -> int | None:
+    """Return the file of locks, open in this process. A lock ends with its process, and a fork has none."""
     if os.getpid() not in _files:
-        path = Path(tempfile.gettempdir()) / f"gsvis-kernels-{os.getuid()}"
-        _files[os.getpid()] = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            LOCKS.parent.mkdir(exist_ok=True)
+            _files[os.getpid()] = os.open(LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        except OSError:  # nobody else writes where this is, so that only rights or a full disk lead here
+            _files[os.getpid()] = None
     return _files[os.getpid()]

@@ -36,7 +36,7 @@ def test_lists_layouts_and_dtypes_are_coerced_and_the_argument_left_alone() -> N
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "message"),
     [
         (np.zeros((2, 4)), r"x: expected shape \(N, 3\), got \(2, 4\)"),
         (np.zeros(3), r"x: expected shape \(N, 3\), got \(3,\)"),
@@ -50,8 +50,8 @@ def test_lists_layouts_and_dtypes_are_coerced_and_the_argument_left_alone() -> N
         (np.array([[0, 0, 1e300]]), r"x: expected finite values, got inf at index \(0, 2\)"),
     ],
 )
-def test_bad_floats_are_named(value: Any, told: str) -> None:
-    with pytest.raises(ValueError, match="^" + told):
+def test_bad_floats_are_named(value: Any, message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
         _check.floats("x", value, ("N", 3))
 
 
@@ -72,7 +72,7 @@ def test_all_finite_survives_sums_that_overflow_or_cancel() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "message"),
     [
         ([1.0, 2.0], "x: expected integers, got dtype float64"),
         ([True], "x: expected integers, got dtype bool"),
@@ -81,8 +81,8 @@ def test_all_finite_survives_sums_that_overflow_or_cancel() -> None:
         (np.array([2**63], np.uint64), "x: expected values in"),
     ],
 )
-def test_bad_integers_are_named(value: Any, told: str) -> None:
-    with pytest.raises(ValueError, match="^" + told):
+def test_bad_integers_are_named(value: Any, message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
         _check.integers("x", value, ("N",))
 
 
@@ -186,7 +186,7 @@ def test_torch_is_not_imported_to_look_for_tensors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "message"),
     [
         ("anlyze", "did you mean analyze?"),
         ("CONVERT", "did you mean convert?"),
@@ -197,11 +197,11 @@ def test_torch_is_not_imported_to_look_for_tensors() -> None:
         ("a" * 10**6, ""),
     ],
 )
-def test_what_looks_alike_is_suggested(value: Any, told: str) -> None:
-    assert _check.suggestion(value, ("analyze", "convert")) == told
+def test_what_looks_alike_is_suggested(value: Any, message: str) -> None:
+    assert _check.suggestion(value, ("analyze", "convert")) == message
     with pytest.raises(ValueError, match=r"mode: expected one of 'analyze', 'convert', got") as caught:
         _check.one_of("mode", value, ("analyze", "convert"))
-    assert str(caught.value).endswith(told)
+    assert str(caught.value).endswith(message)
 
 
 def test_paths_are_coerced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -211,6 +211,6 @@ def test_paths_are_coerced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     assert _check.path("file", _check.path("file", "./~/a.ply")) == Path("~/a.ply")
     assert _check.path("file", "a~b") == Path("a~b")
     assert _check.path("file", os.fsencode("a.ply")) == Path("a.ply")  # type: ignore[arg-type]
-    for value, told in ((3, "got int"), (None, "got NoneType"), ("", "got an empty text"), ("a\0", "with a NUL in it")):
-        with pytest.raises(ValueError, match=f"file: expected a path, {told}|file: expected a path, got a text {told}"):
+    for value, got in ((3, "got int"), (None, "got NoneType"), ("", "got an empty text"), ("a\0", "with a NUL in it")):
+        with pytest.raises(ValueError, match=f"file: expected a path, {got}|file: expected a path, got a text {got}"):
             _check.path("file", value)  # type: ignore[arg-type]

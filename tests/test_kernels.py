@@ -22,7 +22,7 @@ from gsvis.scene.gaussians import Gaussians
 from tests.color.samples import random_colors
 
 ROOT = Path(__file__).parents[1]
-KERNELS = sorted((ROOT / "gsvis").rglob("_kernels*.py"))
+KERNELS = sorted((ROOT / "gsvis").rglob("_kernels/*.py"))
 
 
 def has_slice(node: ast.AST) -> bool:

@@ -7,6 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from tests import one_compiler
+
 PROGRAM = """
 import sys
 from tests.one_compiler import compile_once
@@ -64,3 +68,15 @@ def test_processes_that_want_a_kernel_at_once_compile_it_once(tmp_path: Path) ->
         process.stdin.flush()
     misses = [int(process.communicate(timeout=300)[0]) for process in processes]
     assert sorted(misses) == [0, 0, 1]
+
+
+def test_locks_lie_in_the_checkout_and_a_link_there_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert one_compiler.LOCKS.is_relative_to(Path(__file__).parent)
+    (tmp_path / "locks").symlink_to(tmp_path / "elsewhere")
+    monkeypatch.setattr(one_compiler, "LOCKS", tmp_path / "locks")
+    monkeypatch.setattr(one_compiler, "_files", {})
+    with one_compiler._locked("a kernel"):
+        assert one_compiler._file() is None
+    assert not (tmp_path / "elsewhere").exists()

@@ -54,8 +54,8 @@ def quicker(words: list[str]) -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small scene under the name that the pages use, no kernels in advance, few views for costs."""
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> None:
+    """A small scene under the name that the pages use, no kernels in advance, few views for costs, blank plots."""
     from gsvis.prepare import PrepareConfig
 
     made = two_rooms(1000, sh_degree=1)

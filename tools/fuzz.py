@@ -142,7 +142,7 @@ class Run:
         self.context = mp.get_context("spawn")
         self.pieces = list(self._pieces())
         self.total = sum(count for *_, count in self.pieces)
-        self.began, self.told = time.monotonic(), 0.0
+        self.began, self.printed = time.monotonic(), 0.0
 
     def _pieces(self) -> Iterator[tuple[str, int, int]]:
         weights = sum(target.weight for target in self.targets.values())
@@ -250,9 +250,9 @@ class Run:
     def tell(self, *, last: bool = False) -> None:
         """Print how far it is, now and then."""
         now, shown = time.monotonic(), sys.stderr.isatty()
-        if not last and now - self.told < (1.0 if shown else 15.0):
+        if not last and now - self.printed < (1.0 if shown else 15.0):
             return
-        self.told = now
+        self.printed = now
         done = sum(sum(tally.verdicts.values()) for tally in self.tallies.values())
         rate = done / max(now - self.began, 1e-9)
         left = (self.total - done) / rate if done else 0.0

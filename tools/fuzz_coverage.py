@@ -36,7 +36,7 @@ APART = {
         "gsvis.package.codec:build_chunks",
         "gsvis.package.codec:chunk_starts",
         "gsvis.package.codec:encode_records",
-        "gsvis.package.contents:Contents.of",
+        "gsvis.package.contents:Contents.from_levels",
         "gsvis.package.manifest:Manifest.to_json",
         "gsvis.package.package:columns_of",
         "gsvis.package.parts:Part.as_dict",

@@ -176,8 +176,8 @@ def kill_often(command: str, base: Path, kills: int, rng: np.random.Generator) -
         tally.temporary += sum(1 for _ in (folder / "tmp").iterdir())
         tally.folders += 1
         shutil.rmtree(folder)
-        told = f"{command}: {tally.kills} of {kills}, {len(tally.differences)} differ, {len(tally.leftovers)} left"
-        print(told, file=sys.stderr, flush=True)
+        message = f"{command}: {tally.kills} of {kills}, {len(tally.differences)} differ, {len(tally.leftovers)} left"
+        print(message, file=sys.stderr, flush=True)
     return tally
 
 

@@ -15,8 +15,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
-GROUPS = ("serve", "cluster", "dev")
-"""Optional dependencies that the tests use."""
+GROUPS = ("cluster", "open3d", "report", "torch", "train", "dev")
+"""Optional dependencies that the tests use: what `all` joins, and their own."""
 AS_PINNED = ("torch",)
 
 

@@ -63,10 +63,9 @@ PAGES = {
             "suite",
             "mutation",
             "lowest",
-            "install",
-            "startup",
         ),
     ),
+    "install": Page("Installing and starting", ("install", "startup")),
     "formats": Page("Files", ("load_ply", "load_packed")),
     "visibility": Page(
         "What a view needs",
@@ -177,6 +176,21 @@ SECTIONS = (
                 ours="{0:.0f}; one since tested, the others change no result",
                 target="0",
             ),
+        ),
+    ),
+    Section(
+        "What does an install bring?",
+        "install",
+        (
+            Row(
+                "How much does the bare install bring?",
+                ("install: gsvis: packages", "install: gsvis: size"),
+                ours="{0:.0f} packages, {1:.0f} MB",
+                peer="`gsvis[all]`: 108 packages, 2338 MB",
+                target="≤ 30 packages, ≤ 800 MB",
+            ),
+            Row("How long does `import gsvis` take?", ("startup: import gsvis",), ours="{0:.2f} s"),
+            Row("And `gsvis --help`, beside other work?", ("startup: gsvis --help",), ours="{0:.1f} s"),
         ),
     ),
     Section(

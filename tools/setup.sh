@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes .venv ready: python, the system's shared libraries, gsvis itself. Called by the Makefile as
-#   tools/setup.sh [EXTRA]     EXTRA: an optional-dependency group of pyproject.toml, such as dev
+#   tools/setup.sh [EXTRA]     EXTRA: a group of pyproject.toml that is wanted besides `all`, such as dev
 # As root it installs what the system lacks through apt-get; otherwise it prints the one line to run and stops.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -51,6 +51,6 @@ if ! $venv/bin/python -m pip --version >/dev/null 2>&1; then  # none yet, or one
 fi
 
 say "installing gsvis${extra:+ with its $extra tools} into $venv (minutes the first time)"
-$venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".${extra:+[$extra]}"
+$venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[all${extra:+,$extra}]"
 $venv/bin/python -c 'import embreex, open3d' || stop "the ray tracers do not load; the line above names what is missing"
 say "ready"

@@ -65,7 +65,7 @@ class FieldOfView:
     def from_degrees(
         cls, horizontal: float, vertical: float, *, margin: float = 0.0, near: float = 0.01
     ) -> FieldOfView:
-        """A field of view around the axis; all angles in degrees."""
+        """Return a field of view around the axis; all angles in degrees."""
         for name, angle in (("horizontal", horizontal), ("vertical", vertical)):
             if not 0.0 < angle < 180.0:
                 raise ValueError(f"{name}: expected degrees in (0, 180), got {angle!r}")
@@ -73,7 +73,7 @@ class FieldOfView:
         return cls(float(x), float(x), float(y), float(y), float(np.radians(margin)), near)
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
-        """(5, 4) float32: unit normals that point inwards and offsets of left, right, top, bottom and near plane.
+        """Return (5, 4) float32 unit normals that point inward and offsets: left, right, top, bottom and near plane.
 
         Args:
             position: (3,) eye.
@@ -127,7 +127,7 @@ class Classes:
 
 
 def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
-    """The class of every Gaussian.
+    """Return the class of every Gaussian.
 
     Args:
         index: The scene.

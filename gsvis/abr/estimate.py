@@ -26,7 +26,7 @@ class ThroughputEstimator(Protocol):
         ...
 
     def estimate(self) -> float:
-        """Bytes a second, > 0."""
+        """Return the estimated rate in bytes per second, > 0."""
         ...
 
 
@@ -56,7 +56,7 @@ class Ewma:
             self._means[k] = kept * self._means[k] + (1.0 - kept) * rate
 
     def estimate(self) -> float:
-        """Bytes a second."""
+        """Return the estimated rate in bytes per second."""
         if self._seconds <= 0.0:
             return self._start
         unbiased = [
@@ -83,7 +83,7 @@ class HarmonicMean:
         self._rates.append(max(_rate(sent, seconds), 1.0))
 
     def estimate(self) -> float:
-        """Bytes a second."""
+        """Return the estimated rate in bytes per second."""
         if not self._rates:
             return self._start
         return len(self._rates) / sum(1.0 / rate for rate in self._rates)
@@ -114,7 +114,7 @@ class RobustMpc:
         self._seen = True
 
     def estimate(self) -> float:
-        """Bytes a second."""
+        """Return the estimated rate in bytes per second."""
         return max(self._mean.estimate() / (1.0 + max(self._errors, default=0.0)), 1.0)
 
 
@@ -122,7 +122,7 @@ ESTIMATORS = ("ewma", "harmonic", "robust-mpc")
 
 
 def estimator(name: str, start: float = DEFAULT_START) -> ThroughputEstimator:
-    """An estimator by name, one of `ESTIMATORS`."""
+    """Return an estimator by name, one of `ESTIMATORS`."""
     _check.one_of("name", name, ESTIMATORS)
     return Ewma(start=start) if name == "ewma" else (HarmonicMean if name == "harmonic" else RobustMpc)(start=start)
 

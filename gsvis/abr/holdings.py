@@ -75,14 +75,14 @@ class Holdings:
         return ids_of(self.sent_terms)
 
     def copy(self) -> Holdings:
-        """The same, apart."""
+        """Return the same, apart."""
         other = Holdings(self.gaussians, self.terms)
         for mine, theirs in zip(self.words, other.words, strict=True):
             theirs[:] = mine
         return other
 
     def add(self, gaussians: NDArray[Any], terms: NDArray[Any], dropped: NDArray[Any]) -> None:
-        """Enter what a batch brought: what a client does.
+        """Enter the content of a batch, on the client's side.
 
         Raises:
             ValueError: If an id is out of range, or a Gaussian or term is there already.
@@ -100,7 +100,7 @@ class Holdings:
             words |= fresh
 
     def to_bytes(self) -> bytes:
-        """A head (magic GVH1, N, T, and the bytes of each of three bitmaps: little-endian uint32) and the bitmaps.
+        """Return a header (magic GVH1, N, T, the bytes of three bitmaps: little-endian uint32) and the bitmaps.
 
         The bitmaps are roaring, portable format: Gaussians received, terms received, Gaussians replaced.
         """
@@ -113,7 +113,7 @@ class Holdings:
 
     @classmethod
     def from_bytes(cls, data: bytes, gaussians: int, terms: int) -> Holdings:
-        """What a client says that it holds of a scene.
+        """Return what a client reports to hold of a scene.
 
         Args:
             data: What `to_bytes` gave.

@@ -14,7 +14,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from gsvis import _check
 from gsvis.pvs.cells import CellGrid
@@ -186,7 +185,7 @@ class SceneIndex:
         )
 
     def __len__(self) -> int:
-        """N."""
+        """Return N."""
         return len(self.means)
 
     def __repr__(self) -> str:
@@ -260,6 +259,8 @@ def nearest_replacements(levels: Levels) -> tuple[I64, I32]:
         offsets: (N + 1,).
         ids: (M,) int32, rising for each Gaussian.
     """
+    from scipy.spatial import cKDTree  # here: it takes long to import, and few need it
+
     means, n = levels.union.means, len(levels.union)
     pairs = [np.zeros((0, 2), np.int64)]
     for level in range(1, len(levels)):

@@ -61,7 +61,7 @@ class UtilityConfig:
 
 
 def regime_of(rate: float, level_bytes: NDArray[np.float64], horizon: float, before: str | None = None) -> str:
-    """What the bandwidth allows in a cell: its highest level within the horizon, the one below it, or less.
+    """Return what the bandwidth allows in a cell: its highest level within the horizon, the one below it, or less.
 
     Args:
         rate: Estimated throughput, bytes a second.
@@ -92,13 +92,13 @@ def lowest_last(regime: str, levels: int) -> int:
 
 
 def caps(regime: str, levels: int) -> tuple[int, int]:
-    """The highest level that a regime is after, in view and elsewhere; what is above goes last."""
+    """Return the highest level that a regime is after, in view and elsewhere; what is above goes last."""
     middle = max(levels - 2, 0)
     return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (middle, 0)}[regime]
 
 
 def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
-    """The groups and levels of one of the paper's two orders, first to last.
+    """Return the groups and levels of one of the paper's two orders, first to last.
 
     Args:
         policy: "fov-first": in view from low to high, the low level out of view, the rest by distance; "low-first": low
@@ -121,7 +121,7 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
 
 @lru_cache(maxsize=256)
 def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> I64:
-    """(5, L, 2) what is added to the bucket of a record: by group, level at which it enters, geometry or terms.
+    """Return (5, L, 2) what is added to the bucket of a record: by group, level at which it enters, geometry or terms.
 
     Args:
         policy: One of `POLICIES`.
@@ -152,7 +152,7 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
 def table(
     policy: str, regime: str, levels: int, config: UtilityConfig | None = None
 ) -> tuple[NDArray[np.int32], int]:  # fmt: skip
-    """(4 L L, 2, 2) `offsets` as the kernels want them: by code of a unit, geometry or terms, in view or out of view.
+    """Return (4 L L, 2, 2) `offsets` for the kernels: by code of a unit, geometry or terms, in view or out of view.
 
     And how many keys there are.
 

@@ -31,7 +31,7 @@ class Pose:
 
     @classmethod
     def from_arrays(cls, position: ArrayLike, quat: ArrayLike) -> Pose:
-        """A checked pose; the quaternion may have any length but 0.
+        """Return a checked pose; the quaternion may have any length but 0.
 
         Raises:
             ValueError: If a shape is wrong, a value is not finite, or the quaternion is 0.
@@ -44,11 +44,11 @@ class Pose:
         return cls(place, np.array(_unit(w, x, y, z)))
 
     def distance_to(self, other: Pose) -> float:
-        """Between the positions."""
+        """Return the distance between the positions."""
         return math.dist(self.position.tolist(), other.position.tolist())
 
     def turn_to(self, other: Pose) -> float:
-        """Radians between the orientations, in [0, pi]."""
+        """Return the angle between the orientations, radians in [0, pi]."""
         a, b = self.quat.tolist(), other.quat.tolist()
         chord = min(math.dist(a, b), math.dist(a, [-value for value in b]))
         return 4.0 * math.asin(min(1.0, 0.5 * chord))
@@ -62,7 +62,7 @@ class PosePredictor(Protocol):
         ...
 
     def predict(self, t: float, /) -> Pose:
-        """The pose at time t."""
+        """Return the pose at time t."""
         ...
 
 
@@ -79,7 +79,7 @@ class LastPose:
             self._time, self._pose = t, pose
 
     def predict(self, t: float) -> Pose:
-        """The pose at time t."""
+        """Return the pose at time t."""
         return self._pose
 
 
@@ -107,7 +107,7 @@ class LinearPose:
             self._seen.pop(0)
 
     def predict(self, t: float) -> Pose:
-        """The pose at time t."""
+        """Return the pose at time t."""
         if not self._seen:
             return LastPose().predict(t)
         now, pose = self._seen[-1]
@@ -168,7 +168,7 @@ class KalmanPose:
         self._time = t
 
     def predict(self, t: float) -> Pose:
-        """The pose at time t."""
+        """Return the pose at time t."""
         if self._time == -np.inf:
             return self._pose
         return self._ahead(min(max(t - self._time, 0.0), self._longest))
@@ -187,7 +187,7 @@ class _Filter:
         self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity: nothing is known of it
 
     def update(self, step: float, innovation: F64) -> F64:
-        """What is to be added to the predicted values; the velocity is changed here."""
+        """Return what to add to the predicted values; update the velocity."""
         value, both, speed = self.covariance
         value += step * (2.0 * both + step * speed) + self.density * step**3 / 3.0
         both += step * speed + self.density * step**2 / 2.0
@@ -202,13 +202,13 @@ PREDICTORS = ("last", "linear", "kalman")
 
 
 def predictor(name: str) -> PosePredictor:
-    """A predictor by name, one of `PREDICTORS`."""
+    """Return a predictor by name, one of `PREDICTORS`."""
     _check.one_of("name", name, PREDICTORS)
     return LastPose() if name == "last" else LinearPose() if name == "linear" else KalmanPose()
 
 
 def product(a: F64, b: F64) -> F64:
-    """Product of two unit quaternions wxyz, at unit length."""
+    """Return the product of two unit quaternions wxyz, normalized."""
     (p, q, r, s), (w, x, y, z) = a.tolist(), b.tolist()
     out = _unit(
         p * w - q * x - r * y - s * z,
@@ -220,12 +220,12 @@ def product(a: F64, b: F64) -> F64:
 
 
 def conjugate(quat: F64) -> F64:
-    """The inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return np.asarray(quat * _CONJUGATE)
 
 
 def exponential(vector: F64) -> F64:
-    """The unit quaternion of a rotation vector (3,), radians."""
+    """Return the unit quaternion of a rotation vector (3,), radians."""
     x, y, z = vector.tolist()
     angle = math.hypot(x, y, z)
     scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
@@ -233,7 +233,7 @@ def exponential(vector: F64) -> F64:
 
 
 def rotation_vector(quat: F64) -> F64:
-    """The rotation vector (3,) of a unit quaternion, of at most pi radians."""
+    """Return the rotation vector (3,) of a unit quaternion, of at most pi radians."""
     w, x, y, z = quat.tolist()
     sine = math.hypot(x, y, z)
     scale = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(w)) / sine
@@ -247,7 +247,7 @@ def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, 
 
 
 def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
-    """What `_check.floats` gives for a vector of float64, at once for one that is right already."""
+    """Return `_check.floats` of a float64 vector, without the checks for one that already fits."""
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,):
         given: F64 = value
         if all(map(math.isfinite, given.tolist())):

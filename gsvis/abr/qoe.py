@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from gsvis import _check
 
@@ -77,12 +76,12 @@ class Qoe:
     steps: int
 
     def as_dict(self) -> Mapping[str, float]:
-        """Plain numbers."""
+        """Return plain numbers, ready for JSON."""
         return asdict(self)
 
 
 def quality_of_experience(psnr: ArrayLike, latency: ArrayLike, config: QoeConfig | None = None) -> Qoe:
-    """QoE of a session.
+    """Return the QoE of a session.
 
     Args:
         psnr: (S,) dB at each step; inf where the images are equal.
@@ -112,7 +111,7 @@ def quality_of_experience(psnr: ArrayLike, latency: ArrayLike, config: QoeConfig
 
 
 def latencies(times: ArrayLike, arrivals: ArrayLike, timeout: float = 1.0) -> F64:
-    """Time from each pose until it is shown.
+    """Return the time from each pose until it is shown.
 
     Args:
         times: (S,) seconds of the poses.
@@ -131,7 +130,7 @@ def latencies(times: ArrayLike, arrivals: ArrayLike, timeout: float = 1.0) -> F6
 
 
 def first_frame(times: ArrayLike, psnr: ArrayLike, least: float = FIRST_FRAME_DB) -> float:
-    """Seconds of the first step whose image has at least this PSNR; inf if none has."""
+    """Return the seconds of the first step whose image has at least this PSNR; inf if none has."""
     at, values = _check.floats("times", times, ("S",), np.float64), _steps("psnr", psnr)
     _check.same_length(times=at, psnr=values)
     good = np.flatnonzero(values >= least)
@@ -139,7 +138,7 @@ def first_frame(times: ArrayLike, psnr: ArrayLike, least: float = FIRST_FRAME_DB
 
 
 def stall(times: ArrayLike, psnr: ArrayLike, least: float = 25.0, end: float | None = None) -> float:
-    """Seconds for which, after the first image of at least 20 dB, what is shown is worse than `least`.
+    """Return the seconds in which, after the first image of at least 20 dB, the image is worse than `least`.
 
     Args:
         times: (S,) seconds, rising; each step lasts until the next.
@@ -183,7 +182,7 @@ class Difference:
         return self.low > 0.0 or self.high < 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return plain numbers and strings, ready for JSON."""
         return {**asdict(self), "excludes_zero": self.excludes_zero}
 
 
@@ -196,7 +195,7 @@ def paired_difference(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> Difference:
-    """What one system is better by, over the same sessions.
+    """Return by how much one system is better, over the same sessions.
 
     Args:
         first: (M,) a figure of each session of one system, M >= 2.
@@ -220,6 +219,8 @@ def paired_difference(
     apart = a - b
     mean = float(apart.mean())
     if _check.one_of("method", method, ("t", "bootstrap")) == "t":
+        from scipy import stats  # here: it takes long to import, and few need it
+
         error = float(apart.std(ddof=1)) / np.sqrt(len(apart))
         reach = float(stats.t.ppf(0.5 + confidence / 2.0, len(apart) - 1)) * error
         low, high = mean - reach, mean + reach

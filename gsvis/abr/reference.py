@@ -42,7 +42,7 @@ def order_records(
     pixel: float = 2e-3,
     utility: UtilityConfig | None = None,
 ) -> list[tuple[str, int]]:
-    """All records that a view asks for, first to last.
+    """Return all records that a view needs, first to last.
 
     Args:
         shared: Only its scene and the spheres of its words are used.
@@ -84,7 +84,7 @@ def order_records(
 
 
 def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int, int], list[int]]]:
-    """Members of one word, ring, weight class and pair of levels, in the order in which units are numbered."""
+    """Return the members of one word, ring, weight class and pair of levels, in the order of unit numbers."""
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
     placed: set[int] = set()
     for ring, cells in zip(range(RINGS), ring_cells(index.grid, cell), strict=True):
@@ -110,7 +110,7 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
 
 
 def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weight: np.float32) -> NDArray[np.float32]:
-    """Mean weighted solid angle, for each byte, of Gaussians of a word whose strengths are given."""
+    """Return the mean weighted solid angle per byte of Gaussians of a word with given strengths."""
     x, y, z = shared.spheres[word, :3] - eye
     square = x * x + y * y + z * z + shared.spreads[word] + np.float32(1e-12)
     area, pixel = (np.float32(float(weight) * sum(float(pair[k]) for pair in strength) / len(strength)) for k in (0, 1))
@@ -124,7 +124,7 @@ def _walk(
     candidates: set[int],
     holdings: Holdings,
 ) -> list[tuple[str, int]]:
-    """The records of sorted entries, as they are sent one by one."""
+    """Return the records of sorted entries, as they are sent one by one."""
     held, held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
     gone = set(ids_of(holdings.gone).tolist())
     starts, ids = index.replaced

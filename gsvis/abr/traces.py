@@ -63,7 +63,7 @@ class BandwidthTrace:
 
     @classmethod
     def constant(cls, mbit_per_s: float, name: str = "") -> BandwidthTrace:
-        """A link of one rate."""
+        """Return a link of one rate."""
         return cls(np.ones(1), np.array([mbit_per_s]), name or f"{mbit_per_s:g} Mbit/s")
 
     def __repr__(self) -> str:
@@ -80,12 +80,12 @@ class BandwidthTrace:
         return float(self._total / BYTES / self.period)
 
     def rate_at(self, t: float) -> float:
-        """Mbit/s from time t on."""
+        """Return the rate in Mbit/s from time t on."""
         _, within = self._turns(t)
         return float(self.mbit_per_s[min(int(np.searchsorted(self.times, within, side="right")), len(self.times) - 1)])
 
     def bytes_between(self, start: float, stop: float) -> float:
-        """Bytes carried from `start` to `stop`, both in seconds >= 0.
+        """Return the bytes carried from `start` to `stop`, both in seconds >= 0.
 
         Raises:
             ValueError: If a time is negative or not finite, or `stop` lies before `start`.
@@ -96,7 +96,7 @@ class BandwidthTrace:
         return (turns_then - turns) * self._total + self._until(then) - self._until(within)
 
     def time_to_send(self, size: float, start: float) -> float:
-        """Seconds from `start` until so many bytes have been carried; inf if the link carries nothing.
+        """Return the seconds from `start` until so many bytes have been carried; inf if the link carries nothing.
 
         Args:
             size: Bytes >= 0.
@@ -119,7 +119,7 @@ class BandwidthTrace:
         return float(whole + max(more, 0.0) * self.period + self._when(rest)) if more >= 0 else float(whole)
 
     def from_time(self, start: float) -> BandwidthTrace:
-        """The same link, begun at another time of its period."""
+        """Return the same link, begun at another time of its period."""
         _, within = self._turns(start)
         if within == 0.0:
             return self
@@ -131,7 +131,7 @@ class BandwidthTrace:
         return BandwidthTrace(edges, rates, self.name)
 
     def scaled(self, factor: float) -> BandwidthTrace:
-        """The same link, so many times as fast."""
+        """Return the same link, so many times as fast."""
         if not (np.isfinite(factor) and factor > 0):
             raise ValueError(f"factor: expected a finite number > 0, got {factor!r}")
         return BandwidthTrace(self.times, self.mbit_per_s * factor, self.name)
@@ -141,7 +141,7 @@ class BandwidthTrace:
         return float(self._carried[-1])  # type: ignore[attr-defined]
 
     def _turns(self, t: float) -> tuple[float, float]:
-        """Whole periods before t, and seconds within its own."""
+        """Return the whole periods before t, and the seconds within its own."""
         if not (np.isfinite(t) and t >= 0):
             raise ValueError(f"t: expected finite seconds >= 0, got {t!r}")
         turns, within = divmod(t, self.period)
@@ -152,7 +152,7 @@ class BandwidthTrace:
         return float(np.interp(within, edges, carried))
 
     def _when(self, carried: float) -> float:
-        """The first moment of a period at which so much (> 0) has been carried."""
+        """Return the first moment of a period at which so much (> 0) has been carried."""
         edges, sums = self._edges, self._carried  # type: ignore[attr-defined]
         k = min(max(int(np.searchsorted(sums, carried, side="left")), 1), len(edges) - 1)
         while sums[k] <= sums[k - 1]:  # beyond the end by rounding, where the link is silent

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
 from gsvis.cli.source import (
@@ -46,6 +47,7 @@ def run_analyze(command: Analyze) -> None:
         FileNotFoundError: If a file is missing.
         OSError: If the report cannot be written.
     """
+    require("gsvis analyze", "matplotlib")
     check_source(command.scene, command.lod)
     check_report(command.out)
     given = _given_cameras(command)
@@ -205,8 +207,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
             for each, limit, paper in zip(
                 found[way]["share_below"], ("41.25%", "60%"), ("39.4%", "80.4%"), strict=True
             ):
-                told = f"seen from < {limit} of directions, {named}"
-                shares.append((told, f"{each['of_all']:.2%}", paper if way == "gathered" else ""))
+                text = f"seen from < {limit} of directions, {named}"
+                shares.append((text, f"{each['of_all']:.2%}", paper if way == "gathered" else ""))
     if found["agreement"]:
         shares.append(("agreement of the two: mean Jaccard index", f"{found['agreement']['mean_jaccard']:.3f}", ""))
     shown = 3 if document["paper"]["comparable"] else 2  # columns; the paper's is the last

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import tell_result
@@ -107,6 +108,7 @@ def _check_arguments(command: Color) -> ColorConfig:
             check_file(path)
             _check_no_input(name, path, command)
     if command.report is not None:
+        require("gsvis color --report", "matplotlib")
         check_report(command.report)
     written = [Path(path).absolute() for path in targets.values() if path is not None]
     if len(set(written)) < len(written):
@@ -301,9 +303,9 @@ def _examine(command: Color, plan: _Plan, fitted: FittedColors, status: Status) 
     if command.active is not None and plan.store is not None and epsilon is not None:
         from gsvis.prepare.active_terms import build_active_terms
 
-        told = "given" if fitted.calibration is None else "the model observer FLIP"
+        text = "given" if fitted.calibration is None else "the model observer FLIP"
         with build_active_terms(
-            colors, g, plan.store, epsilon, command.active, provenance=told, progress=status
+            colors, g, plan.store, epsilon, command.active, provenance=text, progress=status
         ) as active:
             shares = np.array([active.share(cell).of_all for cell in range(len(active))])
         fitted = replace(fitted, cell_shares=shares)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gsvis._extras import remedy_of
 from gsvis.cli.arguments import Color
 from gsvis.cli.source import Source, levels_spelled, summarize_levels
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
@@ -48,7 +49,7 @@ def tell_result(
             " pixels each."
         )
         if "flip" not in looked["all_terms"]:
-            lines.append(" FLIP was not asked: pip install 'gsvis[metrics]'.")
+            lines.append(f" FLIP was not asked: {remedy_of('flip_evaluator')}.")
     if command.report is not None and Path(command.report, "report.html").exists():
         lines.append(f" Report: {Path(command.report) / 'report.html'}")
     if command.staircase is not None and Path(command.staircase).exists():
@@ -70,8 +71,8 @@ def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tupl
         rows.append(("seen from nowhere", f"{seen['without_any']:,}: they get base colors"))
     rows.append(("terms", f"{terms['mean']:.2f} a Gaussian on average, variant {document['variant']}"))
     if terms["total"]:
-        told = f"{terms['share_none']:.1%}, {terms['share_1_to_4']:.1%}, {terms['share_more']:.1%}"
-        rows.append(("no term, 1 to 4, more", f"{told} of the Gaussians"))
+        text = f"{terms['share_none']:.1%}, {terms['share_1_to_4']:.1%}, {terms['share_more']:.1%}"
+        rows.append(("no term, 1 to 4, more", f"{text} of the Gaussians"))
     compared = ", ".join(f"{sizes[f'sh_{bits}']:g} with {bits} bits" for bits in (32, 16, 8))
     rows += [
         ("bytes of a color", f"{sizes['records']:.1f} as {document['precision']} records; SH: {compared}"),
@@ -82,8 +83,8 @@ def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tupl
     cells = document["active_in_cells"]
     if cells:
         share = cells["share_of_all"]
-        told = f"{share['mean']:.1%} of all terms; {share['min']:.1%} to {share['max']:.1%}"
-        rows.append(("active in a cell", told))
+        text = f"{share['mean']:.1%} of all terms; {share['min']:.1%} to {share['max']:.1%}"
+        rows.append(("active in a cell", text))
     return rows
 
 

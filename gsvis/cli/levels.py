@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import record_of, tell_result
@@ -64,6 +65,7 @@ def run_levels(command: Levels) -> None:
         OSError: If the folder cannot be written.
         KeyboardInterrupt: With a word on what is kept, if the user has had enough.
     """
+    require("gsvis levels", "torch")
     config = _check_arguments(command)
     with Status() as status:
         plan = _plan(command, config, status)
@@ -96,8 +98,8 @@ def _check_arguments(command: Levels) -> LevelsConfig:
                 raise ValueError(f"--{spelled}: expected none with --photos, got {value}; leave it out")
     parse_up(command.up)
     if command.size is not None and min(command.size) < _LEAST_SIDE:
-        told = f"{command.size[0]}x{command.size[1]}"
-        raise ValueError(f"--size: expected at least {_LEAST_SIDE} pixels a side, got {told}")
+        got = f"{command.size[0]}x{command.size[1]}"
+        raise ValueError(f"--size: expected at least {_LEAST_SIDE} pixels a side, got {got}")
     try:
         config = levels_config(command.shares, command.reuse, command.names, command.iterations, command.seed)
     except ValueError as error:
@@ -252,14 +254,14 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
         with between_steps() as stop_if_asked:
             said = "", 0
 
-            def told(stage: str, done: int, total: int) -> None:
+            def report(stage: str, done: int, total: int) -> None:
                 nonlocal said
-                if (stage, done) != said:  # an end may be told twice
+                if (stage, done) != said:  # an end may be reported twice
                     status(stage.replace("train ", "training ", 1), done, total)
                 said = stage, done
                 stop_if_asked()
 
-            made = make_levels(g, plan.drawn, plan.config, work=work, progress=told)
+            made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
         record = record_of(command, plan, made.trained, made.quality)
         status("writing", 0, 1)
         save_levels(made.trained.levels, command.out, record)

@@ -105,7 +105,7 @@ def tell_result(
     header.append("PLY")
     table = facts(f"{record['scene']}: levels", [_cells(row, rows[-1], views) for row in rows], header)
     size = f"{views['width']} x {views['height']}"
-    told = [
+    lines = [
         ("views", f"{views['trained_on']:,} to train on, {views['held_out']:,} held out, {size}"),
         ("their cameras", views["from"]),
         ("steps", f"{record['config']['iterations']:,} for each lower level"),
@@ -116,7 +116,7 @@ def tell_result(
         ("time", clock(spent)),
     ]
     written = f" Written to {command.out}: {', '.join(row['file'] for row in rows)}, {MAP}."
-    show(table, facts("", told), *_explain(record), *remarks, written)
+    show(table, facts("", lines), *_explain(record), *remarks, written)
 
 
 def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, Any]) -> list[str]:

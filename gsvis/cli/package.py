@@ -113,9 +113,9 @@ def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
     sizes, n = manifest.sizes(), max(1, manifest.gaussians)
     records = sizes["records"] + sizes["chunks"]
     rows = [("  records", f"{size_of(records)}, {records / n:.1f} bytes a Gaussian")]
-    for name, told in (("terms", "terms"), ("visibility", "visible sets"), ("active_terms", "active terms")):
+    for name, label in (("terms", "terms"), ("visibility", "visible sets"), ("active_terms", "active terms")):
         if sizes[name]:
-            rows.append((f"  {told}", size_of(sizes[name])))
+            rows.append((f"  {label}", size_of(sizes[name])))
     return rows
 
 

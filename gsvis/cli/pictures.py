@@ -212,8 +212,8 @@ def _is_own(path: Path) -> bool:
     try:
         with open_regular(path) as file, Image.open(file) as picture:
             comment = picture.info.get("comment", b"")
-            told = comment.decode("utf-8", "replace") if isinstance(comment, bytes) else str(comment)
-            return picture.info.get("Software") == _MARK or told.split(" ")[0] == _MARK
+            text = comment.decode("utf-8", "replace") if isinstance(comment, bytes) else str(comment)
+            return picture.info.get("Software") == _MARK or text.split(" ")[0] == _MARK
     except (FormatError, OSError, ValueError, SyntaxError):
         return False
 

@@ -143,7 +143,7 @@ class _Progress:
 
     Args:
         config: What will be done.
-        status: What is told of it.
+        status: Progress display.
     """
 
     def __init__(self, config: PrepareConfig, status: Status) -> None:
@@ -165,7 +165,7 @@ class _Progress:
             self._ready(stage)
         trains = stage == "prune" or stage.startswith("train ")
         self._trains(trains)
-        if (stage, done) != self._said:  # an end may be told twice
+        if (stage, done) != self._said:  # an end may be reported twice
             self._status(stage.replace("train ", "training ", 1), done, total)
         self._said = stage, done
         if trains and self._stop_if_asked is not None:

@@ -47,8 +47,8 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
         ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
     ]
     if cost is not None:
-        told = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
-        rows.append(("cost of rounding", told))
+        text = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
+        rows.append(("cost of rounding", text))
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
     rows += size_rows(m)
     if prepared.parts_kept:
@@ -140,8 +140,8 @@ def _about(command: Prepare, source: Source, space: NavigableSpace) -> dict[str,
 def _quality(quality: dict[str, Any] | None, names: tuple[str, ...]) -> list[tuple[str, str]]:
     if quality is None or "psnr" not in quality:
         return []
-    told = ", ".join(f"{name} {row['mean']:.1f} dB" for name, row in zip(names[:-1], quality["psnr"], strict=False))
-    return [("levels against the scene", f"{told}, in {quality['views']} views")]
+    text = ", ".join(f"{name} {row['mean']:.1f} dB" for name, row in zip(names[:-1], quality["psnr"], strict=False))
+    return [("levels against the scene", f"{text}, in {quality['views']} views")]
 
 
 def _axis(up: tuple[float, float, float]) -> str:

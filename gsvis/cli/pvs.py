@@ -157,7 +157,7 @@ def _workers(command: Pvs) -> Iterator[Workers]:
 
 
 def local_workers(count: int | None, max_memory: int | None) -> Workers:
-    """Processes of this machine, one for each core unless told otherwise."""
+    """Processes of this machine, one per core by default."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return Workers(count or cores, max_memory)
 
@@ -205,9 +205,9 @@ def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> Visib
         kept = done if stage == "cells" else kept
         status(stage, done, total)
 
-    g, told = plan.source.whole, progress
+    g, report = plan.source.whole, progress
     try:
-        return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=told)
+        return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=report)
     except KeyboardInterrupt:
         if not kept:
             raise

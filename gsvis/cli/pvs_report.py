@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
 from gsvis.cli.source import Source, check_report, check_source, inspect_scene_of, load_source, navigable_space
@@ -30,6 +31,7 @@ def run_pvs_report(command: PvsReport) -> None:
         FileNotFoundError: If a file is missing.
         OSError: If the report cannot be written.
     """
+    require("gsvis pvs-report", "matplotlib")
     if not Path(command.store).exists():
         raise FileNotFoundError(2, "no such file or folder", command.store)
     check_source(command.scene, command.lod)
@@ -50,7 +52,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
     status("space", 0, 1)
-    viewpoints, told = _viewpoints(store, source)
+    viewpoints, text = _viewpoints(store, source)
     status("space", 1, 1)
     from gsvis.pvs.quality import QualityConfig, measure_quality  # imports torch
     from gsvis.report import Subject  # imports matplotlib
@@ -63,7 +65,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         title=source.name,
         gaussians=source.gaussians,
         up=store.grid.up,
-        cameras_from=told,
+        cameras_from=text,
         command=_command_line(command),
         version=version(),
         facts={"path": command.scene, "lod": source.lod, **facts_found},
@@ -81,15 +83,15 @@ def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints,
     if space is not None:
         same = store.info.config.get("space") == space_hash(space)
         if same or np.array_equal(space.origin, store.grid.origin):
-            told = "in the navigable space that the store was built in"
+            text = "in the navigable space that the store was built in"
             if not same:
-                told = "in the navigable space of the scene, of which the store covers a part"
+                text = "in the navigable space of the scene, of which the store covers a part"
             try:
-                return CellViewpoints(store.grid, space), told
+                return CellViewpoints(store.grid, space), text
             except ValueError:  # some cell has no free voxel: the cells are of another space
                 pass
-    told = "anywhere in the boxes of the cells, since the space they were cut from is not known"
-    return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), told
+    text = "anywhere in the boxes of the cells, since the space they were cut from is not known"
+    return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), text
 
 
 def _command_line(command: PvsReport) -> str:
@@ -106,7 +108,7 @@ def _command_line(command: PvsReport) -> str:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """What was measured, the figures beside their targets, and what faint classes are worth."""
-    from gsvis.report.pvs_page import format_target, spelled
+    from gsvis.report.pvs_page import format_target, format_value
 
     store, quality = document["store"], document["quality"]
     config, share = quality["config"], store["visible_share"]
@@ -120,7 +122,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     ]
     figures = []
     for each in quality["figures"].values():
-        mean, worst = (spelled(each[which], each["unit"]) for which in ("mean", "worst"))
+        mean, worst = (format_value(each[which], each["unit"]) for which in ("mean", "worst"))
         wanted = [(each[f"target_{which}"], each[f"met_{which}"]) for which in ("mean", "worst")]
         beside = "; ".join("" if target is None else format_target(target, each["unit"]) for target, _ in wanted)
         verdicts = [met for _, met in wanted if met is not None]
@@ -130,7 +132,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         (
             "whole set" if not each["least_class"] else f"weights from {each['least_weight']:.3g}",
             size_of(round(each["bytes"])),
-            spelled(each["weighted_recall"], "share"),
+            format_value(each["weighted_recall"], "share"),
             f"{each['psnr']:.1f} dB",
             "" if each["lost_per_megabyte"] is None else f"{each['lost_per_megabyte']:.2f}",
         )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gsvis._check import plain
+from gsvis._extras import require
 from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
@@ -50,6 +51,8 @@ def run_render(command: Render) -> None:
         FileNotFoundError: If a file is missing.
         OSError: If the pictures cannot be written.
     """
+    if command.depth:
+        require("gsvis render --depth", "matplotlib")
     check_source(command.scene, command.lod)
     check_views(command)
     backend = _backend(command.backend)
@@ -173,10 +176,10 @@ def _lines(command: Render, target: Target, done: _Done) -> list[str]:
         lines = [f"{where}: {count} frames of {size}, {took} a frame"]
     if command.depth:
         more = " and on" if target.kind == "folder" and count > 1 else ""
-        told = "nothing is seen"
+        text = "nothing is seen"
         if done.depth_range:
-            told = "violet {:.4g} to yellow {:.4g}, black where empty".format(*done.depth_range)
-        lines.append(f"{target.depth_files[0]}{more}: {told}")
+            text = "violet {:.4g} to yellow {:.4g}, black where empty".format(*done.depth_range)
+        lines.append(f"{target.depth_files[0]}{more}: {text}")
     return lines
 
 

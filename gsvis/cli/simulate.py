@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gsvis._extras import has, remedy_of
 from gsvis.cli import version
 from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.source import check_report, check_source, load_source
@@ -44,13 +45,14 @@ def run_simulate(command: Simulate) -> None:
     from gsvis.report.session_page import content_remarks
 
     if command.json:
-        for told in content_remarks(document):
-            sys.stderr.write(f"gsvis: {told}\n")
+        for remark in content_remarks(document):
+            sys.stderr.write(f"gsvis: {remark}\n")
         print_json(document)
     else:
         show(
             *_tables(document),
-            *(f" {told}" for told in content_remarks(document)),
+            *(f" {remark}" for remark in content_remarks(document)),
+            *([] if has("matplotlib") else [f" Plots need matplotlib: {remedy_of('matplotlib')}."]),
             f" Report: {Path(command.out) / 'report.html'}",
         )
 
@@ -148,8 +150,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     from gsvis.report.session_page import format_figures
 
     link = document["link"]
-    told = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
-    parts: list[Any] = [f" Link: {told} there and back."]
+    text = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
+    parts: list[Any] = [f" Link: {text} there and back."]
     for visit in document["visits"]:
         header, rows = format_figures(visit["systems"])
         parts.append(facts(visit["scene"]["name"], rows, header))

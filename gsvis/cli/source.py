@@ -256,7 +256,7 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
         aspect = cameras.width / cameras.height
         across = width or (round(height * aspect) if height else min(at_most or cameras.width, cameras.width))
         if across != cameras.width or height:
-            cameras = cameras.resized(max(1, across), max(1, height or round(across / aspect)))
+            cameras = cameras.resize(max(1, across), max(1, height or round(across / aspect)))
     return cameras
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
 from gsvis.cli.source import check_file, check_new
@@ -67,6 +68,7 @@ def run_train(command: Train) -> None:
         OSError: If a file cannot be written.
         KeyboardInterrupt: With a word on how to go on, if the user has had enough.
     """
+    require("gsvis train", "torch")
     config = _check_arguments(command)
     with Status() as status:
         plan = _plan(command, config, status)
@@ -99,8 +101,8 @@ def _check_arguments(command: Train) -> TrainConfig:
     for path in (out, record_of(command), checkpoint_of(command)):
         check_file(path)
     if out.suffix.lower() == ".ply" and out.is_file() and out.stat().st_size > 0 and not _holds_gaussians(out):
-        told = f"got {command.out}, which is something else; name another"
-        raise ValueError(f"--out: expected a new file or a scene to replace, {told}")
+        got = f"got {command.out}, which is something else; name another"
+        raise ValueError(f"--out: expected a new file or a scene to replace, {got}")
     if command.restart or not checkpoint_of(command).exists():  # with one, an earlier run was let through
         check_new(out, command.overwrite)
         check_new(record_of(command), command.overwrite)
@@ -157,18 +159,18 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
     views, held_out = photos.views, None
     if command.hold_out:
         views, held_out = photos.views.split(command.hold_out)
-    points, told = photos.points, ""
+    points, text = photos.points, ""
     if points is not None:
-        told = f"{len(points):,} points of the reconstruction"
+        text = f"{len(points):,} points of the reconstruction"
     if points is None or command.random_points is not None:
         count = command.random_points or _RANDOM_POINTS
         points = random_points(views.cameras, count, np.random.default_rng([command.seed, 1]))
-        told = f"{count:,} random points"
+        text = f"{count:,} random points"
     trainer = Trainer(views, gaussians_from_points(points), config, held_out=held_out, device=device)
     checkpoint = checkpoint_of(command)
     if command.restart:
         checkpoint.unlink(missing_ok=True)
-    return _Plan(photos, views, held_out, trainer, told, checkpoint, device)
+    return _Plan(photos, views, held_out, trainer, text, checkpoint, device)
 
 
 def _device(backend: str) -> str:
@@ -267,13 +269,13 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
 
 def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: Callable[[], None]) -> Progress:
     """What the loop calls between two steps."""
-    told = 0
+    shown = 0
 
     def tell(stage: str, done: int, total: int) -> None:
-        nonlocal told
+        nonlocal shown
         if not begun:
             begun.append(done)
-            told = len(trainer.history)
+            shown = len(trainer.history)
             if done:
                 status.line(f"going on from step {done:,} of {total:,}")
         count = len(trainer.parameters)
@@ -283,10 +285,10 @@ def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: 
             brief, whole = f"{brief}, {measured[-1]:.1f} dB", f"{whole}, {measured[-1]:.2f} dB held out"
         if done and not math.isnan(trainer.loss):
             status.note(stage, brief, whole)
-        for record in trainer.history[told:]:
+        for record in trainer.history[shown:]:
             psnr = "" if math.isnan(record.psnr) else f"{record.psnr:.2f} dB held out, "
             status.line(f"step {record.step:,}: {psnr}loss {record.loss:.4f}, {record.count:,} Gaussians")
-        told = len(trainer.history)
+        shown = len(trainer.history)
         status(stage, done, total)
         stop_if_asked()
 

@@ -1,4 +1,4 @@
-"""Color that can be sent in pieces: spaces, spherical harmonics, and functions on the sphere in their place."""
+"""Color that can be sent in pieces: color spaces, spherical harmonics, and spherical radial basis functions (SRBF)."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -125,7 +125,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`SrbfTensors` brings torch with it, and so waits until it is asked for."""
+    """Import `SrbfTensors` on first use, because it imports torch."""
     if name == "SrbfTensors":
         from gsvis.color.evaluate_torch import SrbfTensors
 

@@ -1,4 +1,4 @@
-"""From lobes to terms, for a slice of Gaussians: one order over all functions, units of the variant, errors in RGB."""
+"""Turn lobes into terms, for a slice of Gaussians: one order over all functions, units of the variant, RGB errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Colors of n Gaussians as `SrbfColors` has them, with counts in place of offsets, and their errors."""
+    """Store colors of n Gaussians as `SrbfColors` does, with counts in place of offsets, and their errors."""
 
     base: F32
     scales: F32
@@ -39,7 +39,7 @@ class Terms:
 
     @classmethod
     def empty(cls, kind: Variant) -> Terms:
-        """Of no Gaussians."""
+        """Return the terms of no Gaussians."""
         z = np.zeros
         f32 = np.float32
         return cls(
@@ -49,10 +49,10 @@ class Terms:
 
 
 def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
-    """Terms of n Gaussians in the order in which to send them.
+    """Return the terms of n Gaussians, in sending order.
 
     Args:
-        config: What was fitted.
+        config: Config of the fit.
         fitted: The lobes of all functions.
         directions: (3, D) eye to Gaussian.
     """
@@ -91,7 +91,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
 
 
 def _amplitudes(kind: Variant, fitted: SplitFit, function: int, lobe: LobeFit) -> F32:
-    """(n, K, 3) what each lobe adds in the variant's space."""
+    """Return (n, K, 3), what each lobe adds in the variant's space."""
     if kind.components:
         added = np.zeros((*lobe.intensities.shape[:2], 3), np.float32)
         added[:, :, kind.components[function]] = lobe.intensities[:, :, 0]

@@ -1,7 +1,8 @@
-"""Which kind of array a color function was given: one formula serves NumPy and torch.
+"""Dispatch on the array kind of color arguments: one formula serves NumPy and torch.
 
-Colors have three channels on the last axis. NumPy arguments are checked whole; tensors are checked by shape and type
-only, because looking at values would wait for the device. Nothing here imports torch: whoever passes a tensor has.
+Colors have three channels on the last axis. NumPy arguments are checked in full. Tensors are checked by shape and type
+only, because reading values would wait for the device. Nothing here imports torch: a caller with a tensor has imported
+it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ __all__ = ["channels", "is_tensor", "numbers"]
 
 
 def numbers(name: str, value: Any) -> tuple[Any, Any]:
-    """The module that computes with the value, numpy or torch, and the value as finite floats of any shape."""
+    """Return the module that computes with the value (numpy or torch), and the value as finite floats of any shape."""
     if is_tensor(value):
         if not value.is_floating_point():
             raise ValueError(f"{name}: expected a float tensor, got {value.dtype}; convert it, bytes divided by 255")
@@ -31,7 +32,7 @@ def numbers(name: str, value: Any) -> tuple[Any, Any]:
 
 
 def channels(name: str, value: Any, least: tuple[float, ...], most: tuple[float, ...], remedy: str) -> Any:
-    """The module, and the three channels as (..., 1), in their ranges if they are NumPy's."""
+    """Return the module and the three channels as (..., 1); check the ranges of NumPy arrays."""
     xp, array = numbers(name, value)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ValueError(f"{name}: expected shape (..., 3), got {tuple(array.shape)}")

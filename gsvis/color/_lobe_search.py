@@ -1,7 +1,8 @@
-"""The search for the lobes of one function, in float64: added and taken away one by one, all moved after each change.
+"""Search for the lobes of one function, in float64: add and remove one at a time, refine all after each change.
 
-A lobe is exp(v.x - |v|); v is its center times its decay. This is the patient relative of the kernels that fit whole
-scenes: small ridge, no rounding to float32, so that lobes that nearly cancel (a flat top, a sharp edge) can be used.
+A lobe is exp(v.x - |v|); v is its center times its decay. This is the slow, thorough counterpart of the kernels that
+fit whole scenes: a small ridge and no rounding to float32, so that lobes that nearly cancel (a flat top, a sharp edge)
+can be used.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from gsvis.scene.icosphere import icosphere
 
@@ -25,11 +25,11 @@ F64 = NDArray[np.float64]
 LEAST_DECAY = 0.02
 _ATTEMPTS = 6
 _SHARE = 0.01
-"""Of an atom's squared length, what must be left beside the lobes there are for its gain to count in full."""
+"""Share of an atom's squared length that must be independent of the current lobes for its gain to count in full."""
 _SCALED = (0.4, 0.7, 1.4, 2.5)
-"""Beside the dictionary, lobes that there are with their decays times these may be added: rings and flat tops."""
+"""Factors on the decays of current lobes that give further candidates beside the dictionary: rings and flat tops."""
 _SHARPNESS = 8
-"""Power of the gain to which a random choice is proportional."""
+"""Power of the gain to which the probability of a random choice is proportional."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ class Fit:
     """Some lobes with their best intensities.
 
     Attributes:
-        error: Squared error over that of no lobes.
+        error: Squared error, relative to that without lobes.
         v: (K, 3) decay times center.
         intensities: (K,).
-        left: (D,) what is left, times the roots of the weights.
+        left: (D,) residual, times the roots of the weights.
     """
 
     error: float
@@ -61,14 +61,14 @@ class _Solved:
 
 
 class LobeSearch:
-    """One function and the atoms from which lobes start.
+    """Search from the atoms of a dictionary for the lobes of one function.
 
     Args:
         values: (D,), not all 0.
         directions: (D, 3) unit.
-        weights: (D,) > 0, summing to 1.
-        config: Limits.
-        most_decay: Narrowest lobe.
+        weights: (D,) > 0, sum 1.
+        config: Effort and limits.
+        most_decay: Largest decay, that of the narrowest lobe.
     """
 
     def __init__(self, values: F64, directions: F64, weights: F64, config: SphereConfig, most_decay: float) -> None:
@@ -81,31 +81,33 @@ class LobeSearch:
         self.squares = np.einsum("ad,ad->a", self.dictionary, self.dictionary)
         self.nothing = Fit(1.0, np.zeros((0, 3)), np.zeros(0), self.target)
 
-    def on(self, v: F64) -> Fit:
-        """The fit by these lobes as they are."""
+    def fit(self, v: F64) -> Fit:
+        """Fit intensities to these lobes and leave the lobes unchanged."""
         solved = self._solve(self._rows(v)) if len(v) else None
         return self.nothing if solved is None else self._fit(v, solved)
 
-    def extended(self, fit: Fit, rng: np.random.Generator | None = None) -> Fit:
-        """One more lobe: the one that helps most beside those there are, or with `rng` a random good one."""
+    def extend(self, fit: Fit, rng: np.random.Generator | None = None) -> Fit:
+        """Add the lobe that helps most beside the current ones, or with `rng` a random good one; refine all."""
         starts, gains = self._gains(fit)
         if rng is None:
             chosen = int(gains.argmax())
         else:
             chances = (gains / gains.max()) ** _SHARPNESS
             chosen = int(rng.choice(len(starts), p=chances / chances.sum()))
-        return self.refined(np.concatenate([fit.v, starts[chosen : chosen + 1]]))
+        return self.refine(np.concatenate([fit.v, starts[chosen : chosen + 1]]))
 
-    def reduced(self, fit: Fit) -> Fit:
-        """One lobe less: the one without which the error grows least."""
+    def reduce(self, fit: Fit) -> Fit:
+        """Remove the lobe whose removal raises the error least; refine the rest."""
         rows = self._rows(fit.v)
         gram = rows @ rows.T
         gram.flat[:: len(rows) + 1] += self.ridge
         growth = fit.intensities**2 / np.linalg.inv(gram).diagonal()
-        return self.refined(np.delete(fit.v, int(growth.argmin()), axis=0))
+        return self.refine(np.delete(fit.v, int(growth.argmin()), axis=0))
 
-    def refined(self, v: F64) -> Fit:
-        """All lobes moved to a nearby optimum: Levenberg-Marquardt with the intensities eliminated (Kaufman)."""
+    def refine(self, v: F64) -> Fit:
+        """Move all lobes to a nearby optimum: Levenberg-Marquardt with the intensities eliminated (Kaufman)."""
+        from scipy.linalg import lapack  # here: it takes long to import, and few need it
+
         rows = self._rows(v)
         now = self._solve(rows) if len(v) else None
         if now is None:
@@ -138,7 +140,7 @@ class LobeSearch:
         return Fit(float(solved.left @ solved.left) / self.total, v, solved.intensities, solved.left)
 
     def _rows(self, v: F64) -> F64:
-        """(K, D) lobes times the roots of the weights."""
+        """Return (K, D) lobes times the roots of the weights."""
         rows = v @ self.points
         rows -= np.linalg.norm(v, axis=1)[:, None]
         np.exp(rows, out=rows)
@@ -146,13 +148,15 @@ class LobeSearch:
         return np.asarray(rows)
 
     def _slopes(self, v: F64, rows: F64, intensities: F64) -> F64:
-        """(3 K, D) change of the sum of lobes by each v."""
+        """Return (3 K, D) derivatives of the sum of lobes by each v."""
         centers = v / np.linalg.norm(v, axis=1)[:, None]
         slopes = (rows * intensities[:, None])[:, None] * (self.points[None] - centers[:, :, None])
         return np.asarray(slopes.reshape(3 * len(v), -1))
 
     def _solve(self, rows: F64) -> _Solved | None:
-        """Best intensities, refined once against rounding; None if the lobes cannot be told apart."""
+        """Return the best intensities, refined once against rounding; None if the lobes are numerically dependent."""
+        from scipy.linalg import lapack
+
         gram = rows @ rows.T
         gram.flat[:: len(rows) + 1] += self.ridge
         factor, failed = lapack.dpotrf(gram, lower=1)
@@ -165,6 +169,8 @@ class LobeSearch:
         return _Solved(intensities, left, factor, float(left @ left + self.ridge * (intensities @ intensities)))
 
     def _move(self, v: F64, normal: F64, slope: F64, damping: float) -> tuple[F64, F64, _Solved] | None:
+        from scipy.linalg import lapack
+
         damped = normal.copy()
         diagonal = normal.diagonal()
         damped.flat[:: len(slope) + 1] = diagonal * (1.0 + damping) + 1e-13 * diagonal.max()
@@ -181,7 +187,7 @@ class LobeSearch:
         return None if solved is None else (trial, rows, solved)
 
     def _gains(self, fit: Fit) -> tuple[F64, F64]:
-        """Where a lobe may start, and how much each start lowers the error once all intensities are fitted anew."""
+        """Return candidates for a new lobe, and how much each lowers the error after a new fit of all intensities."""
         if len(fit) == 0:
             return self.starts, (self.dictionary @ fit.left) ** 2 / self.squares
         scaled = np.concatenate([fit.v * factor for factor in _SCALED])
@@ -200,6 +206,6 @@ class LobeSearch:
 
 
 def atoms(subdivisions: int, most_decay: float) -> F64:
-    """(A, 3) decay times center of the atoms: vertices of an icosphere, decays 1, 3, 9, ... up to the largest."""
+    """Return (A, 3) decay times center of atoms: vertices of an icosphere, decays 1, 3, 9, ... up to the largest."""
     decays = 3.0 ** np.arange(1 + int(np.log(max(most_decay, 1.0)) / np.log(3.0) + 1e-9))
     return np.asarray((decays[:, None, None] * icosphere(subdivisions)[0]).reshape(-1, 3))

@@ -1,4 +1,4 @@
-"""The search for terms, for a slice of Gaussians: each function of the variant by itself, by the price of a term."""
+"""Find the terms of a slice of Gaussians: each function of the variant on its own, as many as their price allows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _LEAST_DECAY, _MOST_DECAY = 0.1, 60.0
-"""Between a lobe that is all but linear and one narrower than a face (half width 9 degrees)."""
+"""Range of decays: from a nearly linear lobe to one narrower than a face (half width 9 degrees)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class LobeFit:
     """Lobes of one function of n Gaussians.
 
     Attributes:
-        v: (n, K, 3) decay times center, eye to Gaussian, in the order to send.
+        v: (n, K, 3) decay times center, eye to Gaussian, in sending order.
         intensities: (n, K, C) in the units of the targets.
-        counts: (n,) lobes worth their price.
+        counts: (n,) number of lobes worth their price.
         curves: (n, K + 1) weighted mean squared RGB error with 0, 1, ... lobes.
     """
 
@@ -45,13 +45,13 @@ class LobeFit:
 
 @dataclass(frozen=True, eq=False)
 class SplitFit:
-    """What was fitted and what was found.
+    """The input and the result of a fit.
 
     Attributes:
         colors: (n, 3, D) RGB.
         weights: (n, D).
         split: Bases and functions.
-        lobes: One for each function.
+        lobes: Lobes of each function.
     """
 
     colors: F32
@@ -61,15 +61,15 @@ class SplitFit:
 
     @property
     def curves(self) -> list[F32]:
-        """The error curves of the functions."""
+        """Error curves of the functions."""
         return [lobe.curves for lobe in self.lobes]
 
 
 class Pursuit:
-    """Dictionary and limits of a fit.
+    """Fit terms with the dictionary and the limits of a config.
 
     Args:
-        config: What to fit.
+        config: Variant and effort.
     """
 
     def __init__(self, config: FitConfig) -> None:
@@ -91,8 +91,8 @@ class Pursuit:
         Args:
             colors: (n, 3, D) RGB >= 0.
             weights: (n, D) >= 0, some above 0 in each row.
-            importance: (n,) what an error counts.
-            price: Importance times error that a term has to lower.
+            importance: (n,) weight of an error.
+            price: Fall of importance times error that a term must achieve.
             nowhere: (n,) Gaussians that get no terms.
         """
         split = split_colors(self.kind, colors.copy(), weights)

@@ -1,4 +1,4 @@
-"""Which functions of direction a variant leaves to be fitted, and with which weights, for a slice of Gaussians."""
+"""Split colors into a base and the functions of direction to fit, with their weights, for a slice of Gaussians."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """One function of direction of n Gaussians, with the base taken away.
+    """One function of direction of n Gaussians, after subtraction of the base.
 
     Attributes:
-        targets: (n, C, D); C numbers for each direction share their lobes.
-        weights: (n, D) what a squared error counts; 0 where nothing is seen.
-        unit: (n,) what an intensity of 1 stands for in the units of the targets; 0 where there can be none.
+        targets: (n, C, D); the C values of a direction share their lobes.
+        weights: (n, D) weight of a squared error; 0 for directions that are not seen.
+        unit: (n,) target value of an intensity of 1; 0 if no intensity is possible.
     """
 
     targets: F32
@@ -33,13 +33,13 @@ class Function:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Base colors and what is left.
+    """Base colors and the functions to fit.
 
     Attributes:
         base: (n, 3) in the variant's space.
         scales: (n,).
         axes: (n, num_axes, 3).
-        functions: In the order of the variant.
+        functions: The functions, in the order of the variant.
     """
 
     base: F32
@@ -74,9 +74,9 @@ def split_colors(kind: Variant, colors: F32, weights: F32) -> Split:
     covariance = np.empty((n, 3, 3))
     kernels.split_linear(colors, weights, base, covariance)
     if kind.space == "yuv":
-        gray = colors.mean(axis=1)  # with U and V held, this step in Y is nearest in RGB, not that of luma
+        gray = colors.mean(axis=1)  # with U and V fixed, this step in Y is nearest in RGB, not that of luma
         base = np.asarray(rgb_to_yuv(base), np.float32)
-        every_channel = np.float32(3.0)  # a step in Y moves R, G and B alike
+        every_channel = np.float32(3.0)  # a step in Y changes R, G and B equally
         return Split(base, scales, axes, (Function(gray[:, None], every_channel * weights, base[:, 0]),))
     if kind.num_axes == 0:
         return Split(base, scales, axes, (Function(colors, weights, ones),))
@@ -89,7 +89,7 @@ def split_colors(kind: Variant, colors: F32, weights: F32) -> Split:
 
 
 def _principal_axes(covariance: NDArray[np.float64], count: int) -> F32:
-    """(n, count, 3) unit eigenvectors of the largest eigenvalues, each with its largest component positive."""
+    """Return (n, count, 3) unit eigenvectors of the largest eigenvalues, each with its largest component positive."""
     vectors = np.swapaxes(np.linalg.eigh(covariance)[1], 1, 2)[:, ::-1][:, :count]
     largest = np.abs(vectors).argmax(axis=2)[:, :, None]
     signs = np.sign(np.take_along_axis(vectors, largest, axis=2))

@@ -1,7 +1,8 @@
-"""Which terms matter: equation 7 of the paper, for one eye and for all eyes in a box.
+"""Find the active terms: equation 7 of the paper, for one eye and for all eyes in a box.
 
-A term's contribution is the largest absolute change that it makes in a channel of its Gaussian's RGB color, where 1 is
-white; it is active where that is above epsilon. Scene frame and units. Knows nothing of what can be seen.
+A term's contribution is the largest absolute change that it makes in a channel of its Gaussian's RGB color; 1 is the
+step from black to white. A term is active if its contribution is above epsilon. Scene frame and units. This module
+knows nothing about visibility.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDING = 1e-4  # relative, and 4 float32 steps of the color: what the conversion of a space may add to a change
+_ROUNDING = 1e-4  # relative, plus 4 float32 steps of the color: error of a color conversion in a change
 _STEPS = 4.0 * float(np.finfo(np.float32).eps)
-_MARGIN = 4e-6  # of logarithms that are kept as float32
+_MARGIN = 4e-6  # error of logarithms stored as float32
 _WIDEST = 1e30
 
 
 class Activation:
-    """Terms made ready to be asked, again and again, which of them are active.
+    """Prepare terms for repeated queries of which are active.
 
     Args:
         colors: N Gaussians with T terms.
@@ -35,8 +36,8 @@ class Activation:
         epsilon: Contribution above which a term is active, >= 0.
 
     Attributes:
-        colors: As given.
-        epsilon: As given.
+        colors: The colors.
+        epsilon: The threshold.
 
     Raises:
         ValueError: If lengths differ or epsilon is negative or not finite.
@@ -64,7 +65,7 @@ class Activation:
         return f"Activation({self.colors!r}, epsilon {self.epsilon:g})"
 
     def contributions(self, eye: ArrayLike) -> F32:
-        """(T,) largest change of a channel that each term makes as an eye (3,) sees it; see `contributions`."""
+        """Return (T,) the largest channel change of each term as an eye (3,) sees it; see `contributions`."""
         at, colors = _check.floats("eye", eye, (3,), np.float64), self.colors
         additive = colors.kind.space == "rgb"
         factors = self._reaches if additive else np.ones(colors.num_terms)
@@ -79,13 +80,13 @@ class Activation:
         return out
 
     def active(self, eye: ArrayLike, visible: ArrayLike | None = None, weights: ArrayLike | None = None) -> Mask:
-        """(T,) bool, the terms that are active for an eye.
+        """Return (T,) bool, the terms that are active for an eye.
 
         Args:
             eye: (3,) position.
-            visible: (V,) Gaussians whose terms are asked for; None means all. The terms of others are not active.
-            weights: (V,) largest blending weight of each of them, in [0, 1]. With it a term is active where what it
-                changes in a pixel, contribution times weight, is above epsilon: fewer terms for as good an image.
+            visible: (V,) Gaussians to test; None means all. The terms of other Gaussians are not active.
+            weights: (V,) largest blending weight of each of them, in [0, 1]. If given, a term is active if its
+                change of a pixel, contribution times weight, is above epsilon: fewer terms at the same image quality.
         """
         found = self.contributions(eye)
         ids, factors = self._select(visible, weights)
@@ -100,19 +101,19 @@ class Activation:
         visible: ArrayLike | None = None,
         weights: ArrayLike | None = None,
     ) -> Mask:
-        """(T,) bool, the terms that may be active for some eye in a box; none that is active for one is missing.
+        """Return (T,) bool, the terms that may be active for some eye in a box; never misses an active term.
 
-        The directions from the box to a Gaussian are bounded by a cone around the one from its middle, so some terms
-        may be given that no eye needs.
+        A cone around the direction from the middle of the box bounds the directions from the box to a Gaussian, so the
+        result may include terms that no eye needs.
 
         Args:
             low: (3,) lowest corner of the box.
             high: (3,) highest corner.
-            visible: (V,) Gaussians whose terms are asked for; None means all. Only these cost anything.
+            visible: (V,) Gaussians to test; None means all. The cost grows with their number.
             weights: (V,) as in `active`, the largest over all eyes in the box.
 
         Raises:
-            ValueError: If the corners are in the wrong order, an id is none of the N, or a weight is not in [0, 1].
+            ValueError: If a corner is not below the other, an id is not in [0, N), or a weight is not in [0, 1].
         """
         first, last = _check.floats("low", low, (3,), np.float64), _check.floats("high", high, (3,), np.float64)
         if (first > last).any():
@@ -126,7 +127,7 @@ class Activation:
         return out
 
     def _select(self, visible: ArrayLike | None, weights: ArrayLike | None) -> tuple[NDArray[np.int64], F32 | None]:
-        """(V,) ids of the Gaussians asked for, and their weights if there are any."""
+        """Return (V,) ids of the selected Gaussians, and their weights if given."""
         count = len(self.colors)
         ids = np.arange(count) if visible is None else _check.integers("visible", visible, ("V",))
         if len(ids) and not 0 <= ids.min() <= ids.max() < count:
@@ -138,7 +139,7 @@ class Activation:
         return ids, factors
 
     def _above_epsilon(self) -> F32:
-        """(T,) logarithm of the most that each term can change over epsilon, a little too large; -inf for nothing."""
+        """Return (T,) upper bounds of the logarithm of each term's largest change over epsilon; -inf for no change."""
         epsilon = np.full(len(self._reaches), self.epsilon)
         if self.colors.kind.space != "rgb":
             steps = _STEPS * self.colors.scales[self.colors.gaussian_ids].astype(np.float64)
@@ -150,11 +151,11 @@ class Activation:
 
 
 def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
-    """What each term changes in what an eye sees.
+    """Compute how much each term changes the color that an eye sees.
 
-    Where terms add in RGB it is the largest amplitude times the lobe, G(x; c, lambda): what the term adds before
-    negative colors are clipped, and thus never too little. In HSL, HSV and YUV it is the largest difference of the
-    final color with all terms and with all but this one.
+    If terms add in RGB, it is the largest amplitude times the lobe, G(x; c, lambda): the change before negative colors
+    are clipped, hence an upper bound. In HSL, HSV and YUV it is the largest difference between the final colors with
+    and without this term.
 
     Args:
         colors: N Gaussians with T terms.
@@ -174,13 +175,13 @@ def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
 
 
 def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float) -> Mask:
-    """(T,) bool, the terms whose contribution for an eye (3,) is above epsilon.
+    """Return (T,) bool, the terms whose contribution for an eye (3,) is above epsilon.
 
     Args:
         colors: N Gaussians with T terms.
         means: (N, 3) centers of the Gaussians.
         eye: (3,) position.
-        epsilon: Change of color from which a term matters, >= 0.
+        epsilon: Change of color above which a term is active, >= 0.
 
     Examples:
         >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0],
@@ -192,16 +193,17 @@ def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float)
 
 
 def active_in_box(colors: SrbfColors, means: ArrayLike, low: ArrayLike, high: ArrayLike, epsilon: float) -> Mask:
-    """(T,) bool, the terms that may be active for some eye in a box; see `Activation.active_in_box`."""
+    """Return (T,) bool, the terms that may be active for some eye in a box; see `Activation.active_in_box`."""
     return Activation(colors, means, epsilon).active_in_box(low, high)
 
 
 def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
-    """(T,) bound of the change of a channel for each unit of the lobe.
+    """Return (T,) bounds on the change of a channel per unit of the lobe.
 
     With S and L in [0, 1] a channel of HSL is L - S min(L, 1 - L) w, |w| <= 1: its slope by L is at most 1 + S, its
-    slope by S at most min(L, 1 - L). A channel of HSV is V (1 - S w), 0 <= w <= 1: slope at most 1 by V. Luma moves
-    all channels alike. What S and L can be follows from the signs of the amplitudes, since lobes lie in (0, 1].
+    slope by S at most min(L, 1 - L). A channel of HSV is V (1 - S w), 0 <= w <= 1: slope at most 1 by V. Luma changes
+    all channels equally. The possible values of S and L follow from the signs of the amplitudes, because lobes lie in
+    (0, 1].
     """
     sizes = np.abs(amplitudes.astype(np.float64))
     kind, ids = colors.kind, colors.gaussian_ids
@@ -213,7 +215,7 @@ def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
     base = colors.base.astype(np.float64)
 
     def bound(component: int, sign: float) -> F64:
-        """(T,) lowest (sign -1) or highest (1) value that a component takes."""
+        """Return (T,) the lowest (sign -1) or highest (1) possible value of a component."""
         change = np.maximum(sign * amplitudes[:, component].astype(np.float64), 0.0)
         ends = base[:, component] + sign * np.bincount(ids, change, len(colors))
         return np.asarray(np.clip(ends, 0.0, 1.0)[ids])

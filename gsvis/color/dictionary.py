@@ -1,4 +1,4 @@
-"""A dictionary of spherical radial basis functions: every center with every decay, as values along directions."""
+"""Build a dictionary of spherical radial basis functions: every center with every decay, as values along directions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Dictionary:
 
     Attributes:
         centers: (A, 3) float64, unit.
-        decays: (A,) float64, rising in steps: all centers with the first decay, then all with the next.
+        decays: (A,) float64, ascending: all centers with the first decay, then all with the next.
         values: (D, A) float64, 1 at the center, falling to 0.
     """
 
@@ -34,13 +34,13 @@ class Dictionary:
 
 
 def srbf_dictionary(directions: ArrayLike, centers: ArrayLike, decays: ArrayLike) -> Dictionary:
-    """Values of G(x; c, lambda) = exp(lambda (x . c - 1)) for every center c and every decay lambda.
+    """Evaluate G(x; c, lambda) = exp(lambda (x . c - 1)) for every center c and every decay lambda.
 
     Args:
-        directions: (D, 3), scaled to unit length.
-        centers: (V, 3), scaled to unit length; the vertices of an icosphere, say.
-        decays: (L,) not negative; a geometric grid, say. They are put in rising order, so that of equally good atoms
-            the widest stands first.
+        directions: (D, 3), any length > 0.
+        centers: (V, 3), any length > 0; for example the vertices of an icosphere.
+        decays: (L,) not negative; for example a geometric grid. They are sorted in ascending order, so that the
+            widest of equally good atoms comes first.
 
     Returns:
         A = V * L atoms.

@@ -1,8 +1,8 @@
-"""Epsilon of equation 7: which changes of color an observer notices, found by a weighted up-down staircase.
+"""Calibrate the epsilon of equation 7: find the color changes an observer notices, by a weighted up-down staircase.
 
-Epsilon is the strength of the stimulus: the larger it is, the more terms are left out and the easier that is to see.
-It moves in equal steps of its logarithm, one down when the difference was noticed and three up when not, so it comes to
-rest where it is noticed in 75% of the trials. The observer is a person or a metric; nothing here draws an image.
+Epsilon is the strength of the stimulus: the larger it is, the more terms are dropped and the easier the difference
+is to see. It moves in equal steps of its logarithm, one down if the difference was noticed and three up if not. It
+settles where 75% of the trials are noticed. The observer is a person or a metric. Nothing here draws an image.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ __all__ = [
 F64 = NDArray[np.float64]
 
 UP_STEPS = 3
-"""Steps up for each step down; equilibrium is where p / (1 - p) is this, p = 0.75."""
+"""Steps up for each step down; equilibrium is where p / (1 - p) equals this, p = 0.75."""
 
 STUCK = 8
-"""Trials in a row at a bound, all answered toward it, after which the staircase gives up."""
+"""Consecutive trials at a bound, all answered toward it, after which the staircase stops."""
 
 MOST_AT_BOUND = 0.25
 """Largest share of the counted reversals that may lie at a bound."""
 
 FLIP_JND = 0.1
-"""FLIP error of a pixel from which on the model observer notices it: a convention, and what it stands on.
+"""FLIP error of a pixel above which the model observer notices it: a convention, with its reasons below.
 
-FLIP gives no threshold itself. In a flat field a difference of E in CIELAB (HyAB, lightness alone) has the FLIP error
-0.95 E^0.7 / (0.4 * 41.28), so that 2.3, the just noticeable difference of Mahy et al., becomes 0.103; the 1.0 that is
-often named becomes 0.058. (wgpu's image tests, which use FLIP, recommend thresholds of 0.01 to 0.1.)
+FLIP itself gives no threshold. In a flat field a difference of E in CIELAB (HyAB, lightness alone) has the FLIP error
+0.95 E^0.7 / (0.4 * 41.28). Hence 2.3, the just noticeable difference of Mahy et al., becomes 0.103; the often-used 1.0
+becomes 0.058. (wgpu's image tests, which use FLIP, recommend thresholds of 0.01 to 0.1.)
 
 References:
     Andersson et al., "FLIP: a difference evaluator for alternating images", HPG 2020.
@@ -54,52 +54,52 @@ References:
 
 
 DEFAULT_EPSILON = 0.02
-"""Epsilon for scenes that nobody calibrates, and where it comes from.
+"""Default epsilon for scenes without a calibration.
 
 The staircase with FLIP as observer (99th percentile of the error map of the worst of 6 views, `FLIP_JND`, 67 pixels per
-degree) came to 0.022 on flowers LOD 1 and 0.034 on nika LOD 0, with colors of the `rgb` variant of 4 terms a Gaussian
-(`benchmarks/color_epsilon.py`); this is the smaller one, rounded down. There it keeps about 49 dB against all terms in
-the worst view. No person has been asked yet. Thresholds of 0.058 and 0.2 in place of 0.1 give 0.010 to 0.013 and 0.057
-to 0.114: what counts as noticed decides more than the scene does.
+degree) found 0.022 on flowers LOD 1 and 0.034 on nika LOD 0, with colors of the `rgb` variant of 4 terms a Gaussian
+(`benchmarks/color_epsilon.py`). This is the smaller one, rounded down. It keeps about 49 dB against all terms in the
+worst view. No person has been tested yet. Thresholds of 0.058 and 0.2 in place of 0.1 give 0.010 to 0.013 and 0.057 to
+0.114: the threshold matters more than the scene.
 """
 
 
 class Observer(Protocol):
-    """Whoever looks at a scene with its terms below epsilon left out, and tells whether the difference shows.
+    """Something that views a scene without the terms below epsilon and reports whether the difference is visible.
 
     Both attributes may be plain ones.
     """
 
     @property
     def name(self) -> str:
-        """What it is, such as "flip" or "person"."""
+        """Kind of observer, such as "flip" or "person"."""
         ...
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """What is to be known to repeat its answers; JSON values."""
+        """What is needed to repeat its answers; JSON values."""
         ...
 
     def __call__(self, epsilon: float) -> bool:
-        """Whether the difference is noticed."""
+        """Return whether the observer notices the difference."""
         ...
 
 
 @dataclass(frozen=True)
 class StaircaseRule:
-    """How epsilon moves, and when it is found.
+    """How epsilon moves, and when the search ends.
 
-    Steps are in the logarithm of epsilon, since what matters is its ratio to the size of a term: these are spread over
-    decades, and an arithmetic step that is fine at 0.1 would pass all of 0.01 to 0.05 at once.
+    Steps are in the logarithm of epsilon, because its ratio to the size of a term matters. Term sizes spread over
+    decades: an arithmetic step that is fine at 0.1 would skip all of 0.01 to 0.05 at once.
 
     Attributes:
-        start: Epsilon of the first trial; the paper's is 0.1.
-        down_step: Step down of the natural logarithm, > 0; up is three times that.
-        coarse: Steps are this many times larger before the first, second, ... reversal, to come close quickly. Two of
-            each size let an early mistake be made good.
-        discard: Reversals that do not count, at least as many as `coarse` has.
-        reversals: Reversals that count, even, at least 2.
-        max_trials: After which the staircase ends without having converged.
+        start: Epsilon of the first trial; 0.1 in the paper.
+        down_step: Step down of the natural logarithm, > 0; a step up is three times that.
+        coarse: Factors on the steps before the first, second, ... reversal, for quick convergence. Two of each size
+            let the walk recover from an early mistake.
+        discard: Number of first reversals that do not count, at least the length of `coarse`.
+        reversals: Number of reversals that count, even, at least 2.
+        max_trials: Number of trials after which the staircase ends without convergence.
         lowest: Least epsilon, > 0.
         highest: Largest epsilon, at most 1.
 
@@ -131,48 +131,49 @@ class StaircaseRule:
         object.__setattr__(self, "coarse", tuple(_check.positive_int("coarse", step) for step in self.coarse))
         _check.positive_int("discard", self.discard, at_least=len(self.coarse))
         if _check.positive_int("reversals", self.reversals, at_least=2) % 2:
-            raise ValueError(f"reversals: expected an even number, highs and lows alike, got {self.reversals}")
+            raise ValueError(f"reversals: expected an even number, as many highs as lows, got {self.reversals}")
         _check.positive_int("max_trials", self.max_trials)
 
     @property
     def rungs(self) -> F64:
-        """All epsilons that trials can have, falling; neighbors are one step apart, save the ends, cut by a bound."""
+        """All possible epsilons of trials, descending; neighbors are one step apart, except at the bounds."""
         return self.start * np.exp(self.down_step * np.arange(self.above, -self.below - 1, -1, dtype=np.float64)).clip(
             self.lowest / self.start, self.highest / self.start
         )
 
     @property
     def above(self) -> int:
-        """Rungs above the start, which is also the index of the start in `rungs`."""
+        """Number of rungs above the start, which is also the index of the start in `rungs`."""
         return math.ceil(math.log(self.highest / self.start) / self.down_step - 1e-9)
 
     @property
     def below(self) -> int:
-        """Rungs below the start."""
+        """Number of rungs below the start."""
         return math.ceil(math.log(self.start / self.lowest) / self.down_step - 1e-9)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values by name; `StaircaseRule(**d)` makes the rule again."""
+        """Return JSON values by name; `StaircaseRule(**d)` restores the rule."""
         return {name: list(v) if isinstance(v, tuple) else v for name, v in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)
 class EpsilonCalibration:
-    """What a staircase found.
+    """Result of a staircase.
 
     Attributes:
-        epsilon: Noticed in 75% of trials: the geometric mean of the counted reversals, of which highs and lows are as
-            many. Where none count, where the staircase stood in the end.
-        standard_error: Of the natural logarithm of epsilon: how much overlapping batches of reversals differ, and where
-            in a step the threshold lies. NaN with fewer than 8 reversals. Of this run alone, not of observers at large.
+        epsilon: Noticed in 75% of trials: the geometric mean of the counted reversals, with as many highs as lows.
+            If none count, the last epsilon.
+        standard_error: Of the natural logarithm of epsilon, from the differences of overlapping batches of
+            reversals and from the unknown place of the threshold within a step. NaN with fewer than 8 reversals. It
+            covers this run alone, not observers in general.
         converged: Whether epsilon is a threshold at all.
         reason: Why, or why not.
-        epsilons: (T,) of all trials.
+        epsilons: (T,) epsilons of all trials.
         detected: (T,) bool answers.
-        reversals: (R,) trials at which answers changed, all of them.
-        counted: How many of the last reversals made the estimate.
-        rule: How it was run.
-        provenance: Who observed what.
+        reversals: (R,) indices of all trials at which the answer changed.
+        counted: Number of last reversals in the estimate.
+        rule: The rule of the run.
+        provenance: Observer and stimulus.
     """
 
     epsilon: float
@@ -191,12 +192,12 @@ class EpsilonCalibration:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Epsilon, one standard error below and above; NaN where there is no error."""
+        """Epsilon one standard error below and above; NaN without an error."""
         factor = math.exp(self.standard_error)
         return self.epsilon / factor, self.epsilon * factor
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON values, which `gsvis.report.load_staircase_result` reads from a file."""
+        """Return JSON values, which `gsvis.report.load_staircase_result` reads from a file."""
         return {
             "format": "gsvis-epsilon",
             "version": 1,
@@ -211,15 +212,15 @@ class EpsilonCalibration:
 
 
 class Staircase:
-    """A staircase on its way: shows an epsilon, takes an answer.
+    """Run a staircase: propose an epsilon, take an answer.
 
     Args:
-        rule: How it moves.
+        rule: How epsilon moves; None means `StaircaseRule()`.
 
     Attributes:
-        rule: As given.
-        rung: Where it stands, index into `rule.rungs`.
-        reversals: Trials at which the answer differed from the one before.
+        rule: The rule.
+        rung: Current index into `rule.rungs`.
+        reversals: Trials at which the answer differed from the previous one.
     """
 
     def __init__(self, rule: StaircaseRule | None = None) -> None:
@@ -233,17 +234,17 @@ class Staircase:
 
     @property
     def epsilon(self) -> float:
-        """Of the next trial."""
+        """Epsilon of the next trial."""
         return float(self._rungs[self.rung])
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing more to ask."""
+        """Whether the staircase has ended."""
         enough = len(self.reversals) >= self.rule.discard + self.rule.reversals
         return enough or self._stuck >= STUCK or len(self._answers) >= self.rule.max_trials
 
     def answer(self, detected: bool) -> None:
-        """Take the answer to the trial at `epsilon`, and move."""
+        """Record the answer to the trial at `epsilon`, and move."""
         if self._answers and detected != self._answers[-1]:
             self.reversals.append(len(self._answers))
         self._visited.append(self.rung)
@@ -255,10 +256,10 @@ class Staircase:
         self.rung = min(max(self.rung + (size if detected else -UP_STEPS * size), 0), last)
 
     def result(self, provenance: Mapping[str, Any] | None = None) -> EpsilonCalibration:
-        """What has been found so far.
+        """Return the result so far.
 
         Args:
-            provenance: Who observed what.
+            provenance: Observer and stimulus.
         """
         counted = self.reversals[self.rule.discard :]
         counted = counted[len(counted) % 2 :]  # as many highs as lows
@@ -288,23 +289,23 @@ class Staircase:
 
 
 def calibrate_epsilon(observer: Observer, rule: StaircaseRule | None = None) -> EpsilonCalibration:
-    """The epsilon at which an observer notices the difference in 75% of trials.
+    """Find the epsilon at which an observer notices the difference in 75% of trials.
 
-    With the default rule, over observers with a logistic psychometric function of log epsilon, of spreads up to 0.4 (an
-    epsilon twice the midpoint is noticed with p = 0.85): estimates lie 5% above the 75% point on average, with a
-    standard deviation below 10%, in 90 to 150 trials; with a guess rate of one half, 1% and 15%. An observer without
-    spread, who notices whatever is above a threshold, is found 0.5 to 1.5 down steps above it: after a miss the walk
-    jumps up three steps and comes down one by one, so it spends its time above.
+    Accuracy with the default rule, over observers with a logistic psychometric function of log epsilon, of spreads up
+    to 0.4 (an epsilon twice the midpoint is noticed with p = 0.85): estimates lie 5% above the 75% point on average,
+    with a standard deviation below 10%, in 90 to 150 trials; with a guess rate of one half, 1% and 15%. For an observer
+    without spread, who notices everything above a threshold, the estimate lies 0.5 to 1.5 down steps above the
+    threshold: after a miss the walk jumps up three steps and comes down one by one, so it spends its time above.
 
     Args:
-        observer: Says for an epsilon whether it notices the difference.
-        rule: How to move.
+        observer: Returns whether it notices the difference at an epsilon.
+        rule: How epsilon moves; None means `StaircaseRule()`.
 
     Returns:
-        The estimate with all trials; look at `converged`.
+        The estimate with all trials; check `converged`.
 
     References:
-        SRBF-Gaussian, section 6.2. Kaernbach 1991. For what large steps do to the point of rest: Garcia-Perez,
+        SRBF-Gaussian, section 6.2. Kaernbach 1991. On the effect of large steps on the equilibrium: Garcia-Perez,
         "Forced-choice staircases with fixed step sizes", Vision Research 1998.
 
     Examples:
@@ -321,17 +322,17 @@ def calibrate_epsilon(observer: Observer, rule: StaircaseRule | None = None) -> 
 def replay(
     rule: StaircaseRule, epsilons: ArrayLike, detected: ArrayLike, provenance: Mapping[str, Any] | None = None
 ) -> EpsilonCalibration:
-    """The result of trials that were made elsewhere, such as on a web page.
+    """Return the result of trials made elsewhere, such as on a web page.
 
     Args:
-        rule: By which they were made.
-        epsilons: (T,) of the trials.
+        rule: Rule of the trials.
+        epsilons: (T,) epsilons of the trials.
         detected: (T,) bool answers.
-        provenance: Who observed what.
+        provenance: Observer and stimulus.
 
     Raises:
-        ValueError: If an epsilon is not the one that the rule asks for after the answers before it (to a relative
-            1e-6), or trials follow after the end.
+        ValueError: If an epsilon differs from the one that the rule gives after the previous answers (relative
+            tolerance 1e-6), or if trials follow after the end.
     """
     shown = _check.floats("epsilons", epsilons, ("T",), np.float64)
     answers = np.asarray(detected)
@@ -348,24 +349,24 @@ def replay(
 
 
 class MetricObserver:
-    """A model observer: notices the difference where a metric of the images is above a threshold.
+    """Model observer that notices the difference if a metric of the images is above a threshold.
 
     Args:
         difference: The metric for an epsilon, from images with all terms and with active terms alone; finite, >= 0.
-            Asked once for each epsilon. For FLIP: the 99th percentile of the error map, so that the noticed part covers
-            at least 1% of the image, the largest over the views.
+            Called once for each epsilon. For FLIP: the largest 99th percentile of the error map over the views, so that
+            the noticed part covers at least 1% of the image.
         threshold: Value of the metric, > 0, see `FLIP_JND`.
-        slope: Spread, in the natural logarithm of the metric, of a logistic psychometric function
-            p = guess + (1 - guess) / (1 + exp(-log(difference / threshold) / slope)); None is a step at the threshold.
-            The staircase rests where p is 0.75: at the threshold with a guess rate of one half, as for a person who has
-            to choose one of two; at 3^slope times the threshold with none.
+        slope: Spread, in the natural logarithm of the metric, of a logistic psychometric function p = guess + (1 -
+            guess) / (1 + exp(-log(difference / threshold) / slope)); None is a step at the threshold. The staircase
+            settles where p is 0.75: at the threshold with a guess rate of one half, as for a person who has to choose
+            one of two; at 3^slope times the threshold with a guess rate of 0.
         guess: Probability, below 0.75, of a detection without a difference.
         rng: Generator or seed of the answers.
-        name: What the metric is.
+        name: Name of the metric.
         images: What was compared, for the provenance; JSON values.
 
     Raises:
-        ValueError: If a number is out of range, at the start or when the metric gives one.
+        ValueError: If a number is out of range, in the constructor or when the metric returns one.
     """
 
     def __init__(
@@ -389,11 +390,11 @@ class MetricObserver:
 
     @property
     def differences(self) -> dict[float, float]:
-        """The metric at every epsilon that was asked for."""
+        """The metric at every epsilon tested so far."""
         return dict(sorted(self._known.items()))
 
     def probability(self, epsilon: float) -> float:
-        """That the difference at this epsilon is noticed."""
+        """Return the probability that the difference at this epsilon is noticed."""
         if epsilon not in self._known:
             value = float(self._difference(epsilon))
             if not (math.isfinite(value) and value >= 0.0):
@@ -408,15 +409,16 @@ class MetricObserver:
         return self._guess + (1.0 - self._guess) * noticed
 
     def __call__(self, epsilon: float) -> bool:
-        """Whether the difference is noticed."""
+        """Return whether the observer notices the difference."""
         p = self.probability(epsilon)
         return bool(p >= 1.0 or (p > 0.0 and self._rng.random() < p))
 
 
 def _standard_error(values: F64, step: float) -> float:
-    """Of the mean of reversals: of highs and lows in pairs, as these differ by design, in overlapping batches.
+    """Return the standard error of the mean of reversals.
 
-    All of them may lie on the same few rungs, so the place of the rungs has its share: uniform over one step.
+    Highs and lows are paired, because they differ by design, and the pairs are averaged in overlapping batches. All may
+    lie on the same few rungs, so the place of the rungs adds a uniform error over one step.
     """
     pairs = values.reshape(-1, 2).mean(axis=1)
     n = len(pairs)

@@ -1,8 +1,8 @@
-"""SRBF colors of all Gaussians from one eye, or of each along directions that all share.
+"""Evaluate SRBF colors of all Gaussians from one eye, or of each along shared directions.
 
-A color is its base plus its terms in the variant's space, brought to RGB: clipped below at 0, never above except as
-HSL and HSV limit saturation, lightness and value to [0, 1] before they are scaled. Directions run from the eye to the
-Gaussian. `gsvis.color.reference` is the plain twin.
+A color is its base plus its terms in the variant's space, converted to RGB. It is clipped below at 0, and never above,
+except that HSL and HSV limit saturation, lightness and value to [0, 1] before rescaling. Directions run from the eye to
+the Gaussian. `gsvis.color.reference` is the plain twin.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ I64 = NDArray[np.int64]
 
 
 class Evaluator:
-    """What does not depend on the eye, worked out once: terms laid out for vectors, 28 bytes each.
+    """Precompute what does not depend on the eye: terms laid out for vectors, 28 bytes each.
 
     Args:
         colors: N Gaussians with T terms.
 
     Attributes:
-        source: As given.
+        source: The colors.
 
     Raises:
-        ValueError: If it is anything else than `SrbfColors`.
+        ValueError: If `colors` is not a `SrbfColors`.
     """
 
     def __init__(self, colors: SrbfColors) -> None:
@@ -63,19 +63,19 @@ class Evaluator:
     def colors(
         self, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None, ids: ArrayLike | None = None
     ) -> F32:
-        """Colors as one eye sees them.
+        """Return the colors that one eye sees.
 
         Args:
             means: (N, 3) centers of the Gaussians, world frame. An eye at a center looks along +z.
             eye: (3,) viewpoint.
-            active: (T,) bool, the terms that there are, as received or as active; None means all.
-            ids: (M,) which Gaussians, in any order; None means all. The fewer, the less work.
+            active: (T,) bool, the terms to use, such as those received or active; None means all.
+            ids: (M,) Gaussians, in any order; None means all. The cost grows with their number.
 
         Returns:
             (N, 3) or (M, 3) RGB, >= 0.
 
         Raises:
-            ValueError: If a shape does not fit, a value is not finite or an id is none of the N.
+            ValueError: If a shape does not fit, a value is not finite or an id is not in [0, N).
         """
         (centers,) = _check.read_only(_check.floats("means", means, (len(self), 3)))
         viewpoint = _check.floats("eye", eye, (3,), np.float64)
@@ -93,7 +93,7 @@ class Evaluator:
         return np.asarray(out[places * _kernels_srbf.WINDOW + chosen % _kernels_srbf.WINDOW])
 
     def along(self, directions: ArrayLike) -> F32:
-        """Colors along directions that all Gaussians share.
+        """Return the colors along directions that all Gaussians share.
 
         Args:
             directions: (D, 3) from the eye to the Gaussian, of any length > 0.
@@ -119,16 +119,16 @@ def evaluate(
 @overload
 def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F32: ...
 def evaluate(colors: Any, means: Any, eye: Any, *, active: Any = None) -> Any:
-    """Colors of all Gaussians as one eye sees them; `Evaluator` is faster for more than one eye.
+    """Return the colors of all Gaussians as one eye sees them; `Evaluator` is faster for more than one eye.
 
     Args:
-        colors: N Gaussians with T terms, as arrays or, with means that are a tensor, as `SrbfTensors`.
+        colors: N Gaussians with T terms, as arrays, or as `SrbfTensors` if `means` is a tensor.
         means: (N, 3) centers of the Gaussians, world frame. An eye at a center looks along +z.
         eye: (3,) viewpoint.
-        active: (T,) bool, the terms that there are, as received or as active; None means all.
+        active: (T,) bool, the terms to use, such as those received or active; None means all.
 
     Returns:
-        (N, 3) RGB, >= 0: float32, or a tensor with gradients as `evaluate_torch` describes it.
+        (N, 3) RGB, >= 0: float32, or a tensor with gradients (see `evaluate_torch`).
 
     Raises:
         ValueError: If a shape does not fit or a value is not finite.
@@ -150,12 +150,12 @@ def evaluate(colors: Any, means: Any, eye: Any, *, active: Any = None) -> Any:
 
 
 def evaluate_along(colors: SrbfColors, directions: ArrayLike) -> F32:
-    """(N, D, 3) colors along (D, 3) directions that all Gaussians share; slice `colors` where that is too much."""
+    """Return (N, D, 3) colors along shared (D, 3) directions; pass slices of `colors` if memory is short."""
     return Evaluator(colors).along(directions)
 
 
 def _mask(active: ArrayLike | None, terms: int) -> NDArray[np.bool_]:
-    """(T,), or (0,) for all."""
+    """Return a (T,) mask, or (0,) for all terms."""
     if active is None:
         return np.zeros(0, bool)
     mask = np.ascontiguousarray(active)
@@ -165,7 +165,7 @@ def _mask(active: ArrayLike | None, terms: int) -> NDArray[np.bool_]:
 
 
 def _layout(counts: I64) -> tuple[NDArray[np.uint8], I64]:
-    """(N,) order within windows by falling number of terms, and (groups + 1,) first slots of the groups."""
+    """Return (N,) order within windows by falling number of terms, and (groups + 1,) first slots of the groups."""
     window, lanes = _kernels_srbf.WINDOW, _kernels_srbf.LANES
     n = len(counts)
     kind = np.int16 if counts.max(initial=0) < 2**15 else np.int64  # NumPy sorts short integers by radix
@@ -179,7 +179,7 @@ def _layout(counts: I64) -> tuple[NDArray[np.uint8], I64]:
 
 
 def _in_windows(values: F32, order: NDArray[np.uint8]) -> F32:
-    """(windows, K, WINDOW) of (N, K), ordered; ones behind the last."""
+    """Return (windows, K, WINDOW) from (N, K), ordered; padded with ones."""
     window = _kernels_srbf.WINDOW
     n, channels = values.shape
     padded = np.ones((-(-n // window) * window, channels), np.float32)

@@ -1,7 +1,7 @@
-"""SRBF colors in plain torch: any float type, any device, gradients by everything that is not an integer.
+"""Evaluate SRBF colors in plain torch: any float type, any device, gradients by everything that is not an integer.
 
-The twin of `gsvis.color.evaluate` for training and for other devices: same values, frame and conventions. Nothing else
-in this room imports torch before it is asked for tensors.
+The twin of `gsvis.color.evaluate` for training and for other devices: same values, frame and conventions. The other
+modules of this room import torch only for tensor arguments.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ _INTEGERS = ("offsets", "functions")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SrbfTensors:
-    """Colors of N Gaussians, a base and T terms, as tensors on one device; names and meaning as in `SrbfColors`.
+    """Store colors of N Gaussians as tensors on one device: a base and T terms, named as in `SrbfColors`.
 
-    Shapes are checked here, values are not: a training step need not pay for that. `to_colors` does it.
+    Shapes are checked here, values are not, to keep training steps fast. `to_colors` checks them.
 
     Args:
         variant: One of `VARIANTS`.
         base: (N, 3) base colors in the variant's space.
-        scales: (N,) > 0; what RGB was divided by to fit its space.
+        scales: (N,) > 0; divisor that fits RGB into its space.
         axes: (N, num_axes, 3) RGB directions along which terms move the color.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
         functions: (T,) int64, index into the variant's functions.
         centers: (T, 2) polar angle and azimuth of the center, radians.
         decays: (T,) lambda of equation 3, > 0.
-        intensities: (T, I), I as the variant has it.
+        intensities: (T, I), I given by the variant.
 
     Raises:
         ValueError: If a shape, a dtype or a device does not fit; the message names the argument.
@@ -78,13 +78,13 @@ class SrbfTensors:
         device: torch.device | str = "cpu",
         requires_grad: bool = False,
     ) -> SrbfTensors:
-        """A copy of colors as leaf tensors.
+        """Return a copy of colors as leaf tensors.
 
         Args:
             colors: The colors.
             dtype: A float type; the colors hold float32.
-            device: Where the tensors live.
-            requires_grad: Whether base, axes, centers, decays and intensities gather gradients; scales do not.
+            device: Device of the tensors.
+            requires_grad: Whether base, axes, centers, decays and intensities collect gradients; scales do not.
         """
         fields = {
             name: torch.tensor(
@@ -99,7 +99,7 @@ class SrbfTensors:
         return cls(colors.variant, **fields, **integers)
 
     def to_colors(self) -> SrbfColors:
-        """A checked copy as arrays.
+        """Return a checked copy as arrays.
 
         Raises:
             ValueError: If a value is not finite or out of its range.
@@ -116,7 +116,7 @@ class SrbfTensors:
 
     @property
     def kind(self) -> Variant:
-        """What the variant means."""
+        """The variant."""
         return variant(self.variant)
 
     @property
@@ -126,17 +126,17 @@ class SrbfTensors:
 
     @property
     def requires_grad(self) -> bool:
-        """Whether any of the tensors gathers gradients."""
+        """Whether any of the tensors collects gradients."""
         return any(getattr(self, name).requires_grad for name in _FLOATS)
 
     @property
     def gaussian_ids(self) -> Tensor:
-        """(T,) the Gaussian each term belongs to."""
+        """(T,) index of the Gaussian of each term."""
         every = torch.arange(len(self), device=self.base.device)
         return torch.repeat_interleave(every, self.offsets.diff(), output_size=self.num_terms)
 
     def amplitudes(self) -> Tensor:
-        """(T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
+        """Return (T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind, ids = self.kind, self.gaussian_ids
         if kind.components:
             component = torch.tensor(kind.components, device=self.base.device)[self.functions]
@@ -152,20 +152,20 @@ class SrbfTensors:
 def evaluate_torch(
     colors: SrbfTensors, means: Tensor, eye: ArrayLike | Tensor, *, active: ArrayLike | Tensor | None = None
 ) -> Tensor:
-    """Colors of all Gaussians as one eye sees them. Shapes are checked, values are not.
+    """Return the colors of all Gaussians as one eye sees them. Checks shapes, not values.
 
     Args:
         colors: N Gaussians with T terms.
         means: (N, 3) centers of the Gaussians, world frame. An eye at a center looks along +z.
         eye: (3,) viewpoint; a tensor keeps its gradient.
-        active: (T,) bool, the terms that there are; None means all.
+        active: (T,) bool, the terms to use; None means all.
 
     Returns:
-        (N, 3) RGB, >= 0, of the dtype and device of `colors`, with gradients by its floats, means and eye. A color
-        that is cut off has none.
+        (N, 3) RGB, >= 0, of the dtype and device of `colors`, with gradients by its floats, means and eye. Clipped
+        colors have no gradient.
 
     Raises:
-        ValueError: If a shape does not fit, or an eye that is no tensor is not finite.
+        ValueError: If a shape does not fit, or an eye given as an array is not finite.
     """
     if tuple(means.shape) != (len(colors), 3):
         raise ValueError(f"means: expected shape ({len(colors)}, 3), got {tuple(means.shape)}")
@@ -195,7 +195,7 @@ def _unit_vectors(coordinates: Tensor) -> Tensor:
 
 
 def _to_rgb(colors: SrbfTensors, values: Tensor) -> Tensor:
-    """RGB of (N, 3) values in the variant's space."""
+    """Return RGB of (N, 3) values in the variant's space."""
     space = colors.kind.space
     if space == "rgb":
         return values.clamp(min=0.0)

@@ -1,8 +1,8 @@
-"""SRBF colors of a scene: SH colors over the directions from which each Gaussian is seen, fitted by few terms.
+"""Fit SRBF colors to a scene: few terms for the SH colors over the directions from which each Gaussian is seen.
 
-Directions are given as the direction sets of `gsvis.raycast` or `gsvis.pvs` have them: from the Gaussian to the
-eye, by the 80 faces. Terms are chosen from a dictionary and then moved to where they serve best; how many a Gaussian
-gets depends on what its error counts. Nothing here renders.
+Directions come as direction sets of `gsvis.raycast` or `gsvis.pvs`: from the Gaussian to the eye, by the 80 faces.
+Terms are chosen from a dictionary and then refined. The number of terms of a Gaussian depends on the importance of its
+error. Nothing here renders.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _CHUNK = 2048
-"""Gaussians fitted at a time; memory is bounded by it."""
+"""Number of Gaussians fitted at a time; bounds memory."""
 _SAMPLE = 6144
-"""Gaussians looked at to find the price at which the mean number of terms is the one asked for."""
+"""Number of Gaussians in the sample that finds the price for the requested mean number of terms."""
 _CAUTION = 0.98
-"""Aimed at that share of the wanted mean: a sample errs by a percent or two, and "at most" should stay true."""
+"""Share of the requested mean to aim at: a sample errs by a percent or two, and the mean must not be exceeded."""
 _PARTS = 4
-"""Parts of a face at whose centers colors are fitted: face corners, where a set is ambiguous, stay out."""
+"""Parts of a face at whose centers colors are fitted; avoids face corners, where a set is ambiguous."""
 
 
 @dataclass(frozen=True)
 class FitConfig:
-    """What to fit, and how hard.
+    """What to fit, and with how much effort.
 
     Args:
         variant: One of `VARIANTS`.
-        max_terms: Most terms of each function of a Gaussian, 0 to 32.
-        mean_terms: Terms per Gaussian, over all its functions, to aim at: terms go where they lower the error (times
-            importance) most. None gives every Gaussian all the terms that lower its error.
-        refine: Move centers, widths and intensities continuously after each choice; without it terms stay on the atoms
-            that orthogonal matching pursuit chooses.
-        decays: Decays of the atoms; centers are the 42 vertices of the once-subdivided icosahedron if `refine`, else
-            the 162 of the twice-subdivided one.
+        max_terms: Maximum number of terms of each function of a Gaussian, 0 to 32.
+        mean_terms: Target for the mean number of terms per Gaussian, over all its functions: terms go where they
+            lower the error (times importance) most. None gives every Gaussian all the terms that lower its error.
+        refine: Move centers, widths and intensities continuously after each choice. Without it, terms stay on the
+            atoms that orthogonal matching pursuit chooses.
+        decays: Decays of the atoms. Centers are the 42 vertices of the once-subdivided icosahedron if `refine`,
+            else the 162 of the twice-subdivided one.
         ridge: Added to the squared norm of each lobe, relative to the weights: keeps intensities small.
-        emphasis: How much the error after fewer terms counts in a fit of more, to begin with: what makes terms useful
-            one by one. It is raised for a Gaussian whose error would rise on the way.
-        steps: Most steps of refinement after each choice.
+        emphasis: Initial weight of the error after fewer terms in a fit of more: makes terms useful one by one. It
+            rises for a Gaussian whose error would otherwise rise along its terms.
+        steps: Maximum number of refinement steps after each choice.
         tolerance: Relative gain of a step below which refinement stops.
 
     Raises:
@@ -89,15 +89,15 @@ class FitConfig:
 
 @dataclass(frozen=True, eq=False)
 class SrbfFit:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes:
         colors: The colors.
         base_errors: (N,) float32, mean squared RGB error (summed over channels) of the base color alone over the
             visible directions.
         errors: (N,) float32, the same with all terms.
-        price: Fall of error times importance that a term had to be worth.
-        unseen: Gaussians without a direction: they have the mean over all directions and no terms.
+        price: Fall of error times importance that each term had to achieve.
+        unseen: Number of Gaussians without a direction: they get the mean over all directions and no terms.
     """
 
     colors: SrbfColors
@@ -108,14 +108,14 @@ class SrbfFit:
 
 
 def face_weights(directions: ArrayLike | None, count: int) -> F32:
-    """(N, 80) weights of the faces from what `fit_srbf` takes as directions.
+    """Return (N, 80) weights of the faces from the `directions` argument of `fit_srbf`.
 
     Args:
-        directions: (N, 10) uint8 direction sets, (N, 80) bool or weights >= 0, or None for all directions alike.
+        directions: (N, 10) uint8 direction sets, (N, 80) bool or weights >= 0, or None for equal weights.
         count: N.
 
     Raises:
-        ValueError: If it is none of these.
+        ValueError: If `directions` is none of these.
     """
     if directions is None:
         return np.ones((count, NUM_FACES), np.float32)
@@ -140,20 +140,20 @@ def fit_srbf(
     importance: ArrayLike | None = None,
     progress: Progress = silent,
 ) -> SrbfFit:
-    """Base colors and SRBF terms in place of the SH colors of a scene.
+    """Fit base colors and SRBF terms that replace the SH colors of a scene.
 
-    Colors below 0 count as 0, as they are shown; those above 1 count in full. Along the order of its terms the mean
-    squared RGB error of a Gaussian over its visible directions never rises (for variants that live in RGB or YUV:
-    before colors below 0 are cut off).
+    Colors below 0 count as 0, as displayed; colors above 1 count in full. Along the order of its terms the mean squared
+    RGB error of a Gaussian over its visible directions never rises (for variants in RGB or YUV: before colors are
+    clipped at 0).
 
     Args:
         g: N Gaussians.
-        directions: (N, 10) uint8 direction sets, or (N, 80) weights of the faces, from the Gaussian to the eye; None
-            for all directions. What is not in a Gaussian's set has no say in its fit.
+        directions: (N, 10) uint8 direction sets, or (N, 80) weights of the faces, from the Gaussian to the eye;
+            None for all directions. Directions outside a Gaussian's set do not affect its fit.
         config: Variant, number of terms, effort.
-        importance: (N,) >= 0, what an error of each Gaussian counts beside those of others, such as its summed squared
-            blending weights over many views; all alike by default. It decides who gets the terms.
-        progress: Called with stage "price", then "fit", in Gaussians.
+        importance: (N,) >= 0, weight of the error of each Gaussian, such as its summed squared blending weights
+            over many views; equal by default. It decides which Gaussians get the terms.
+        progress: Called with stage "price", then "fit"; counts Gaussians.
 
     Raises:
         ValueError: If a shape or a value does not fit; the message names the argument.
@@ -181,7 +181,7 @@ def fit_srbf(
 
 
 def sample_colors(g: Gaussians) -> F32:
-    """(N, 3, 320) RGB toward the centers of the parts of the faces, nowhere below 0."""
+    """Return (N, 3, 320) RGB toward the centers of the parts of the faces, clipped at 0."""
     basis = sh_basis(-face_directions(_PARTS).reshape(-1, 3), g.sh_degree).astype(np.float32)
     coefficients = np.concatenate([g.sh0, g.shN], axis=1)
     colors = np.matmul(np.ascontiguousarray(coefficients.transpose(0, 2, 1)), basis.T)
@@ -199,9 +199,10 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
 
 
 def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_terms: float, progress: Progress) -> float:
-    """Price of a term at which Gaussians have `mean_terms` on average: bisection on the error curves of a sample.
+    """Return the price of a term at which Gaussians have `mean_terms` on average.
 
-    The sample takes every k-th Gaussian by importance, because a few hold most of it.
+    Uses bisection on the error curves of a sample of every k-th Gaussian by importance, because a few Gaussians hold
+    most of it.
     """
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])

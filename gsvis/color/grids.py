@@ -1,6 +1,6 @@
-"""Rising tables of numbers that quantized values point into, and the nearest entry of a value.
+"""Tables of ascending numbers for quantized values, and the nearest entry of a value.
 
-A table is made of a few parameters, holds its ends exactly, and is all a decoder needs. Nothing here knows colors.
+A few parameters define a table. A table holds its ends exactly and is all a decoder needs. Nothing here knows colors.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ U16 = NDArray[np.uint16]
 
 
 def bent(low: float, high: float, center: float, knee: float, bits: int) -> F32:
-    """(2^bits,) from low to high: evenly spaced within `knee` of the center, in even ratios outside.
+    """Return (2^bits,) from low to high: evenly spaced within `knee` of the center, in even ratios outside.
 
-    The spacing d where it is even follows from the range; outside it is d |x - center| / knee.
+    The even spacing d follows from the range; outside it is d |x - center| / knee.
 
     Args:
         low: First entry.
@@ -38,18 +38,18 @@ def bent(low: float, high: float, center: float, knee: float, bits: int) -> F32:
 
 
 def geometric(low: float, high: float, bits: int) -> F32:
-    """(2^bits,) from low to high in even ratios, 0 < low <= high."""
+    """Return (2^bits,) from low to high in even ratios, 0 < low <= high."""
     return _with_ends(np.geomspace(low, high, 1 << bits), low, high)
 
 
 def compand(limit: float, floor: float, bits: int) -> F32:
-    """(2^bits - 1,) from -limit to limit, 0 in the middle, each entry's distance to the next growing with its size.
+    """Return (2^bits - 1,) from -limit to limit, with 0 in the middle and steps that grow with the size.
 
     Entry i from the middle is floor (exp(k i) - 1): even steps of k floor near 0, ratios of exp(k) far from it.
 
     Args:
         limit: Last entry, >= 0.
-        floor: Size at which the one goes over into the other, > 0.
+        floor: Size at which even steps change to even ratios, > 0.
         bits: 2 to 16.
 
     References:
@@ -61,7 +61,7 @@ def compand(limit: float, floor: float, bits: int) -> F32:
 
 
 def circle(low: float, turn: float, count: int) -> F32:
-    """(count + 1,) even steps from low once around; the last entry is the first, one turn on."""
+    """Return (count + 1,) even steps from low once around; the last entry is the first plus one turn."""
     return np.asarray(low + np.arange(count + 1) * (turn / count), np.float32)
 
 
@@ -72,17 +72,17 @@ def _with_ends(values: F64, low: float, high: float) -> F32:
 
 
 def middles(table: F32) -> F64:
-    """(len - 1,) where one entry of a table gives way to the next."""
+    """Return (len - 1,) boundaries between the entries of a table."""
     return (table[1:].astype(np.float64) + table[:-1]) / 2.0
 
 
 def nearest(values: ArrayLike, table: F32) -> U16:
-    """Place of the nearest entry of a rising table, the lower one of two, in the shape of the values."""
+    """Return the index of the nearest entry of an ascending table for each value, the lower one of a tie."""
     return np.asarray(np.searchsorted(middles(table), np.asarray(values, np.float64)), np.uint16)
 
 
 def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
-    """Unit vectors (..., 3) as two integers of `bits` bits (..., 2): cells of the unfolded octahedron.
+    """Return unit vectors (..., 3) as two integers of `bits` bits (..., 2): cells of the unfolded octahedron.
 
     References:
         Cigolle et al., "A survey of efficient representations for independent unit vectors", JCGT 2014.
@@ -96,7 +96,7 @@ def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
 
 
 def unoctahedral(cells: NDArray[np.integer[Any]], bits: int) -> F32:
-    """(..., 3) unit vectors at the centers of the cells of `octahedral`."""
+    """Return (..., 3) unit vectors at the centers of the cells of `octahedral`."""
     xy = (cells.astype(np.float64) + 0.5) * 2.0 / (1 << bits) - 1.0
     z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
     unfolded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)

@@ -1,7 +1,7 @@
-"""Orthogonal matching pursuit: few atoms of one dictionary for each of very many signals, all in one parallel batch.
+"""Run orthogonal matching pursuit: few atoms of one dictionary for each of very many signals, in one parallel batch.
 
-A signal is a function on D directions, seen through weights; a weight of 0 masks a direction. What the directions and
-the atoms stand for is not known here.
+A signal is a function on D directions with weights; a weight of 0 masks a direction. This module does not know the
+meaning of directions and atoms.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _CHUNK = 64 * BLOCK
-"""Signals that a thread takes at a time: what is converted and held beside arguments and results."""
+"""Number of signals that a thread takes at a time; bounds the memory beside arguments and results."""
 
 LEAST_SHARE = 1e-6
-"""Of an atom's squared length, what must be left under the weights for the atom to be chosen."""
+"""Share of an atom's squared length that must be left under the weights for the atom to be chosen."""
 
 
 @dataclass(frozen=True, eq=False)
 class SparseCodes:
-    """Few atoms for each of N signals, in the order in which they were chosen.
+    """A few atoms for each of N signals, in the order of choice.
 
     Attributes:
         atoms: (N, K) int32, columns of the dictionary; -1 beyond `counts`.
-        coefficients: (N, K) float32, or (N, K, C) for signals of C channels: the least-squares fit by all chosen atoms
-            together; 0 beyond `counts`.
-        counts: (N,) int32.
+        coefficients: (N, K) float32, or (N, K, C) for signals of C channels: the joint least-squares fit by all
+            chosen atoms; 0 beyond `counts`.
+        counts: (N,) int32 number of atoms of each signal.
         errors: (N, K + 1) float64, weighted squared error after 0, 1, ..., K terms, each time with the best
-            coefficients; it never rises along a row, and beyond `counts` it is that of the last term.
+            coefficients. It never rises along a row; beyond `counts` it repeats that of the last term.
     """
 
     atoms: NDArray[np.int32]
@@ -63,36 +63,37 @@ def orthogonal_matching_pursuit(
     least_share: float = LEAST_SHARE,
     progress: Progress = silent,
 ) -> SparseCodes:
-    """Few atoms whose combination comes close to each signal, chosen greedily, refitted together after each choice.
+    """Approximate each signal by a few atoms, chosen greedily and refitted jointly after each choice.
 
     With w the weights, inner products are <a, b> = sum over d of w_d a_d b_d. Each step chooses the atom a with the
-    largest |<a, r>| / |a| for the residual r (of several channels: the root of the sum of squares), the first among
-    equals; then all chosen atoms are fitted to the signal. A signal ends when it has `max_terms`, when its error is at
-    or below `tolerance`, or when nothing can be gained: the best atom gains less than 1e-12 of the signal's energy
-    <y, y>, or is a combination of those chosen.
+    largest |<a, r>| / |a| for the residual r (of several channels: the root of the sum of squares), the first of a tie.
+    Then all chosen atoms are fitted to the signal. A signal ends at `max_terms`, when its error is at or below
+    `tolerance`, or when nothing can be gained: the best atom gains less than 1e-12 of the signal's energy <y, y>, or is
+    a combination of the chosen atoms.
 
-    A signal's result is the same bit for bit whatever the other signals, their number and the number of threads.
-    Memory beside arguments and result does not grow with N, if `signals` is C-contiguous.
+    A signal's result is bit-identical whatever the other signals, their number and the number of threads. Memory beside
+    arguments and result does not grow with N, if `signals` is C-contiguous.
 
     Args:
         dictionary: (D, A) atoms in columns, of any length; a zero column is never chosen.
-        signals: (N, D), or (N, D, C): the C channels share their atoms. Taken as float32.
-        max_terms: Most terms of each signal, an int or (N,) ints, in 0..A. K is the int, or the largest of the (N,).
-        tolerance: Weighted squared error sum over d of w_d r_d^2 (and over channels) that is good enough: absolute, in
+        signals: (N, D), or (N, D, C): the C channels share their atoms. Converted to float32.
+        max_terms: Maximum number of terms of each signal, an int or (N,) ints, in 0..A. K is the int, or the
+            largest of the (N,).
+        tolerance: Weighted squared error sum over d of w_d r_d^2 (and over channels) at which to stop: absolute, in
             the square of the signals' unit; a float or (N,).
-        weights: (D,) or (N, D), not negative, bool or numbers; None means 1. A signal of no weight gets no terms, and
-            its error is 0.
-        least_share: An atom is passed over for a signal where its squared length under the weights is at most this
-            share of what it would be if all were as large as the largest: what cannot be seen cannot be fitted.
-        progress: Called with stage "pursuit" and numbers of signals.
+        weights: (D,) or (N, D), not negative, bool or numbers; None means 1. A signal without weight gets no terms,
+            and its error is 0.
+        least_share: An atom is skipped for a signal if its squared length under the weights is at most this share
+            of its squared length with all weights equal to the largest: invisible parts cannot be fitted.
+        progress: Called with stage "pursuit"; counts signals.
 
     Raises:
-        ValueError: If shapes disagree, something is not finite, a weight or a tolerance is negative, or more terms are
-            asked for than there are atoms.
+        ValueError: If shapes disagree, a value is not finite, a weight or a tolerance is negative, or more terms
+            than atoms are requested.
 
     References:
-        Pati, Rezaiifar and Krishnaprasad 1993; Rubinstein, Zibulevsky and Elad 2008 (correlations by recursion, where
-        all signals have the same weights); Tropp, Gilbert and Strauss 2006 (several channels).
+        Pati, Rezaiifar and Krishnaprasad 1993; Rubinstein, Zibulevsky and Elad 2008 (correlations by recursion, if all
+        signals have the same weights); Tropp, Gilbert and Strauss 2006 (several channels).
     """
     columns = _check.floats("dictionary", dictionary, ("D", "A"), np.float64)
     depth, number_of_atoms = columns.shape
@@ -144,14 +145,14 @@ def _signals(signals: ArrayLike, depth: int) -> NDArray[Any]:
 
 
 def _real(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """The array, if it holds real numbers; converted to float32 part by part, later."""
+    """Return the array if it holds real numbers; parts are converted to float32 later."""
     if values.dtype.kind not in "fiub":
         raise ValueError(f"{name}: expected numbers, got dtype {values.dtype}")
     return values
 
 
 def _weights(weights: ArrayLike | None, number: int, depth: int) -> tuple[NDArray[Any] | None, F64]:
-    """Weights of the signals' own, checked by the kernel, or None; and weights that all share."""
+    """Return the signals' own weights (checked by the kernel) or None, and the shared weights."""
     if weights is None:
         return None, np.ones(depth)
     if np.ndim(weights) == 1:
@@ -179,7 +180,7 @@ def _part(codes: kernels.Codes, part: slice) -> kernels.Codes:
 
 
 def _refuse(counts: NDArray[np.int32], start: int) -> None:
-    """Raise if the kernel found a signal or weights that cannot be."""
+    """Raise if the kernel found an invalid signal or invalid weights."""
     bad = np.flatnonzero(counts < 0)
     if len(bad):
         name = "signals" if counts[bad[0]] == kernels.BAD_SIGNAL else "weights"
@@ -188,7 +189,7 @@ def _refuse(counts: NDArray[np.int32], start: int) -> None:
 
 
 def _atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.Atoms:
-    """The dictionary made ready."""
+    """Return the prepared dictionary."""
     number, depth = columns.shape[1], columns.shape[0]
     largest = np.abs(columns).max(axis=0)
     unit = np.ascontiguousarray((columns / np.where(largest > 0.0, largest, 1.0)).T)

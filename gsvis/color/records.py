@@ -1,7 +1,7 @@
-"""Base colors and terms as they travel: integers of a few bits that point into tables, and what they cost.
+"""Quantize base colors and terms: integers of a few bits that index tables, and their size in bytes.
 
-Tables are made of a handful of numbers for the whole scene (`Grids`), so quantizing what was dequantized gives the
-same integers. Sizes are those of the records themselves, before any entropy coding. Nothing here writes a file.
+A few numbers define all tables of a scene (`Grids`), so quantizing dequantized colors gives the same integers. Sizes
+are those of the records themselves, before entropy coding. Nothing here writes a file.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ U16 = NDArray[np.uint16]
 Range = tuple[float, float]
 
 INTENSITY_FLOOR = 0.1
-"""Size of an intensity from which its steps grow with it."""
+"""Size of an intensity above which its steps grow with it."""
 BASE_KNEE = 0.5
 """Half the width of the interval in which base colors have even steps: [0, 1], or [-1/2, 1/2] for U and V."""
 
 
 @dataclass(frozen=True)
 class Precision:
-    """Bits of each part of a record.
+    """Number of bits of each part of a record.
 
     Attributes:
-        name: For reports.
-        base: Each component of a base color.
-        scale: The scale of a Gaussian, in variants that have one.
-        axis: Each of the two octahedral coordinates of an axis.
-        center: Polar angle of a term's center; its azimuth has one more, which leaves the least mean error.
-        decay: Decay of a term.
-        intensity: Each intensity of a term.
+        name: Name for reports.
+        base: Bits of each component of a base color.
+        scale: Bits of the scale of a Gaussian, in variants that have one.
+        axis: Bits of each of the two octahedral coordinates of an axis.
+        center: Bits of the polar angle of a term's center. The azimuth has one more, which gives the least mean error.
+        decay: Bits of the decay of a term.
+        intensity: Bits of each intensity of a term.
 
     Raises:
         ValueError: If a number of bits is not in 2 to 16, or `center` above 15.
@@ -82,7 +82,7 @@ PRECISIONS: dict[str, Precision] = {
         Precision("fine", base=10, scale=10, axis=8, center=8, decay=7, intensity=8),
     )
 }
-"""`wire` is the default: see docs/design/009-color-records.md for what each costs in image quality."""
+"""Named precisions. `wire` is the default; docs/design/009-color-records.md states their effect on image quality."""
 
 
 def _precision(value: Precision | str) -> Precision:
@@ -91,18 +91,18 @@ def _precision(value: Precision | str) -> Precision:
 
 @dataclass(frozen=True)
 class Grids:
-    """The numbers behind all tables of a scene, all exact in float32.
+    """Parameters of all tables of a scene, all exact in float32.
 
     Attributes:
         variant: One of `VARIANTS`.
         precision: Bits of each part.
-        base: Least and largest value of the three components; (0, 1) for hue, whose steps go around.
+        base: Least and largest value of the three components; (0, 1) for hue, whose steps wrap around.
         scales: Least and largest scale, > 0.
         decays: Least and largest decay, in (0, 1e4].
         intensity: Largest absolute intensity.
 
     Raises:
-        ValueError: If a number is not finite, not in order, or out of its range.
+        ValueError: If a number is not finite, a range is reversed, or a value is out of its range.
     """
 
     variant: str
@@ -121,12 +121,12 @@ class Grids:
             ("decays", self.decays, positive, MAX_DECAY),
             ("intensity", (0.0, self.intensity), 0.0, 1e30),
         ):
-            if not low <= pair[0] <= pair[1] <= high:  # worded so that NaN fails
+            if not low <= pair[0] <= pair[1] <= high:  # NaN fails this test too
                 raise ValueError(f"{name}: expected a range within [{low:g}, {high:g}], got {pair[0]:g} to {pair[1]:g}")
 
     @classmethod
-    def of(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
-        """The narrowest ranges that hold all values of these colors: nothing is ever clipped."""
+    def from_colors(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
+        """Return the narrowest ranges that hold all values of these colors, so that nothing is clipped."""
         turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
         ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
         return cls(
@@ -136,11 +136,11 @@ class Grids:
 
     @property
     def kind(self) -> Variant:
-        """What the variant means."""
+        """The variant."""
         return variant(self.variant)
 
     def base_table(self, component: int) -> F32:
-        """(2^bits,) values of a component of base colors."""
+        """Return (2^bits,) values of a component of base colors."""
         bits, space = self.precision.base, self.kind.space
         if space in ("hsl", "hsv") and component == 0:
             return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
@@ -148,24 +148,24 @@ class Grids:
         return _grids.bent(*self.base[component], center, BASE_KNEE, bits)
 
     def scale_table(self) -> F32:
-        """(2^bits,) scales, in even steps up to 1: what matters is the error of the color, not of the scale."""
+        """Return (2^bits,) scales, in even steps up to 1, because the error of the color matters."""
         return _grids.bent(*self.scales, 0.0, 1.0, self.precision.scale)
 
     def theta_table(self) -> F32:
-        """(2^bits,) polar angles, none at a pole."""
+        """Return (2^bits,) polar angles, none at a pole."""
         count = 1 << self.precision.center
         return np.asarray((np.arange(count) + 0.5) * (np.pi / count), np.float32)
 
     def phi_table(self) -> F32:
-        """(2^(bits + 1),) azimuths, from -pi."""
+        """Return (2^(bits + 1),) azimuths, from -pi."""
         return _grids.circle(-np.pi, 2.0 * np.pi, 2 << self.precision.center)[:-1]
 
     def decay_table(self) -> F32:
-        """(2^bits,) decays in even ratios."""
+        """Return (2^bits,) decays in even ratios."""
         return _grids.geometric(*self.decays, self.precision.decay)
 
     def intensity_table(self) -> F32:
-        """(2^bits - 1,) intensities, 0 in the middle."""
+        """Return (2^bits - 1,) intensities, 0 in the middle."""
         return _grids.compand(self.intensity, INTENSITY_FLOOR, self.precision.intensity)
 
 
@@ -174,18 +174,18 @@ class QuantizedColors:
     """Colors of N Gaussians and their T terms as integers, validated, read-only.
 
     Args:
-        grids: What the integers point into.
-        base: (N, 3) uint16, places in the tables of the components.
-        scales: (N,) uint16, places in the table of scales; (0,) for variants in RGB, which have none.
+        grids: Tables that the integers index.
+        base: (N, 3) uint16, indices into the tables of the components.
+        scales: (N,) uint16, indices into the table of scales; (0,) for variants in RGB, which have none.
         axes: (N, num_axes, 2) uint16 octahedral coordinates.
-        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in the order to be sent.
+        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in sending order.
         functions: (T,) uint8, index into the variant's functions.
-        centers: (T, 2) uint16, places in the tables of polar angle and azimuth.
-        decays: (T,) uint16, places in the table of decays.
-        intensities: (T, I) uint16, places in the table of intensities.
+        centers: (T, 2) uint16, indices into the tables of polar angle and azimuth.
+        decays: (T,) uint16, indices into the table of decays.
+        intensities: (T, I) uint16, indices into the table of intensities.
 
     Raises:
-        ValueError: If a shape or an order does not fit, or an integer points past its table.
+        ValueError: If a shape or an order does not fit, or an index is beyond its table.
     """
 
     grids: Grids
@@ -203,7 +203,7 @@ class QuantizedColors:
         n = len(self.base)
         offsets = _check.integers("offsets", self.offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
-            raise ValueError("offsets: expected to start at 0 and never to fall, got another order")
+            raise ValueError("offsets: expected ascending values from 0, got another order")
         t = int(offsets[-1])
         arrays: dict[str, NDArray[Any]] = {"offsets": offsets}
         for name, shape, most in (
@@ -242,7 +242,7 @@ class QuantizedColors:
         return _pack(self.grids.kind, self.grids.precision, self.offsets)
 
     def dequantize(self) -> SrbfColors:
-        """The colors that the records stand for."""
+        """Return the colors of the records as floats."""
         g = self.grids
         base = np.stack([g.base_table(k)[self.base[:, k]] for k in range(3)], axis=1)
         scales = g.scale_table()[self.scales] if has_scales(g.kind) else np.ones(len(self), np.float32)
@@ -256,32 +256,32 @@ class QuantizedColors:
 def quantize(
     colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True, grids: Grids | None = None
 ) -> QuantizedColors:
-    """Round colors to what records can say.
+    """Round colors to the precision of records.
 
-    With `refit`, intensities are first adapted to the rounded centers and decays, and then rounded one after the other,
-    the largest of a Gaussian first, each making up for what rounding did to those before. Both are least squares in
-    the mean over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
+    With `refit`, intensities are first fitted to the rounded centers and decays. They are then rounded one by one, the
+    largest of a Gaussian first; each compensates for the rounding of those before. Both are least squares in the mean
+    over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
 
     A center moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
     a base component in [0, 1] by half an even step, an axis by at most 4.3 / 2^axis radians. Without `refit` an
     intensity a moves by at most (|a| + 0.1) (exp(k / 2) - 1), k = log(1 + largest / 0.1) / (2^(intensity - 1) - 1).
 
     Args:
-        colors: What to round.
-        precision: A name from `PRECISIONS`, or bits of one's own.
-        refit: Adapt intensities; False rounds each number by itself.
+        colors: Colors to round.
+        precision: A name from `PRECISIONS`, or a `Precision`.
+        refit: Adapt intensities; False rounds each number on its own.
         grids: Tables to use instead of the colors' own, such as those of a larger scene; `precision` is then
-            not looked at. Values outside their ranges are refused.
+            ignored. Values outside their ranges are rejected.
 
     Raises:
-        ValueError: If the variant lives in RGB and a scale is not 1, or `grids` do not hold the colors.
+        ValueError: If the variant is in RGB and a scale is not 1, or `grids` does not cover the colors.
 
     Examples:
         >>> packed = quantize(SrbfColors.without_terms([[0.0, 0.5, 1.0]]), "fine")
         >>> packed.nbytes, packed.dequantize().base.round(3).tolist()
         (4, [[0.0, 0.5, 1.0]])
     """
-    own = Grids.of(colors, precision)
+    own = Grids.from_colors(colors, precision)
     g = own if grids is None else grids
     if grids is not None:
         _within(own, grids)
@@ -310,17 +310,17 @@ def quantize(
 
 
 def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True) -> SrbfColors:
-    """The colors with centers and decays as records can say them, and everything else exact.
+    """Return the colors with rounded centers and decays, and everything else exact.
 
-    A fit that knows directions and colors can then find intensities once more before `quantize` rounds them; it finds
-    the same centers and decays.
+    A fit that knows directions and colors can then fit the intensities again before `quantize` rounds them; `quantize`
+    finds the same centers and decays.
 
     Args:
-        colors: What to round.
-        precision: A name from `PRECISIONS`, or bits of one's own.
-        refit: Adapt intensities as `quantize` does; False leaves them.
+        colors: Colors to round.
+        precision: A name from `PRECISIONS`, or a `Precision`.
+        refit: Adapt intensities as `quantize` does; False leaves them unchanged.
     """
-    g = Grids.of(colors, precision)
+    g = Grids.from_colors(colors, precision)
     places, decay_places = _round_lobes(colors, g)
     centers, decays = _centers_of(places, g), g.decay_table()[decay_places]
     intensities = _project(colors, _lobes(centers, decays)) if refit else colors.intensities
@@ -331,11 +331,11 @@ def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *,
 
 
 def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:
-    """Bytes of one term of a variant: function where there are several, center, decay, intensities.
+    """Return the bytes of one term of a variant: function if there are several, center, decay, intensities.
 
     Args:
-        name: The variant.
-        precision: A name from `PRECISIONS`, or bits of one's own; None for float32 throughout.
+        name: Name of the variant.
+        precision: A name from `PRECISIONS`, or a `Precision`; None for float32 throughout.
 
     Examples:
         >>> bytes_per_term("rgb"), bytes_per_term("axis"), bytes_per_term("rgb", None)
@@ -345,21 +345,22 @@ def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> flo
 
 
 def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> float:
-    """Bytes of what a Gaussian has besides terms: base color, and scale and axes where the variant has them.
+    """Return the bytes of a Gaussian besides its terms: base color, and scale and axes if the variant has them.
 
     Args:
-        name: The variant.
-        precision: As in `bytes_per_term`.
+        name: Name of the variant.
+        precision: A name from `PRECISIONS`, or a `Precision`; None for float32 throughout.
     """
     return _base_bits(variant(name), None if precision is None else _precision(precision)) / 8
 
 
 def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | str | None = "wire") -> int:
-    """Bytes of the records of colors: bases, terms, and the bits that count the terms of each Gaussian.
+    """Return the bytes of the records of colors: bases, terms, and the bits that count the terms of each Gaussian.
 
     Args:
-        colors: Whose.
-        precision: As in `bytes_per_term`; not looked at for colors that are quantized.
+        colors: Colors of N Gaussians.
+        precision: A name from `PRECISIONS`, or a `Precision`; None for float32 throughout. Ignored for quantized
+            colors.
     """
     if isinstance(colors, QuantizedColors):
         return colors.nbytes
@@ -367,7 +368,7 @@ def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | st
 
 
 def sh_bytes(degree: int, bits: int = 32) -> float:
-    """Bytes of the color of one Gaussian as spherical harmonics, for comparison.
+    """Return the bytes of the color of one Gaussian as spherical harmonics, for comparison.
 
     Args:
         degree: 0 to 3.
@@ -379,7 +380,7 @@ def sh_bytes(degree: int, bits: int = 32) -> float:
 
 
 def has_scales(kind: Variant) -> bool:
-    """Whether the Gaussians of a variant have a scale."""
+    """Return whether the Gaussians of a variant have a scale."""
     return kind.space != "rgb"
 
 
@@ -423,13 +424,13 @@ def _within(own: Grids, given: Grids) -> None:
 
 
 def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
-    """Places of values on a circle of `count` even steps."""
+    """Return the indices of values on a circle of `count` even steps."""
     steps = np.rint((values.astype(np.float64) - low) * (count / turn))
     return np.asarray(np.mod(steps, count), np.uint16)
 
 
 def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
-    """Places of centers (T, 2) and decays (T,)."""
+    """Return the indices of centers (T, 2) and decays (T,)."""
     theta, phi = np.moveaxis(spherical_coordinates(unit_vectors(colors.centers)), -1, 0)
     bits = g.precision.center
     places = np.clip(np.floor(theta * ((1 << bits) / np.pi)), 0, (1 << bits) - 1)
@@ -442,7 +443,7 @@ def _centers_of(places: U16, g: Grids) -> F32:
 
 
 def _lobes(centers: F32, decays: F32) -> NDArray[np.float64]:
-    """(T, 4) decay times center, and decay."""
+    """Return (T, 4) decay times center, and decay."""
     lengths = decays.astype(np.float64)[:, None]
     return np.concatenate([unit_vectors(centers) * lengths, lengths], axis=1)
 

@@ -1,13 +1,12 @@
 """Plain twins of the fast paths of this room: short, in float64, one formula after the other.
 
-Tests compare the two; nothing else needs these.
+Only tests need these.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from gsvis.color.omp import LEAST_SHARE, SparseCodes
 from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
@@ -19,7 +18,7 @@ F64 = NDArray[np.float64]
 
 
 def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None) -> F64:
-    """(N, 3) colors as one eye sees them; arguments as `gsvis.color.evaluate`."""
+    """Return (N, 3) colors as one eye sees them; arguments as `gsvis.color.evaluate`."""
     offsets = np.asarray(means, np.float64).reshape(-1, 3) - np.asarray(eye, np.float64)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     directions = np.where(lengths > 0, offsets / np.where(lengths > 0, lengths, 1.0), [0.0, 0.0, 1.0])
@@ -32,7 +31,7 @@ def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: Ar
 
 
 def _to_rgb(colors: SrbfColors, values: F64) -> F64:
-    """RGB of (N, 3) values in the variant's space."""
+    """Return RGB of (N, 3) values in the variant's space."""
     space = colors.kind.space
     if space == "hsl":
         values = np.asarray(hsl_to_rgb(np.clip(values, [-np.inf, 0, 0], [np.inf, 1, 1])))
@@ -53,7 +52,7 @@ def orthogonal_matching_pursuit(
     weights: ArrayLike | None = None,
     least_share: float = LEAST_SHARE,
 ) -> SparseCodes:
-    """Signal by signal, with a least-squares solver at each step; arguments as `gsvis.color`'s, one limit for all."""
+    """Solve signal by signal; arguments as in `gsvis.color`, with one limit for all."""
     columns, values = np.asarray(dictionary, np.float64), np.asarray(signals, np.float64)
     number, depth = values.shape[:2]
     shared = np.ones(depth) if weights is None else np.asarray(weights, np.float64)
@@ -88,18 +87,20 @@ def orthogonal_matching_pursuit(
 def refine(
     targets: ArrayLike, directions: ArrayLike, weights: ArrayLike, v: ArrayLike, *, ridge: float
 ) -> tuple[float, F64]:
-    """Least error that SciPy finds from given lobes: weighted squares of what they leave, with the ridge's cost.
+    """Return the least error that SciPy finds from given lobes: weighted squared residuals plus the ridge's cost.
 
     Args:
-        targets: (D, C) what to meet.
+        targets: (D, C) target values.
         directions: (D, 3) unit vectors.
         weights: (D,) >= 0.
-        v: (K, 3) decay times center of the lobes to start from.
+        v: (K, 3) decay times center of the initial lobes.
         ridge: Cost of a squared intensity.
 
     Returns:
         The error, and the (K, 3) lobes.
     """
+    from scipy.optimize import least_squares  # here: it takes long to import, and few need it
+
     points, root = np.asarray(directions, np.float64), np.sqrt(np.asarray(weights, np.float64))
     goal = np.asarray(targets, np.float64) * root[:, None]
 

@@ -1,8 +1,8 @@
-"""Colors of Gaussians from their spherical harmonics: from one eye, or along many directions at once.
+"""Evaluate colors of Gaussians from their spherical harmonics: from one eye, or along many directions at once.
 
 Color is 0.5 plus the sum of coefficients times harmonics, clipped below at 0 and never above. Harmonics are evaluated
-at the unit vector from the eye to the Gaussian, scene frame; direction sets point the other way, and `towards_gaussian`
-is where the sign changes. The basis itself lives in `gsvis.scene.sh`.
+at the unit vector from the eye to the Gaussian, scene frame. Direction sets point the other way; `towards_gaussian`
+changes the sign. `gsvis.scene.sh` defines the basis.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["sh_colors", "sh_colors_along", "towards_gaussian", "write_sh_colors"
 
 
 class _Tensors(Protocol):
-    """What holds tensors by the names of `Gaussians`, as `gsvis.render.GaussianTensors` does."""
+    """Holds tensors under the names of `Gaussians`, as `gsvis.render.GaussianTensors` does."""
 
     @property
     def means(self) -> Tensor: ...
@@ -40,13 +40,13 @@ def towards_gaussian(directions: Tensor) -> Tensor: ...
 @overload
 def towards_gaussian(directions: ArrayLike) -> NDArray[np.floating[Any]]: ...
 def towards_gaussian(directions: Any) -> Any:
-    """Directions of a direction set (Gaussian to eye) as color functions take them (eye to Gaussian).
+    """Return directions of a direction set (Gaussian to eye) as color functions take them (eye to Gaussian).
 
     Args:
         directions: (..., 3) from the Gaussian to the eye.
 
     Returns:
-        (..., 3) from the eye to the Gaussian: the same with the other sign. float64 and tensors keep their kind, all
+        (..., 3) from the eye to the Gaussian: the same with the opposite sign. float64 and tensors keep their type; all
         else becomes float32.
 
     Raises:
@@ -64,20 +64,20 @@ def sh_colors(
     g: _Tensors, eye: ArrayLike | Tensor, *, sh_degree: int | None = None, clipped: bool = True
 ) -> Tensor: ...
 def sh_colors(g: Any, eye: Any, *, sh_degree: int | None = None, clipped: bool = True) -> Any:
-    """Colors of all Gaussians from one eye.
+    """Return the colors of all Gaussians from one eye.
 
     Args:
         g: N Gaussians, as arrays or as tensors.
         eye: (3,) viewpoint, world frame.
-        sh_degree: Degree to evaluate, 0 to that of `g`, which is the default.
-        clipped: Cut off below at 0, as images need it.
+        sh_degree: Degree to evaluate, from 0 to the degree of `g`, which is the default.
+        clipped: Clip below at 0, as images need it.
 
     Returns:
         (N, 3) RGB: float32, or a tensor of the dtype and device of `g` with gradients by means, sh0, shN and eye. A
-        Gaussian centerd at the eye is seen along +z.
+        Gaussian centered at the eye is seen along +z.
 
     Raises:
-        ValueError: If the eye is not three finite numbers or the degree is not one of `g`.
+        ValueError: If the eye is not three finite numbers, or the degree exceeds that of `g`.
     """
     own = sh_degree_of(1 + g.shN.shape[1])
     degree = own if sh_degree is None else _check.positive_int("sh_degree", sh_degree, at_least=0)
@@ -109,7 +109,7 @@ def write_sh_colors(
         coefficients: means (N, 3), sh0 (N, 1, 3) and shN (N, K - 1, 3), C-contiguous.
         degree: Degree to evaluate.
         eye: (3,) viewpoint, world frame.
-        out: (M, at least 3); the first three columns are written, cut off below at 0.
+        out: (M, at least 3); the first three columns are written, clipped below at 0.
     """
     _kernels_sh.colors_from_sh(ids, *_check.read_only(*coefficients), degree, eye, np.float32(0.0), out)
 
@@ -122,15 +122,15 @@ def write_sh_gradients(
     colors: tuple[NDArray[np.float32], NDArray[np.float64]],
     out: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
 ) -> None:
-    """Carry gradients back through `write_sh_colors`.
+    """Propagate gradients back through `write_sh_colors`.
 
     Args:
         ids: (M,) Gaussians.
-        coefficients: As for `write_sh_colors`.
+        coefficients: means (N, 3), sh0 (N, 1, 3) and shN (N, K - 1, 3), C-contiguous.
         degree: Degree that was evaluated.
         eye: (3,) viewpoint, world frame.
-        colors: What was written (M, at least 3), and the gradients by its first three columns (M, at least 3).
-        out: Gradients by sh0, shN and means; those of `ids` are written (means: added).
+        colors: The written colors (M, at least 3), and the gradients by their first three columns (M, at least 3).
+        out: Gradients by sh0, shN and means; the rows of `ids` are overwritten (of means: added to).
     """
     v_sh0, v_shN, v_means = out
     _kernels_sh.colors_from_sh_backward(ids, *coefficients, degree, eye, *colors, v_sh0, v_shN, v_means)
@@ -143,15 +143,15 @@ def sh_colors_along(
     *,
     clipped: bool = True,
 ) -> NDArray[np.float32]:
-    """Colors of all Gaussians along shared directions, by one matrix product.
+    """Return the colors of all Gaussians along shared directions, by one matrix product.
 
-    The result takes 12 N D bytes: give slices of a large scene.
+    The result takes 12 N D bytes: pass slices of a large scene.
 
     Args:
         sh0: (N, 1, 3) constant coefficients.
         shN: (N, K-1, 3) higher coefficients, K in {1, 4, 9, 16}.
         directions: (D, 3) of any length > 0, from the eye to the Gaussian; see `towards_gaussian`.
-        clipped: Cut off below at 0. A fit of smooth functions to colors may rather not.
+        clipped: Clip below at 0. A fit of smooth functions to colors may not want this.
 
     Returns:
         (N, D, 3) float32 RGB.
@@ -163,8 +163,8 @@ def sh_colors_along(
     count = _check.same_length(sh0=base, shN=higher)
     size = 1 + higher.shape[1]
     basis = sh_basis(_check.unit_vectors("directions", directions), sh_degree_of(size))
-    # One row a Gaussian, (coefficient, channel) and a 1 for the 0.5; the matrix has a column for each (direction,
-    # channel). Two thirds of it are zeros, and it is still faster than many small products or a transposition.
+    # One row per Gaussian, (coefficient, channel) and a 1 for the 0.5; one column per (direction, channel).
+    # Two thirds of the matrix are zeros, and it is still faster than many small products or a transposition.
     rows = np.ones((count, 3 * size + 1), np.float32)
     rows[:, :3] = base[:, 0]
     rows[:, 3:-1] = higher.reshape(count, 3 * size - 3)

@@ -1,7 +1,7 @@
-"""Spherical harmonics and the colors they make, in plain torch: any float type, any device, with gradients.
+"""Evaluate spherical harmonics and their colors in plain torch: any float type, any device, with gradients.
 
 Directions run from the eye to the Gaussian, scene frame. The twin of `gsvis.scene.sh` and of the kernels behind
-`gsvis.color.sh_colors`, from its own formulas, so that each can be held against the other.
+`gsvis.color.sh_colors`, written from its own formulas, so that tests can compare the two.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["sh_basis_torch", "sh_colors_torch"]
 
 
 def sh_basis_torch(directions: Tensor, degree: int) -> Tensor:
-    """(D, (degree + 1)^2) real spherical harmonics of (D, 3) unit vectors: `gsvis.scene.sh.sh_basis` for torch."""
+    """Return (D, (degree + 1)^2) real spherical harmonics of (D, 3) unit vectors; torch twin of `sh_basis`."""
     x, y, z = directions.unbind(-1)
     pi = math.pi
     columns = [torch.full_like(x, math.sqrt(1 / (4 * pi)))]
@@ -53,20 +53,20 @@ def sh_colors_torch(
     *,
     clipped: bool = True,
 ) -> Tensor:
-    """Colors of all Gaussians from one eye. Shapes are checked, values are not.
+    """Return the colors of all Gaussians from one eye. Checks shapes, not values.
 
     Args:
         means: (N, 3) centers, world frame.
         sh0: (N, 1, 3) constant coefficients.
         shN: (N, K-1, 3) higher coefficients, K in {1, 4, 9, 16}.
         eye: (3,) viewpoint, world frame; a tensor keeps its gradient.
-        clipped: Cut off below at 0; a color that is cut off has no gradient.
+        clipped: Clip below at 0; a clipped color has no gradient.
 
     Returns:
-        (N, 3) RGB, of the dtype and device of `means`. A Gaussian centerd at the eye is seen along +z.
+        (N, 3) RGB, of the dtype and device of `means`. A Gaussian centered at the eye is seen along +z.
 
     Raises:
-        ValueError: If a shape is wrong, or an eye that is no tensor is not finite.
+        ValueError: If a shape is wrong, or an eye given as an array is not finite.
     """
     for name, value, shape in (("means", means, (3,)), ("sh0", sh0, (1, 3)), ("shN", shN, (None, 3))):
         fits = value.ndim == 1 + len(shape) and all(w in (None, h) for w, h in zip(shape, value.shape[1:], strict=True))

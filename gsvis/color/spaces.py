@@ -1,7 +1,7 @@
-"""Color spaces: HSL, HSV and YUV, the way back to RGB, and how RGB changes along it.
+"""Convert colors: HSL, HSV and YUV, back to RGB, and the derivatives of RGB.
 
-RGB values are those a scene's colors come in (sRGB, 0 black, 1 white), channels last; hue is in turns. Every function
-takes NumPy arrays (float64 stays, all else becomes float32) and gives NumPy arrays, or takes torch tensors and gives
+RGB values are those of a scene's colors (sRGB, 0 black, 1 white), channels last; hue is in turns. Every function takes
+NumPy arrays (float64 stays, all else becomes float32) and returns NumPy arrays, or takes torch tensors and returns
 tensors of their dtype on their device, with gradients that are finite everywhere. It knows no Gaussians.
 """
 
@@ -35,18 +35,18 @@ __all__ = [
 Floats = NDArray[np.floating[Any]]
 
 _RED, _GREEN, _BLUE = 0.299, 0.587, 0.114
-"""Shares of luma: ITU-R BT.601-7, section 2.5.1."""
+"""Weights of luma: ITU-R BT.601-7, section 2.5.1."""
 _INF = float("inf")
 _SCALE = "divide the colors of each Gaussian by their largest value and keep that scale"
 
 
 def _hsl(hsl: Any) -> Any:
-    """The module, and checked H, S, L."""
+    """Return the module, and checked H, S, L."""
     return channels("hsl", hsl, (-_INF, 0.0, 0.0), (_INF, 1.0, 1.0), "clip saturation and lightness to [0, 1]")
 
 
 def _hsv(hsv: Any) -> Any:
-    """The module, and checked H, S, V."""
+    """Return the module, and checked H, S, V."""
     remedy = "clip saturation to [0, 1] and value below at 0"
     return channels("hsv", hsv, (-_INF, 0.0, 0.0), (_INF, 1.0, _INF), remedy)
 
@@ -56,13 +56,13 @@ def rgb_to_hsl(rgb: Tensor) -> Tensor: ...
 @overload
 def rgb_to_hsl(rgb: ArrayLike) -> Floats: ...
 def rgb_to_hsl(rgb: Any) -> Any:
-    """Hue, saturation, lightness.
+    """Convert RGB to hue, saturation, lightness.
 
-    L = (max + min) / 2, S = (max - min) / (1 - |2 L - 1|). Gray has hue 0 and saturation 0, black and white included.
-    There, and where max - min is below 16 times the smallest normal number, hue and saturation carry no gradient.
+    L = (max + min) / 2, S = (max - min) / (1 - |2 L - 1|). Gray, black and white have hue 0 and saturation 0. There,
+    and where max - min is below 16 times the smallest normal number, hue and saturation carry no gradient.
 
     Args:
-        rgb: (..., 3) in [0, 1]. Tensors are not checked: outside the range the result is finite and means nothing.
+        rgb: (..., 3) in [0, 1]. Tensors are not checked: outside the range the result is finite but meaningless.
 
     Returns:
         (..., 3) hue in turns [0, 1), saturation and lightness in [0, 1].
@@ -88,7 +88,7 @@ def hsl_to_rgb(hsl: Tensor) -> Tensor: ...
 @overload
 def hsl_to_rgb(hsl: ArrayLike) -> Floats: ...
 def hsl_to_rgb(hsl: Any) -> Any:
-    """The inverse of `rgb_to_hsl`: rgb = L + S (1 - |2 L - 1|) (h(H) - 1/2), h being `hue_vector`.
+    """Convert HSL to RGB, the inverse of `rgb_to_hsl`: rgb = L + S (1 - |2 L - 1|) (h(H) - 1/2), h being `hue_vector`.
 
     Args:
         hsl: (..., 3) hue in turns, any finite number; saturation and lightness in [0, 1], unchecked in tensors.
@@ -110,10 +110,10 @@ def rgb_to_hsv(rgb: Tensor) -> Tensor: ...
 @overload
 def rgb_to_hsv(rgb: ArrayLike) -> Floats: ...
 def rgb_to_hsv(rgb: Any) -> Any:
-    """Hue, saturation, value: V = max, S = (max - min) / max. Colors may exceed 1, and V then does.
+    """Convert RGB to hue, saturation, value: V = max, S = (max - min) / max. Colors and V may exceed 1.
 
     Args:
-        rgb: (..., 3), >= 0. Tensors are not checked: below 0 the result is finite and means nothing.
+        rgb: (..., 3), >= 0. Tensors are not checked: below 0 the result is finite but meaningless.
 
     Returns:
         (..., 3) hue in turns [0, 1), saturation in [0, 1], value. Gray and black as in `rgb_to_hsl`.
@@ -131,7 +131,7 @@ def hsv_to_rgb(hsv: Tensor) -> Tensor: ...
 @overload
 def hsv_to_rgb(hsv: ArrayLike) -> Floats: ...
 def hsv_to_rgb(hsv: Any) -> Any:
-    """The inverse of `rgb_to_hsv`: rgb = V (1 - S (1 - h(H))), h being `hue_vector`.
+    """Convert HSV to RGB, the inverse of `rgb_to_hsv`: rgb = V (1 - S (1 - h(H))), h being `hue_vector`.
 
     Args:
         hsv: (..., 3) hue in turns, any finite number; saturation in [0, 1]; value >= 0. Unchecked in tensors.
@@ -151,7 +151,7 @@ def rgb_to_yuv(rgb: Tensor) -> Tensor: ...
 @overload
 def rgb_to_yuv(rgb: ArrayLike) -> Floats: ...
 def rgb_to_yuv(rgb: Any) -> Any:
-    """Luma and two color differences, linear in RGB, full range.
+    """Convert RGB to luma and two color differences, linear in RGB, full range.
 
     Y = 0.299 R + 0.587 G + 0.114 B, U = (B - Y) / 1.772, V = (R - Y) / 1.402.
 
@@ -180,13 +180,13 @@ def yuv_to_rgb(yuv: Tensor) -> Tensor: ...
 @overload
 def yuv_to_rgb(yuv: ArrayLike) -> Floats: ...
 def yuv_to_rgb(yuv: Any) -> Any:
-    """The inverse of `rgb_to_yuv`.
+    """Convert YUV to RGB, the inverse of `rgb_to_yuv`.
 
     Args:
         yuv: (..., 3), any finite numbers.
 
     Returns:
-        (..., 3) RGB; not every Y, U, V in range is a color in range.
+        (..., 3) RGB; not every Y, U, V in range gives a color in range.
 
     Raises:
         ValueError: If the shape is wrong or an array has values that are not finite.
@@ -201,7 +201,7 @@ def hue_vector(hue: Tensor) -> Tensor: ...
 @overload
 def hue_vector(hue: ArrayLike) -> Floats: ...
 def hue_vector(hue: Any) -> Any:
-    """h(H), the fully saturated color of a hue: the RGB of saturation 1 and lightness 1/2.
+    """Return h(H), the fully saturated color of a hue: the RGB of saturation 1 and lightness 1/2.
 
     Args:
         hue: (...) in turns, any finite number.
@@ -221,7 +221,7 @@ def rgb_by_hsl_saturation(hsl: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsl_saturation(hsl: ArrayLike) -> Floats: ...
 def rgb_by_hsl_saturation(hsl: Any) -> Any:
-    """(..., 3) derivative of `hsl_to_rgb` by S: (1 - |2 L - 1|) (h(H) - 1/2). Arguments and errors as there."""
+    """Return (..., 3) derivatives of `hsl_to_rgb` by S: (1 - |2 L - 1|) (h(H) - 1/2). Arguments and errors as there."""
     xp, hue, _, lightness = _hsl(hsl)
     return 2 * xp.minimum(lightness, 1 - lightness) * (_hue_vector(xp, hue) - 0.5)
 
@@ -231,7 +231,7 @@ def rgb_by_hsl_lightness(hsl: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsl_lightness(hsl: ArrayLike) -> Floats: ...
 def rgb_by_hsl_lightness(hsl: Any) -> Any:
-    """(..., 3) derivative of `hsl_to_rgb` by L: 1 + 2 S (h(H) - 1/2) below L = 1/2, 1 - 2 S (h(H) - 1/2) above.
+    """Return (..., 3) derivatives of `hsl_to_rgb` by L: 1 + 2 S (h(H) - 1/2) below L = 1/2, 1 - 2 S (h(H) - 1/2) above.
 
     At L = 1/2 it is 1, the mean of the two. Arguments and errors as in `hsl_to_rgb`.
     """
@@ -244,7 +244,7 @@ def rgb_by_hsv_saturation(hsv: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsv_saturation(hsv: ArrayLike) -> Floats: ...
 def rgb_by_hsv_saturation(hsv: Any) -> Any:
-    """(..., 3) derivative of `hsv_to_rgb` by S: V (h(H) - 1). Arguments and errors as there."""
+    """Return (..., 3) derivatives of `hsv_to_rgb` by S: V (h(H) - 1). Arguments and errors as there."""
     xp, hue, _, value = _hsv(hsv)
     return value * (_hue_vector(xp, hue) - 1)
 
@@ -254,7 +254,7 @@ def rgb_by_hsv_value(hsv: Tensor) -> Tensor: ...
 @overload
 def rgb_by_hsv_value(hsv: ArrayLike) -> Floats: ...
 def rgb_by_hsv_value(hsv: Any) -> Any:
-    """(..., 3) derivative of `hsv_to_rgb` by V: 1 - S (1 - h(H)). Arguments and errors as there."""
+    """Return (..., 3) derivatives of `hsv_to_rgb` by V: 1 - S (1 - h(H)). Arguments and errors as there."""
     xp, hue, saturation, _ = _hsv(hsv)
     return 1 - saturation * (1 - _hue_vector(xp, hue))
 
@@ -264,13 +264,13 @@ def rgb_by_yuv_luma(yuv: Tensor) -> Tensor: ...
 @overload
 def rgb_by_yuv_luma(yuv: ArrayLike) -> Floats: ...
 def rgb_by_yuv_luma(yuv: Any) -> Any:
-    """(..., 3) derivative of `yuv_to_rgb` by Y: 1 everywhere. Arguments and errors as there."""
+    """Return (..., 3) derivatives of `yuv_to_rgb` by Y: 1 everywhere. Arguments and errors as there."""
     xp, *parts = channels("yuv", yuv, (-_INF,) * 3, (_INF,) * 3, "")
     return xp.concatenate([xp.ones_like(part) for part in parts], -1)
 
 
 def _hue_vector(xp: Any, hue: Any) -> Any:
-    """(..., 3) from (..., 1)."""
+    """Return (..., 3) colors from hues (..., 1)."""
     sixths = 6 * (hue - xp.floor(hue))
     rgb = xp.concatenate([xp.abs(sixths - 3) - 1, 2 - xp.abs(sixths - 2), 2 - xp.abs(sixths - 4)], -1)
     return xp.clip(rgb, 0.0, 1.0)
@@ -281,17 +281,17 @@ def _extremes(xp: Any, r: Any, g: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _ratio(xp: Any, part: Any, whole: Any) -> Any:
-    """Part over whole; 0 without gradient where the part is next to nothing, and 1 where it is more than the whole."""
+    """Return part over whole; 0 without gradient if the part is nearly 0, and 1 if it exceeds the whole."""
     something = part > 16 * xp.finfo(part.dtype).tiny
     divisor = xp.where(whole >= part, whole, part)  # differs from the whole only for colors out of range
     return xp.where(something, part / xp.where(something, divisor, xp.ones_like(part)), xp.zeros_like(part))
 
 
 def _hue(xp: Any, r: Any, g: Any, b: Any) -> Any:
-    """Turns in [0, 1); 0 for gray."""
+    """Return turns in [0, 1); 0 for gray."""
     by_red = (r >= g) & (r >= b)
     by_green = ~by_red & (g >= b)
-    # One channel is the largest, even of two alike: hue has a gradient where the maximum itself has none.
+    # One channel is the largest, even in a tie of two: hue has a gradient where the maximum itself has none.
     most = xp.where(by_red, r, xp.where(by_green, g, b))
     apart = most - xp.minimum(xp.minimum(r, g), b)
     after = xp.where(by_red, g - b, xp.where(by_green, b - r, r - g))
@@ -299,5 +299,5 @@ def _hue(xp: Any, r: Any, g: Any, b: Any) -> Any:
     colored = apart > 16 * xp.finfo(apart.dtype).tiny
     turns = (start + after / xp.where(colored, apart, xp.ones_like(apart))) / 6
     turns = turns - xp.floor(turns)
-    turns = xp.where(turns < 1, turns, turns - 1)  # a negative next to 0 is rounded up to 1
+    turns = xp.where(turns < 1, turns, turns - 1)  # a negative value next to 0 is rounded up to 1
     return xp.where(colored, turns, xp.zeros_like(turns))

@@ -1,7 +1,7 @@
-"""One function on the sphere as a sum of few lobes, as well as a patient search can: the experiment of figure 15.
+"""Fit one function on the sphere by few lobes, with a thorough search: the experiment of figure 15.
 
-A function is given by its values along directions, unit vectors in any frame; nothing here knows of Gaussians or
-colors. Each number of terms has a fit of its own. Scenes, a million functions at a time, are for `fit_srbf`.
+A function is given by its values along directions, unit vectors in any frame. Nothing here knows of Gaussians or
+colors. Each number of terms has its own fit. For scenes, a million functions at a time, use `fit_srbf`.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SphereConfig:
-    """How hard to search.
+    """How much effort to spend on a search.
 
     Args:
-        refine: Move centers and decays continuously, and add and take away lobes; without it terms are the atoms that
+        refine: Move centers and decays continuously, and add and remove lobes. Without it, terms are the atoms that
             orthogonal matching pursuit chooses.
-        subdivisions: Of the icosphere whose vertices are the centers of the atoms, 0 to 4.
-        max_decay: Narrowest lobe, above 1; None for D / 4 pi, a lobe about as wide as the spacing of D even directions.
-        ridge: Cost of a squared intensity beside the mean squared error, for values of unit variance.
-        steps: Most steps of refinement after each change.
+        subdivisions: Subdivisions of the icosphere whose vertices are the centers of the atoms, 0 to 4.
+        max_decay: Largest decay, > 1; None for D / 4 pi, a lobe about as wide as the spacing of D even directions.
+        ridge: Cost of a squared intensity, added to the mean squared error, for values of unit variance.
+        steps: Maximum number of refinement steps after each change.
         tolerance: Relative gain below which two steps in a row end a refinement.
-        searches: Searches from nothing: lobes are added up to the most and taken away again. All but the first choose
-            at random among the good ones, and each of these goes with 4 up to half as many lobes and 16 up to a
-            quarter, which take little time.
-        sweeps: Times that the best fits of all searches are then extended and reduced in the same way.
-        seed: Of the random choices.
+        searches: Number of searches from zero lobes: lobes are added up to the maximum and removed again. All but
+            the first choose at random among the good ones; each of them is followed by 4 up to half as many lobes and
+            16 up to a quarter, which take little time.
+        sweeps: Number of times that the best fits of all searches are then extended and reduced in the same way.
+        seed: Seed of the random choices.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -76,8 +76,8 @@ class SphereFit:
         centers: (K + 1, K, 3) unit vectors; 0 beyond `counts`.
         decays: (K + 1, K) lambda of equation 3; 0 beyond `counts`.
         intensities: (K + 1, K) in the function's unit; 0 beyond `counts`.
-        counts: (K + 1,) terms in use: fewer than k where more did not help.
-        errors: (K + 1,) weighted mean squared error over the directions given; never rises.
+        counts: (K + 1,) number of terms in use: fewer than k if more did not help.
+        errors: (K + 1,) weighted mean squared error over the given directions; never rises.
     """
 
     base: float
@@ -93,10 +93,10 @@ class SphereFit:
         return len(self.counts) - 1
 
     def evaluate(self, directions: ArrayLike, terms: int | None = None) -> F64:
-        """Values of the fit of so many terms.
+        """Evaluate the fit with a given number of terms.
 
         Args:
-            directions: (R, 3) of any length > 0, in the frame of those that were fitted.
+            directions: (R, 3) of any length > 0, in the frame of the fit.
             terms: 0 to K; K by default.
 
         Returns:
@@ -123,25 +123,25 @@ def fit_function(
     config: SphereConfig | None = None,
     progress: Progress = silent,
 ) -> SphereFit:
-    """Fits of a function by a base and 0, 1, ..., `max_terms` SRBFs.
+    """Fit a function by a base and 0, 1, ..., `max_terms` SRBFs.
 
-    A lobe is added where it helps most beside those there are, then all are moved; from the most lobes on, the least
-    useful is taken away and the rest moved again. Of all fits met with k terms the best is kept.
+    Each step adds the lobe that helps most beside the current ones, then moves all. From the maximum on, the least
+    useful lobe is removed and the rest moved again. For each k the best fit found with k terms is kept.
 
     Args:
         values: (D,) the function.
-        directions: (D, 3) of any length > 0, where it has these values.
-        max_terms: K; of D directions no more than D / 4 terms come into use.
-        weights: (D,) >= 0, what a squared error counts there; the solid angles, say. None for all alike.
+        directions: (D, 3) of any length > 0, one for each value.
+        max_terms: K; at most D / 4 terms are used for D directions.
+        weights: (D,) >= 0, weight of a squared error, such as the solid angle. None for equal weights.
         config: Effort and limits.
-        progress: Called with stage "search", in searches and sweeps.
+        progress: Called with stage "search"; counts searches and sweeps.
 
     Raises:
-        ValueError: If shapes disagree, a value is not finite, a direction is zero, or all weights are.
+        ValueError: If shapes disagree, a value is not finite, a direction is zero, or all weights are zero.
 
     References:
         SRBF-Gaussian, equations 3 and 4 and figure 15; Golub and Pereyra 1973 (intensities eliminated); Chen, Billings
-        and Luo 1989 (choice by what is gained once all intensities are fitted anew).
+        and Luo 1989 (choice by the gain after all intensities are fitted again).
 
     Examples:
         >>> from gsvis.scene.icosphere import face_directions
@@ -158,7 +158,7 @@ def fit_function(
     _check.in_range("weights", shares, 0.0, np.inf)
     seen = shares > 0.0
     if not seen.any():
-        raise ValueError("weights: expected some above 0, got none; a function needs a direction to be seen from")
+        raise ValueError("weights: expected some above 0, got none; a function needs at least one direction")
     y, along, shares = y[seen], along[seen], shares[seen] / shares.max()
     shares /= shares.sum()
     base = float(shares @ y)
@@ -175,7 +175,7 @@ def fit_function(
 
 
 def _search(search: LobeSearch, limit: int, possible: int, config: SphereConfig, progress: Progress) -> list[Fit]:
-    """Best fits of 0 to `limit` lobes; a few more are tried on the way, so that the last can be reached from above."""
+    """Return the best fits of 0 to `limit` lobes; tries a few more, so that the last can be reached from above too."""
     high = min(limit + 1 + limit // 10, possible)
     pool: dict[int, Fit] = {0: search.nothing}
     rng = np.random.default_rng(config.seed)
@@ -199,10 +199,10 @@ def _sweep(search: LobeSearch, fits: dict[int, Fit], high: int, rng: np.random.G
     """Extend fits up to `high` lobes and reduce them again; each number of lobes keeps the best."""
     for k in range(high):
         exact = fits[k].error <= 1e-13
-        _keep(fits, k + 1, fits[k] if exact else search.extended(fits[k], rng))
+        _keep(fits, k + 1, fits[k] if exact else search.extend(fits[k], rng))
     for k in range(high, 1, -1):
         if len(fits[k]) == k:
-            _keep(fits, k - 1, search.reduced(fits[k]))
+            _keep(fits, k - 1, search.reduce(fits[k]))
 
 
 def _keep(fits: dict[int, Fit], k: int, fit: Fit) -> None:
@@ -211,7 +211,7 @@ def _keep(fits: dict[int, Fit], k: int, fit: Fit) -> None:
 
 
 def _pursue(search: LobeSearch, limit: int) -> list[Fit]:
-    """Fits on the atoms that orthogonal matching pursuit chooses."""
+    """Return fits on the atoms that orthogonal matching pursuit chooses."""
     codes = orthogonal_matching_pursuit(
         (search.dictionary / search.roots).T,
         (search.target / search.roots)[None],
@@ -219,11 +219,11 @@ def _pursue(search: LobeSearch, limit: int) -> list[Fit]:
         weights=search.roots**2,
     )
     chosen = search.starts[codes.atoms[0, : codes.counts[0]]]
-    return [search.on(chosen[:k]) for k in range(len(chosen) + 1)]
+    return [search.fit(chosen[:k]) for k in range(len(chosen) + 1)]
 
 
 def _stack(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:
-    """The fits side by side; where more lobes than before are not better, those before stay."""
+    """Return the fits as arrays; if more lobes are not better, the row repeats the previous fit."""
     centers, decays, intensities = np.zeros((most + 1, most, 3)), np.zeros((most + 1, most)), np.zeros((most + 1, most))
     counts, errors = np.zeros(most + 1, np.int64), np.full(most + 1, variance)
     best: Fit | None = None

@@ -1,8 +1,8 @@
-"""Colors as a base and a few spherical radial basis functions (SRBF) a Gaussian.
+"""Store colors as a base and a few spherical radial basis functions (SRBF) per Gaussian.
 
 Directions are unit vectors from the eye to the Gaussian, in the scene's frame, as for SH. A term is one SRBF of one
-function of one Gaussian: two spherical coordinates, a decay, one or more intensities. Terms lie behind each other
-Gaussian by Gaussian, the most useful first. Nothing here knows how terms are found.
+function of one Gaussian: two spherical coordinates, a decay, one or more intensities. Terms are stored Gaussian by
+Gaussian, the most useful first. Nothing here knows how terms are fitted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_DECAY = 1e4
 
 
 def srbf(x: ArrayLike, c: ArrayLike, decay: ArrayLike) -> F64:
-    """Value of spherical radial basis functions: exp(decay (x . c - 1)), 1 at the center.
+    """Evaluate spherical radial basis functions: exp(decay (x . c - 1)), 1 at the center.
 
     Args:
         x: (..., 3) unit vectors.
@@ -47,31 +47,31 @@ def srbf(x: ArrayLike, c: ArrayLike, decay: ArrayLike) -> F64:
 
 
 def unit_vectors(coordinates: ArrayLike) -> F64:
-    """(..., 3) unit vectors of (..., 2) spherical coordinates: polar angle from +z, azimuth from +x toward +y."""
+    """Return (..., 3) unit vectors from (..., 2) spherical coordinates: polar angle from +z, azimuth from +x to +y."""
     theta, phi = np.moveaxis(np.asarray(coordinates, np.float64), -1, 0)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def spherical_coordinates(vectors: ArrayLike) -> F64:
-    """(..., 2) polar angle in [0, pi] and azimuth in [-pi, pi] of (..., 3) vectors of any length > 0."""
+    """Return (..., 2) polar angle in [0, pi] and azimuth in [-pi, pi] of (..., 3) vectors of any length > 0."""
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
     return np.stack([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SrbfColors:
-    """Colors of N Gaussians: base colors and T terms, validated, read-only.
+    """Store colors of N Gaussians: base colors and T terms, validated, read-only.
 
     Args:
         variant: One of `VARIANTS`.
         base: (N, 3) base colors in the variant's space: RGB (not clipped), or HSL, HSV, YUV of RGB / `scales`.
-        scales: (N,) > 0; what RGB was divided by to fit its space. 1 for variants whose space is RGB.
+        scales: (N,) > 0; divisor that fits RGB into its space. 1 for variants whose space is RGB.
         axes: (N, num_axes, 3) unit RGB directions along which terms move the color.
-        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in the order to be sent.
+        offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in sending order.
         functions: (T,) uint8, index into the variant's functions.
         centers: (T, 2) polar angle and azimuth of the center, radians.
         decays: (T,) lambda of equation 3, > 0.
-        intensities: (T, I), I as the variant has it.
+        intensities: (T, I), I given by the variant.
 
     Raises:
         ValueError: If a shape, an order or a value does not fit; the message names the argument.
@@ -96,7 +96,7 @@ class SrbfColors:
         n = len(base)
         offsets = _check.integers("offsets", self.offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
-            raise ValueError("offsets: expected to start at 0 and never to fall, got another order")
+            raise ValueError("offsets: expected ascending values from 0, got another order")
         t = int(offsets[-1])
         functions = _check.integers("functions", self.functions, (t,), np.uint8)
         arrays: dict[str, NDArray[Any]] = {
@@ -122,7 +122,7 @@ class SrbfColors:
 
     @classmethod
     def without_terms(cls, rgb: ArrayLike) -> SrbfColors:
-        """Colors that do not depend on direction, as the `rgb` variant.
+        """Return colors without view dependence, as the `rgb` variant.
 
         Args:
             rgb: (N, 3) colors.
@@ -143,7 +143,7 @@ class SrbfColors:
 
     @property
     def kind(self) -> Variant:
-        """What the variant means."""
+        """The variant."""
         return variant(self.variant)
 
     @property
@@ -153,21 +153,21 @@ class SrbfColors:
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """(N,) terms of each Gaussian over all its functions."""
+        """(N,) number of terms of each Gaussian over all its functions."""
         return np.diff(self.offsets)
 
     @property
     def gaussian_ids(self) -> NDArray[np.int64]:
-        """(T,) the Gaussian each term belongs to."""
+        """(T,) index of the Gaussian of each term."""
         return np.repeat(np.arange(len(self)), self.counts)
 
     @property
     def ranks(self) -> NDArray[np.int64]:
-        """(T,) place of each term in the order of its Gaussian, from 0."""
+        """(T,) rank of each term within its Gaussian, from 0."""
         return np.arange(self.num_terms) - np.repeat(self.offsets[:-1], self.counts)
 
     def amplitudes(self) -> F32:
-        """(T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
+        """Return (T, 3), what each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind, ids = self.kind, self.gaussian_ids
         if kind.components:  # multiplicative: ref * (1 + sum)
             component = np.asarray(kind.components, np.int64)[self.functions]
@@ -182,7 +182,7 @@ class SrbfColors:
         return np.asarray(np.einsum("ti,tic->tc", self.intensities, self.axes[ids]))
 
     def __getitem__(self, index: Any) -> SrbfColors:
-        """The colors of the Gaussians at a slice, a mask, an index array, or one integer."""
+        """Select the colors of Gaussians by a slice, a mask, an index array, or one integer."""
         if isinstance(index, int | np.integer):
             index = np.asarray([index])
         chosen = np.arange(len(self))[index]
@@ -195,10 +195,10 @@ class SrbfColors:
         )  # fmt: skip
 
     def keep(self, terms: ArrayLike) -> SrbfColors:
-        """The same Gaussians with some of their terms, in the same order.
+        """Return the same Gaussians with some of their terms, in the same order.
 
         Args:
-            terms: (T,) bool, which to keep.
+            terms: (T,) bool, the terms to keep.
 
         Raises:
             ValueError: If it is not a mask of T terms.
@@ -213,9 +213,9 @@ class SrbfColors:
         )  # fmt: skip
 
     def first(self, count: int) -> SrbfColors:
-        """The first terms of each Gaussian: 0 leaves the base colors, more refine them.
+        """Return the first terms of each Gaussian: 0 leaves the base colors, more refine them.
 
         Args:
-            count: Terms to keep for each Gaussian at most.
+            count: Maximum number of terms to keep for each Gaussian.
         """
         return self.keep(self.ranks < _check.positive_int("count", count, at_least=0))

@@ -1,7 +1,7 @@
-"""Scenes with SRBF colors as one Arrow file: a row a Gaussian, its terms a list in that row.
+"""Read and write scenes with SRBF colors as one Arrow file: one row per Gaussian, with its terms as a list.
 
-Any Arrow client reads it. Floats are exact; quantized colors are the integers of `QuantizedColors`, and the header has
-what their tables are made of. Frame and units are the scene's own. `gsvis.files.arrow` is what guards the bytes.
+Any Arrow client reads it. Floats are exact. Quantized colors are the integers of `QuantizedColors`, and the header has
+the parameters of their tables. Frame and units are the scene's own. `gsvis.files.arrow` guards the bytes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["SrbfInfo", "grids_of", "load_srbf", "save_srbf", "srbf_info"]
 
 FORMAT, VERSION = "gsvis-srbf", 1
 ROWS = 1 << 16
-"""Gaussians in a batch at most: what bounds the memory of writing."""
+"""Maximum number of Gaussians in a batch; bounds the memory of writing."""
 
 _MOST = (1 << 31) - 1
 _GEOMETRY = {"means": 3, "quats": 4, "scales": 3, "opacities": 1}
@@ -40,15 +40,15 @@ _GEOMETRY = {"means": 3, "quats": 4, "scales": 3, "opacities": 1}
 
 @dataclass(frozen=True)
 class SrbfInfo:
-    """What the header of a file says.
+    """Contents of a file's header.
 
     Attributes:
         variant: One of `VARIANTS`.
         gaussians: N.
         terms: T.
-        scene: `scene_hash` of the scene that was saved, with the SH colors it had then.
-        grids: What integers point into; None where colors are floats.
-        provenance: How the colors came about, as given to `save_srbf`.
+        scene: `scene_hash` of the saved scene, with its SH colors.
+        grids: Tables that the integers index; None if colors are floats.
+        provenance: Origin of the colors, as given to `save_srbf`.
         nbytes: Size of the file.
     """
 
@@ -69,17 +69,17 @@ def save_srbf(
     precision: Precision | str | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the geometry of a scene and its SRBF colors; the file appears whole or not at all.
+    """Write the geometry of a scene and its SRBF colors, atomically.
 
     Args:
-        path: The file, `.arrow` by custom.
-        g: N Gaussians. Their SH colors are not kept; their hash is.
-        colors: Of the same N Gaussians, floats or quantized already.
+        path: The file, by convention `.arrow`.
+        g: N Gaussians. Their SH colors are not stored; their hash is.
+        colors: Colors of the same N Gaussians, as floats or quantized.
         precision: Quantize first, as `quantize` does; None keeps all floats exact.
-        provenance: Anything that JSON can say, to be kept with the file.
+        provenance: JSON values to store in the file.
 
     Raises:
-        ValueError: If the numbers of Gaussians differ, colors are to be quantized twice, or `provenance` is no JSON.
+        ValueError: If the numbers of Gaussians differ, colors would be quantized twice, or `provenance` is not JSON.
         OSError: If the file cannot be written.
     """
     if len(g) != len(colors):
@@ -91,7 +91,7 @@ def save_srbf(
     try:
         kept = json.loads(json.dumps(dict(provenance or {}), allow_nan=False))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"provenance: expected what JSON can say, got {error}") from error
+        raise ValueError(f"provenance: expected JSON values, got {error}") from error
     grids = colors.grids if isinstance(colors, QuantizedColors) else None
     kind = VARIANTS[grids.variant] if grids else VARIANTS[colors.variant]  # type: ignore[union-attr]
     header = {
@@ -109,17 +109,18 @@ def save_srbf(
 
 
 def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
-    """Read what `save_srbf` wrote.
+    """Read a file of `save_srbf`.
 
     Args:
         path: The file.
 
     Returns:
-        The Gaussians, of SH degree 0: their sh0 is the base color in RGB, so that a viewer that knows no SRBF shows
-        the scene without its view dependence. And the colors, dequantized where the file has integers.
+        The Gaussians, of SH degree 0: sh0 is the base color in RGB, so that a viewer without SRBF shows the scene
+        without its view dependence. And the colors, dequantized if the file has integers.
 
     Raises:
-        FormatError: If the file is no such file, of a newer version, cut, damaged, or its values contradict each other.
+        FormatError: If the file has another format, a newer version, is truncated or damaged, or has inconsistent
+            values.
         OSError: If it cannot be opened.
     """
     file = ArrowFile(path, FORMAT, VERSION)
@@ -144,17 +145,17 @@ def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
 
 
 def srbf_info(path: str | os.PathLike[str]) -> SrbfInfo:
-    """What a file says about itself; its checksum is looked at, its rows are not.
+    """Read the header of a file; verify its checksum and skip its rows.
 
     Raises:
-        FormatError: If the file is no such file, of a newer version, cut or damaged.
+        FormatError: If the file has another format or a newer version, or is truncated or damaged.
         OSError: If it cannot be opened.
     """
     return _info(ArrowFile(path, FORMAT, VERSION))
 
 
 def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
-    """Fields of the file: what is not there in a variant has no column."""
+    """Return the fields of the file; parts that a variant lacks have no column."""
 
     def field(name: str, kind: pa.DataType, length: int = 0) -> pa.Field:
         return pa.field(name, _many(kind, length) if length else kind, nullable=False)
@@ -216,7 +217,7 @@ def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
 
 
 def _read_columns(file: ArrowFile) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
-    """Every column and every part of terms as (rows, length), and the number of terms of each Gaussian."""
+    """Return every column and every part of terms as (rows, length), and the number of terms of each Gaussian."""
     budget = Budget(file.path, file.nbytes)
     pieces: dict[str, list[NDArray[Any]]] = {}
     counts = [np.zeros(0, np.int64)]
@@ -241,7 +242,7 @@ def _numbers(column: pa.Array) -> NDArray[Any]:
 
 
 def _nothing(schema: pa.Schema) -> dict[str, NDArray[Any]]:
-    """The columns of a file without rows."""
+    """Return the columns of a file without rows."""
     empty = pa.RecordBatch.from_pylist([], schema=schema)
     columns = {name: empty.column(name) for name in schema.names}
     struct = columns.pop("terms").flatten()
@@ -285,10 +286,10 @@ def _info(file: ArrowFile) -> SrbfInfo:
 
 
 def grids_of(quantized: Fields, name: str) -> Grids:
-    """The tables that a JSON object of `asdict(grids)` describes, for a variant.
+    """Return the tables that a JSON object of `asdict(grids)` describes, for a variant.
 
     Raises:
-        FormatError: If they are no tables.
+        FormatError: If the object does not describe tables.
     """
     bits = quantized.child("precision")
     label = bits.text("name")

@@ -1,6 +1,6 @@
-"""SRBF colors back to spherical harmonics, for viewers that know nothing else: least squares, and what it loses.
+"""Convert SRBF colors back to spherical harmonics, for viewers that know nothing else: least squares, and the loss.
 
-Directions run from the eye to the Gaussian, scene frame; `towards_gaussian` turns those of a direction set round.
+Directions run from the eye to the Gaussian, scene frame; `towards_gaussian` converts those of a direction set.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _NUMBERS = 2_000_000
-"""Values of colors held at a time."""
+"""Number of color values held at a time."""
 
-_LEAST_RIDGE = 1e-6  # of the fit over all directions, which ought to cover the sphere
+_LEAST_RIDGE = 1e-6  # of the fit over all directions, which should cover the sphere
 
 
 class FittedSh(NamedTuple):
-    """SH coefficients of N Gaussians, and the error they leave.
+    """SH coefficients of N Gaussians, and their error.
 
     Attributes:
         sh0: (N, 1, 3) float32.
@@ -51,21 +51,21 @@ def to_sh(
     ridge: float = 1e-2,
     progress: Progress = silent,
 ) -> FittedSh:
-    """SH coefficients whose colors come closest to SRBF colors, by weighted least squares.
+    """Return SH coefficients whose colors are nearest to SRBF colors, by weighted least squares.
 
     Args:
         colors: N Gaussians.
         sh_degree: Degree of the result, 0 to 3.
-        directions: (D, 3) from the eye to the Gaussian, of any length > 0; None means 320 spread over the sphere, four
-            in each of the 80 faces in their order, with the faces' shares as weights.
-        weights: (D,) shared by all, or (N, D), >= 0: how much each direction counts, as where a Gaussian is seen from.
-            None means alike. A Gaussian whose weights are all 0 is fitted with all directions alike.
-        ridge: How much, against the weights together, it costs to leave the fit over all directions: the weighted
-            ones say nothing about the others, and harmonics that follow nothing else explode there.
+        directions: (D, 3) from the eye to the Gaussian, of any length > 0; None means 320 over the sphere, four in
+            each of the 80 faces in their order, with the faces' shares as weights.
+        weights: (D,) shared by all, or (N, D), >= 0: weight of each direction, such as the views of a Gaussian.
+            None means equal weights. A Gaussian whose weights are all 0 is fitted with equal weights.
+        ridge: Cost, relative to the sum of the weights, of a departure from the fit over all directions. Weighted
+            directions do not constrain the others; without the ridge, harmonics explode there.
         progress: Called with stage "harmonics".
 
     Returns:
-        Coefficients and losses; both colors are cut off below at 0 before they are compared.
+        Coefficients and losses; both colors are clipped below at 0 before the comparison.
 
     Raises:
         ValueError: If a shape is wrong, a value is not finite or out of its range.
@@ -92,7 +92,7 @@ def to_sh(
     for first in range(0, n, step):
         part = slice(first, min(first + step, n))
         seen = evaluate_along(colors[part], points)
-        # Differences from the first direction: of a constant color they are 0, and so is all that varies.
+        # Differences from the first direction: for a constant color they are 0, and so are all varying coefficients.
         apart = seen - seen[:, :1]
         found, chosen = _per_channel(apart, everywhere), np.broadcast_to(shared, (len(seen), d))
         if own is not None:
@@ -106,7 +106,7 @@ def to_sh(
 
 
 def _directions(directions: ArrayLike | None) -> tuple[F64, F64]:
-    """(D, 3) unit directions and their (D,) weights."""
+    """Return (D, 3) unit directions and their (D,) weights."""
     if directions is None:
         return face_directions(4).reshape(-1, 3), face_shares(4).ravel()
     points = _check.unit_vectors("directions", directions)
@@ -116,20 +116,20 @@ def _directions(directions: ArrayLike | None) -> tuple[F64, F64]:
 
 
 def _weights(weights: ArrayLike, n: int, d: int) -> F32:
-    """(N, D)."""
+    """Return (N, D) weights."""
     checked = _check.floats("weights", weights, (d,) if np.ndim(weights) == 1 else (n, d))
     _check.in_range("weights", checked, 0.0, np.inf)
     return np.broadcast_to(checked, (n, d))
 
 
 def _solver(basis: F64, weights: F64, penalty: F64) -> F64:
-    """(D, K), what turns values along the directions into coefficients, the same weights for all."""
+    """Return the (D, K) map from values along the directions to coefficients, for shared weights."""
     right = (basis * (weights / weights.sum())[:, None]).T
     return np.asarray(np.linalg.solve(right @ basis + np.diag(penalty), right).T)
 
 
 def _improvement(left: F32, basis: F64, weights: F64, penalty: F64) -> F32:
-    """(M, K, 3) coefficients that take (M, D, 3) errors away, each Gaussian with its own (M, D) weights."""
+    """Return (M, K, 3) coefficients that remove (M, D, 3) errors, each Gaussian with its own (M, D) weights."""
     k = basis.shape[1]
     shares = weights / weights.sum(axis=1, keepdims=True, dtype=np.float64)
     squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), k * k)
@@ -139,7 +139,7 @@ def _improvement(left: F32, basis: F64, weights: F64, penalty: F64) -> F32:
 
 
 def _per_channel(values: F32, matrix: F64) -> F32:
-    """(M, B, 3) of (M, A, 3) values and an (A, B) matrix, channel by channel, as one product of matrices."""
+    """Return (M, B, 3) from (M, A, 3) values and an (A, B) matrix, channel by channel, as one product of matrices."""
     m, a, _ = values.shape
     columns = np.einsum("ab,ce->acbe", matrix, np.eye(3)).reshape(3 * a, -1).astype(np.float32)
     return np.asarray((values.reshape(m, 3 * a) @ columns).reshape(m, -1, 3))

@@ -1,7 +1,7 @@
-"""The ways to split a color into a base and functions of direction that spherical radial basis functions describe.
+"""Variants: ways to split a color into a base and functions of direction that SRBFs describe.
 
-A variant names the space its base color lives in, its functions, and how many intensities a term of each has. Terms
-add to the base in that space; then the color goes back to RGB. Table 3 of the paper and our own, side by side.
+A variant names the space of its base color, its functions, and the number of intensities of a term. Terms add to the
+base in that space; then the color is converted to RGB. Table 3 of the paper and our own, side by side.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ class Variant:
     """How base and terms make a color.
 
     Attributes:
-        name: As given to `fit_srbf`.
+        name: Name for `fit_srbf`.
         space: Space of the base color and of what terms add to it: "rgb", "hsl", "hsv" or "yuv".
         functions: Names of the functions that terms belong to.
-        intensities: Numbers that a term carries: 1, or one for each axis or channel that shares it.
+        intensities: Number of intensities of a term: 1, or one for each axis or channel that shares it.
         components: For each function, the component of the space that it multiplies: f = ref * (1 + sum of terms);
-            empty where terms add instead.
+            empty if terms add instead.
         num_axes: Color axes stored with each Gaussian, along which terms add.
     """
 
@@ -48,21 +48,21 @@ VARIANTS: dict[str, Variant] = {
         Variant("rgb", "rgb", ("rgb",), intensities=3),
     )
 }
-"""All variants by name: the paper's first, then ours.
+"""All variants by name: first the paper's, then ours.
 
 `hsl` fixes hue, `hsl-l` hue and saturation, `hsv` hue and saturation, `yuv` both chroma components (paper, table 3).
 `axis` lets terms move the color along the first principal direction of its RGB values over the visible directions;
-`axes` along the first two, each term with an intensity for either; `axes-split` has terms of its own for each of the
-two; `rgb` gives each term an RGB intensity and needs no axes.
+`axes` along the first two, with an intensity for each; `axes-split` has separate terms for the two; `rgb` gives each
+term an RGB intensity and needs no axes.
 """
 
 DEFAULT_VARIANT = "rgb"
 
 
 def variant(name: str) -> Variant:
-    """The variant of a name.
+    """Return the variant with a name.
 
     Raises:
-        ValueError: If there is none; the message lists those that are.
+        ValueError: If there is none; the message lists the names.
     """
     return VARIANTS[_check.one_of("variant", name, tuple(VARIANTS))]

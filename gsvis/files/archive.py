@@ -68,8 +68,8 @@ def load_arrays(path: str | os.PathLike[str], *, sealed: bool = False) -> dict[s
             with zipfile.ZipFile(file) as archive:
                 return {info.filename.removesuffix(".npy"): _read(archive, info, size) for info in archive.infolist()}
         except Exception as error:  # whatever reading damaged bytes raises, the bytes are at fault
-            told = f"{type(error).__name__}: {error}"[:200]
-            raise FormatError(path, "", "an archive of arrays", told) from error
+            got = f"{type(error).__name__}: {error}"[:200]
+            raise FormatError(path, "", "an archive of arrays", got) from error
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> NDArray[Any]:

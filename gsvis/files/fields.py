@@ -50,8 +50,8 @@ def parse_json(path: str | os.PathLike[str], data: bytes, budget: Budget | None 
     except RecursionError as error:
         raise FormatError(path, "", "JSON", "objects nested too deeply") from error
     except ValueError as error:  # includes JSONDecodeError, UnicodeDecodeError and integers of absurd length
-        told = "text that is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
-        raise FormatError(path, "", "JSON", told, "is the file truncated?") from error
+        got = "text that is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+        raise FormatError(path, "", "JSON", got, "is the file truncated?") from error
 
 
 def parse_object(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None) -> Fields:

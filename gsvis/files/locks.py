@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import IO, Literal
 
 __all__ = ["locked", "try_lock"]
 
 
 def locked(file: IO[str]) -> bool:
-    """Whether an open file could be locked, until it is closed; where a system has no such locks it always could."""
-    return try_lock(file.fileno()) != "busy"
+    """Return whether an open file could be locked, until it is closed.
+
+    Where the system or the file system has no such locks, a file `NAME.lock` beside it takes their place until the
+    file object is gone. It says who made it: one of a process of this host that was killed keeps nobody out.
+    """
+    state = try_lock(file.fileno())
+    return _mark(file) if state == "none" else state == "held"
 
 
 def try_lock(descriptor: int) -> Literal["held", "busy", "none"]:
@@ -24,8 +30,8 @@ def try_lock(descriptor: int) -> Literal["held", "busy", "none"]:
     """
     try:
         import fcntl
-    except ImportError:
-        return "none"
+    except ImportError:  # as on Windows
+        return _try_other_lock(descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -33,3 +39,26 @@ def try_lock(descriptor: int) -> Literal["held", "busy", "none"]:
     except OSError:
         return "none"
     return "held"
+
+
+def _try_other_lock(descriptor: int) -> Literal["held", "busy", "none"]:
+    """Do what `try_lock` does with the locks of another system than Unix."""
+    from filelock import lock_descriptor
+
+    try:
+        return "held" if lock_descriptor(descriptor, blocking=False) else "busy"
+    except OSError:
+        return "none"
+
+
+def _mark(file: IO[str]) -> bool:
+    """Return whether the file beside an open file that takes the place of a lock could be made."""
+    from filelock import SoftFileLock, Timeout
+
+    mark = SoftFileLock(f"{file.name}.lock", timeout=0, is_singleton=False)
+    try:
+        mark.acquire()
+    except Timeout:
+        return False
+    weakref.finalize(file, mark.release)
+    return True

@@ -56,12 +56,12 @@ def output_errors(path: str | os.PathLike[str], *inside: str | os.PathLike[str],
 
 
 @contextmanager
-def keeping(told: str) -> Iterator[None]:
+def keeping(text: str) -> Iterator[None]:
     """Add what is kept of the work, and how to go on, to an OutputError that says nothing of it yet."""
     try:
         yield
     except OutputError as error:
-        raise error.keeping(told) from error
+        raise error.keeping(text) from error
 
 
 def check_writable(folder: str | os.PathLike[str]) -> None:

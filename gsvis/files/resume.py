@@ -160,7 +160,7 @@ class KeptWork:
     def read_own(self, name: str) -> dict[str, NDArray[Any]] | None:
         """Return arrays that `keep_own` kept; None if there are none.
 
-        To begin anew without a word could cost a day in a folder that the user named, so nothing counts as missing.
+        To start again without a word could cost a day in a folder that the user named, so nothing counts as missing.
 
         Raises:
             FormatError: If the entry is damaged.
@@ -174,11 +174,11 @@ class KeptWork:
             key = found.pop(_KEY).tobytes().decode()
         except (FormatError, LookupError, ValueError) as error:
             got = error.got if isinstance(error, FormatError) else f"{type(error).__name__}: {error}"
-            raise FormatError(path, "", "what a run has kept", got, "delete it to begin anew") from error
+            raise FormatError(path, "", "what a run has kept", got, "delete it to start again") from error
         if key != _digest(self.plan):
             raise ValueError(
                 f"{self._argument}: expected {os.fspath(self.folder)} to be of the same input and settings, got"
-                " another run's; delete it to begin anew, or name another folder"
+                " another run's; delete it to start again, or name another folder"
             )
         return found
 

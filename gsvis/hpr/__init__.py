@@ -1,4 +1,4 @@
-"""Hidden point removal and a hierarchical z-buffer: what an eye sees of points and Gaussians, without rays."""
+"""Hidden point removal and a hierarchical z-buffer: find what an eye sees of points and Gaussians without rays."""
 
 from gsvis.hpr.calibration import Calibration, Trial, calibrate_radius
 from gsvis.hpr.gaussians import OcclusionHull, visible_gaussians

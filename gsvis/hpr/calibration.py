@@ -1,7 +1,7 @@
-"""The radius of hidden point removal, chosen against a measure of what is visible instead of guessed.
+"""Calibrate the radius of hidden point removal against a measure of visibility.
 
-Too small a radius loses visible points, too large a one shows hidden ones: the number of points found visible grows
-with the radius over its whole range. World frame, scene units.
+Too small a radius loses visible points, too large a one shows hidden ones: the number of visible points grows with the
+radius over its whole range. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _GRID = 9
 
 @dataclass(frozen=True)
 class Trial:
-    """One radius that was tried.
+    """A tested radius and its quality.
 
     Attributes:
-        radius: Scene units.
-        recall: Share of the summed weights that the visible points hold.
+        radius: Radius of the flip, scene units.
+        recall: Share of the summed weights that belongs to visible points.
         precision: Share of the visible points whose weight is at least tau.
         count: Number of visible points.
     """
@@ -49,14 +49,14 @@ class Trial:
 
 @dataclass(frozen=True)
 class Calibration(Trial):
-    """The radius that was chosen.
+    """The chosen radius and its quality.
 
     Attributes:
-        radius: Scene units.
-        recall: Share of the summed weights that the visible points hold.
+        radius: Radius of the flip, scene units.
+        recall: Share of the summed weights that belongs to visible points.
         precision: Share of the visible points whose weight is at least tau.
         count: Number of visible points.
-        tried: All that was tried, by rising radius.
+        tried: All tested radii, ascending.
     """
 
     tried: tuple[Trial, ...]
@@ -72,29 +72,29 @@ def calibrate_radius(
     most: float = 1e5,
     steps: int = 8,
 ) -> Calibration:
-    """The radius at which hidden point removal agrees best with a given visibility.
+    """Return the radius at which hidden point removal agrees best with a given visibility.
 
-    With `recall`, the smallest radius found that keeps that share of the weights, which has the best precision: the
-    visible set grows with the radius (a point once visible is very rarely lost again). Without, the largest F1 of
-    recall and precision.
+    With `recall`, it is the smallest radius found that keeps that share of the weights. This radius has the best
+    precision: the visible set grows with the radius (a visible point is very rarely lost again). Without `recall`, it
+    has the largest F1 of recall and precision.
 
-    Without weights, the criterion of Katz et al.: of two eyes on opposite sides of an object none sees what the other
-    sees, so the radius is best at which the most points are seen by exactly one. It serves eyes outside the object
-    only. `recall` is then the share of all points seen by exactly one eye, and `precision` the share of those seen
-    from here that the other eye does not see.
+    Without weights, the criterion of Katz et al. applies: two eyes on opposite sides of an object never see the same
+    point, so the best radius is the one at which the most points are seen by exactly one eye. It holds only for eyes
+    outside the object. `recall` is then the share of all points seen by exactly one eye, and `precision` the share of
+    points seen from here that the other eye does not see.
 
     Args:
         points: (N, 3) positions, world frame.
         viewpoint: (3,) the eye.
-        weights: (N,) how visible each point truly is, such as `gsvis.raycast.visible_from` says; None: not known.
-        recall: Wanted share of the summed weights, in (0, 1]; needs weights.
-        tau: Weight in (0, 1] from which a point counts as visible.
-        most: Largest radius tried, over the distance of the farthest point, > 1. The smallest is that distance.
-        steps: Radii tried to refine the choice, after nine evenly spaced on a logarithmic scale.
+        weights: (N,) true visibility of each point, such as from `gsvis.raycast.visible_from`; None if unknown.
+        recall: Required share of the summed weights, in (0, 1]; needs weights.
+        tau: Least weight of a visible point, in (0, 1].
+        most: Largest radius to test, over the distance of the farthest point, > 1. The smallest is that distance.
+        steps: Number of radii that refine the choice, after nine evenly spaced on a logarithmic scale.
 
     Returns:
-        The radius, what it reaches, and all that was tried. Where no radius reaches the wanted recall, the one with
-        the most.
+        The radius, its quality, and all tested radii. If no radius reaches the required recall, the one with the
+        highest recall.
 
     Raises:
         ValueError: If an argument is out of range, no weight is above 0, or no weights are given for an eye inside
@@ -111,7 +111,7 @@ def calibrate_radius(
     if low == 0.0:
         raise ValueError("points: expected a point away from the viewpoint, got none")
     if weights is not None:
-        judge = _by_weights(cloud, eye, _checked(weights, len(cloud)), tau)
+        judge = _by_weights(cloud, eye, _check_weights(weights, len(cloud)), tau)
     else:
         judge, low = _by_two_eyes(cloud, eye, recall)
     return search_radius(judge, low, low * _more_than_one(most), recall=recall, steps=steps)
@@ -120,14 +120,14 @@ def calibrate_radius(
 def search_radius(
     judge: Callable[[float], Trial], low: float, high: float, *, recall: float | None = None, steps: int = 8
 ) -> Calibration:
-    """The best radius in [low, high] by what `judge` says; geometric grid first, then refined.
+    """Return the best radius in [low, high] by `judge`; geometric grid first, then refined.
 
     Args:
-        judge: Tries one radius.
+        judge: Tests one radius.
         low: Smallest radius.
         high: Largest radius.
-        recall: As in `calibrate_radius`.
-        steps: Radii tried after the grid.
+        recall: Required share of the summed weights, in (0, 1], or None.
+        steps: Number of radii to test after the grid.
 
     Raises:
         ValueError: If `recall` or `steps` is out of range.
@@ -146,7 +146,7 @@ def search_radius(
     for radius in np.geomspace(low, high, _GRID):
         tried.append(judge(float(radius)))
         if recall is not None and tried[-1].recall >= recall:
-            break  # sets grow: what comes after is larger and less precise
+            break  # sets grow: later ones are larger and less precise
     for _ in range(steps):
         tried.sort(key=lambda trial: trial.radius)
         best = max(range(len(tried)), key=lambda i: key(tried[i]))
@@ -162,8 +162,8 @@ def search_radius(
     return Calibration(chosen.radius, chosen.recall, chosen.precision, chosen.count, tuple(tried))
 
 
-def measured(radius: float, ids: I64, weights: F64, tau: float) -> Trial:
-    """What a set of points ids (K,) is worth by weights (N,) whose sum is above 0."""
+def measure_points(radius: float, ids: I64, weights: F64, tau: float) -> Trial:
+    """Return the quality of a set of points ids (K,) by weights (N,) whose sum is above 0."""
     held = weights[ids]
     precision = float(np.count_nonzero(held >= tau)) / len(ids) if len(ids) else 0.0
     return Trial(float(radius), float(held.sum() / weights.sum()), precision, len(ids))
@@ -172,11 +172,11 @@ def measured(radius: float, ids: I64, weights: F64, tau: float) -> Trial:
 def _by_weights(cloud: F64, eye: F64, weights: F64, tau: float) -> Callable[[float], Trial]:
     if not 0.0 < tau <= 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1], got {tau!r}")
-    return lambda radius: measured(radius, hidden_point_removal(cloud, eye, radius), weights, tau)
+    return lambda radius: measure_points(radius, hidden_point_removal(cloud, eye, radius), weights, tau)
 
 
 def _by_two_eyes(cloud: F64, eye: F64, recall: float | None) -> tuple[Callable[[float], Trial], float]:
-    """The judge that knows no weights, and the smallest radius that serves both eyes."""
+    """Return the judge for points without weights, and the smallest radius valid for both eyes."""
     if recall is not None:
         raise ValueError(f"recall: expected weights to measure it by, got {recall!r} without weights; give weights")
     corner, opposite_corner = cloud.min(axis=0), cloud.max(axis=0)
@@ -191,7 +191,7 @@ def _by_two_eyes(cloud: F64, eye: F64, recall: float | None) -> tuple[Callable[[
     def judge(radius: float) -> Trial:
         here, there = hidden_point_removal(cloud, eye, radius), hidden_point_removal(cloud, other, radius)
         both = len(np.intersect1d(here, there, assume_unique=True))
-        once = len(here) + len(there) - 2 * both  # seen by exactly one: the measure that is made as large as possible
+        once = len(here) + len(there) - 2 * both  # seen by exactly one: the measure to maximize
         return _Disjoint(radius, once / len(cloud), 1.0 - both / max(len(here), 1), len(here))
 
     return judge, low
@@ -206,7 +206,7 @@ class _Disjoint(Trial):
         return self.recall
 
 
-def _checked(weights: ArrayLike, count: int) -> F64:
+def _check_weights(weights: ArrayLike, count: int) -> F64:
     array: F64 = _check.floats("weights", weights, ("N",), np.float64)
     if len(array) != count:
         raise ValueError(f"weights: expected {count}, one for each point, got {len(array)}")

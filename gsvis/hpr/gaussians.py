@@ -1,8 +1,8 @@
-"""Hidden point removal for Gaussians: extent, orientation and opacity count, not only centers.
+"""Hidden point removal for Gaussians, with extent, orientation and opacity, not only centers.
 
-A Gaussian takes a part of the light over a part of the sky. So the points that are flipped are not centers but the
-places at which light is spent, one in each cell of a cubemap around the eye, and a Gaussian is visible when its nearest
-point lies in front of the hull of these. World frame, scene units.
+A Gaussian takes part of the light over part of the sky. Therefore not the centers are flipped but the places where
+light is spent, one in each cell of a cubemap around the eye. A Gaussian is visible if its nearest point lies in front
+of the hull of these. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class OcclusionHull:
     Attributes:
         viewpoint: (3,) the eye.
         size: Cells along a side of the cubemap's faces.
-        depths: (6 size^2,) distance to which the eye sees in the direction of each cell's center; `inf` where light is
+        depths: (6 size^2,) distance to which the eye sees in the direction of each cell's center; `inf` if light is
             never spent. Cells lie row by row, faces in the order +x, -x, +y, -y, +z, -z.
         gaussians: The scene.
     """
@@ -53,21 +53,21 @@ class OcclusionHull:
     def from_scene(
         cls, g: Gaussians, viewpoint: ArrayLike, *, size: int = 64, spent: float = TAU, margin: float = 0.1
     ) -> OcclusionHull:
-        """Where light is spent around an eye.
+        """Find where light is spent around an eye.
 
         Each Gaussian adds its optical thickness to the cells it covers, at its depth: small ones by their solid angle,
-        larger ones by their alpha on the ray through the cell's center. The depth at which the transmittance of a
-        cell falls to `spent` is its occluding point. These points are flipped exponentially, d -> d^gamma with gamma
-        slightly below 0 (a spherical flip would serve near and far unequally), and the hull of the flips says how far
+        larger ones by their alpha on the ray through the cell's center. The occluding point of a cell is at the depth
+        at which its transmittance falls to `spent`. These points are flipped exponentially, d -> d^gamma with gamma
+        slightly below 0 (a spherical flip would treat near and far unequally). The hull of the flips defines how far
         the eye sees. It bridges gaps narrower than `margin` allows and never hides a cell's own occluding point.
 
         Args:
             g: N Gaussians.
-            viewpoint: (3,) the eye; it may lie inside Gaussians, which then dim every direction.
+            viewpoint: (3,) the eye; Gaussians that contain it dim every direction.
             size: Cells along a side of the cubemap's faces, 4 to 256.
-            spent: Transmittance in (0, 1) that counts as none.
+            spent: Transmittance in (0, 1) that counts as 0.
             margin: How far the hull of points at one distance may lie behind them between neighboring cells, as a
-                share of the distance, in (0, 1]. It plays the part of the radius of the spherical flip.
+                share of the distance, in (0, 1]. It has the role of the radius of the spherical flip.
 
         Raises:
             ValueError: If an argument is out of range.
@@ -91,10 +91,10 @@ class OcclusionHull:
     def from_depths(
         cls, g: Gaussians, viewpoint: ArrayLike, depths: ArrayLike, *, margin: float = 0.1
     ) -> OcclusionHull:
-        """The hull of ends of light that are known already, such as those of a z-buffer.
+        """Build the hull of known ends of light, such as those of a z-buffer.
 
         Args:
-            g: N Gaussians that will be asked about; they hide nothing.
+            g: N Gaussians to query; they hide nothing.
             viewpoint: (3,) the eye.
             depths: (6, size, size) distances at which light is spent, `inf` where it is not.
             margin: As in `from_scene`.
@@ -112,18 +112,18 @@ class OcclusionHull:
         return cls(eye, size, _through_hull(ends.reshape(-1), size, margin, shapes[:, 0]), g, toward, shapes)
 
     def nearness(self, ids: ArrayLike | None = None) -> F32:
-        """How far in front of the hull, or behind it, each Gaussian lies.
+        """Compute how far in front of the hull, or behind it, each Gaussian lies.
 
         Args:
-            ids: (M,) Gaussians asked for; None means all N.
+            ids: (M,) Gaussians to test; None means all N.
 
         Returns:
             (M,) distance of the nearest point where alpha reaches 1/255 over the distance to which the eye sees there,
-            the smallest over the center and, for large ones, the ends of the axes. Visible up to 1; the farther above,
-            the surer hidden. 0 around the eye, `inf` for Gaussians too faint to be seen.
+            the smallest over the center and, for large ones, the ends of the axes. Visible up to 1; a larger value is
+            more certainly hidden. 0 around the eye, `inf` for Gaussians too faint to be visible.
 
         Raises:
-            ValueError: If an id is not one of the scene.
+            ValueError: If an id is not in [0, N).
         """
         g = self.gaussians
         arrays: list[NDArray[Any]] = [self._toward, g.quats, g.scales, g.opacities, self._shapes]
@@ -146,20 +146,20 @@ def visible_gaussians(
     spent: float = TAU,
     margin: float = 0.1,
 ) -> I64:
-    """The Gaussians that an eye sees, by hidden point removal.
+    """Return the Gaussians that an eye sees, by hidden point removal.
 
-    All Gaussians hide; `ids` only says which are asked about.
+    All Gaussians occlude; `ids` only selects the ones to test.
 
     Args:
         g: N Gaussians.
-        viewpoint: (3,) the eye. The Gaussians it is inside of are visible, and dim every direction.
-        ids: (M,) Gaussians asked about; None means all N.
-        size: As in `OcclusionHull.from_scene`.
-        spent: As in `OcclusionHull.from_scene`.
-        margin: As in `OcclusionHull.from_scene`.
+        viewpoint: (3,) the eye. Gaussians that contain it are visible, and dim every direction.
+        ids: (M,) Gaussians to test; None means all N.
+        size: Cells along a side of the cubemap's faces, 4 to 256.
+        spent: Transmittance in (0, 1) that counts as 0.
+        margin: Margin of the hull; see `OcclusionHull.from_scene`.
 
     Returns:
-        (K,) int64 indices of the visible Gaussians, rising. An empty scene gives an empty set.
+        (K,) int64 indices of the visible Gaussians, ascending. An empty scene gives an empty set.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -170,8 +170,8 @@ def visible_gaussians(
 
 
 def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, spent: float) -> F64:
-    """(6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
-    distances = shapes[:, 0][shapes[:, 0] > 0.0]  # of faint ones too: bins that opacity does not move
+    """Return (6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
+    distances = shapes[:, 0][shapes[:, 0] > 0.0]  # of faint ones too: the bins must not depend on opacity
     if len(distances) == 0:
         return np.full(6 * size * size, np.inf)
     sample = distances[:: max(len(distances) // 20_000, 1)]
@@ -188,14 +188,14 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
 
 
 def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
-    """The distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
+    """Return the distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
 
     Where light never ends, the sky is flipped. It lies 1000 times as far as the farthest of the centers, at `distances`
-    (N,) from the eye, and not at a multiple of the deepest end of light: more opacity moves that, and a sky that comes
-    nearer shows more.
+    (N,) from the eye. A multiple of the deepest end of light would be wrong: more opacity moves that end, and a nearer
+    sky shows more.
     """
     away = distances[distances > 0.0]
-    if len(away) == 0 or not depths[np.isfinite(depths)].any():  # nobody asks, open everywhere, or an eye in the dark
+    if len(away) == 0 or not depths[np.isfinite(depths)].any():  # nothing to test, open everywhere, or total darkness
         return depths
     directions = np.empty((len(depths), 3))
     _kernels.centers_of_cells(size, directions)
@@ -203,7 +203,7 @@ def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     sky = 1e3 * float(away.max())
     dark = 1e-6 * float(np.median(away))  # how far an eye sees in the dark; 0 cannot be flipped
     flips = directions * np.clip(depths, dark, sky)[:, None] ** gamma
-    # Cells are symmetric and depths repeat: a touch of noise keeps four points from lying in one plane.
+    # Cells are symmetric and depths repeat: a little noise keeps four points from lying in one plane.
     flips *= 1.0 + 1e-9 * np.random.default_rng(0).random((len(flips), 1))
     hull, _ = Hull.around(flips, exact=False)
     if hull is None:

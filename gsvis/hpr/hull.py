@@ -1,8 +1,8 @@
-"""Convex hulls of star-like clouds, such as flips: many of the points are vertices, and directions tell them apart.
+"""Build convex hulls of star-like clouds, such as flips, where many points are vertices and directions separate them.
 
-Points are put in from coarse to fine: first the farthest in each cell of a cubemap around the origin, then what lies
-outside the hull of these. Each is found by a walk over the facets from where the one before it was. Decisions closer
-than rounding are not made: the hull is given up, and the caller asks Qhull.
+Points are inserted from coarse to fine: first the farthest in each cell of a cubemap around the origin, then those
+outside the hull of these. Each is located by a walk over the facets from the previous point. No decision is made within
+rounding error: the hull is abandoned, and the caller uses Qhull.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Hull:
 
     Attributes:
         places: (M + 1, 3), in the order of the cells of a cubemap around the origin; the last is the origin.
-        order: (M,) int64, which place was given as which.
-        corners: (F, 3) int32 positions in `places`, anticlockwise seen from outside.
+        order: (M,) int64, input index of each place.
+        corners: (F, 3) int32 indices into `places`, counter-clockwise seen from outside.
         neighbors: (F, 3) int32, the facet across the side opposite each corner.
         inner: (3,) a place strictly inside.
         size: Cells along a side of the cubemap's faces.
@@ -52,7 +52,7 @@ class Hull:
 
     @classmethod
     def around(cls, flips: F64, *, exact: bool = True) -> tuple[Hull | None, I64]:
-        """The hull of flips (M, 3) and the origin; None where rounding forbids, with all that may be its vertices.
+        """Return the hull of flips (M, 3) and the origin, or None if rounding forbids it, and all possible vertices.
 
         With `exact` False, flips so close to the hull of the others that rounding decides may be missed.
         """
@@ -79,13 +79,13 @@ class Hull:
 
     @property
     def vertices(self) -> I64:
-        """(K,) int64, the vertices other than the origin, rising."""
+        """(K,) int64, the vertices other than the origin, ascending."""
         used = np.zeros(len(self.places), bool)
         used[self.corners.reshape(-1)] = True
         return np.sort(self.order[used[:-1]])
 
     def radial(self, directions: F64) -> F64:
-        """Distance of the boundary from the origin along unit directions (D, 3); 0 where it is not known."""
+        """Return the distance of the boundary from the origin along unit directions (D, 3); 0 if unknown."""
         starts = np.empty(6 * self.size * self.size, np.int32)
         hull, slack = (self.places, self.corners, self.neighbors), _SLACK * self.reach**3
         _kernels.facets_of_cells(*hull, self.inner, slack, self.reach, self.size, starts)
@@ -95,7 +95,7 @@ class Hull:
 
 
 class _Builder:
-    """A hull that grows."""
+    """A growing hull."""
 
     def __init__(self, places: F64, simplex: I64, reach: float, capacity: int) -> None:
         self.places, self.band, self.slack = places, BAND * reach, _SLACK * reach**3
@@ -118,18 +118,18 @@ class _Builder:
         return self._neighbors[: self._state[0]]
 
     def grow(self, facets: int) -> None:
-        """Make room for more facets."""
+        """Allocate space for more facets."""
         room = np.zeros((facets, 3), np.int32)
         self._corners = np.concatenate([self.corners, room])
         self._neighbors = np.concatenate([self.neighbors, room])
 
     def insert(self, chosen: I64) -> bool:
-        """Put in the places chosen; False where rounding has spoiled the hull."""
+        """Insert the chosen places; return False if rounding has broken the hull."""
         arrays = self._corners, self._neighbors, self._state
         return not _kernels.insert(self.places, chosen, *arrays, self.inner, self.slack, self.band, self._doubtful)
 
     def is_certain(self) -> bool:
-        """Whether no place lies so close to the hull of the others that rounding decides what it is."""
+        """Return whether no place lies so close to the hull of the others that rounding decides."""
         doubts = int(self._state[2])
         if doubts > _DOUBTS:
             return False
@@ -146,10 +146,10 @@ class _Builder:
 
 
 def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
-    """The flips in the order of the cells of a cubemap with about one occupied cell for eight flips.
+    """Sort flips by the cells of a cubemap with about one occupied cell for eight flips.
 
-    Returns the size of the cubemap, the order (M,), the places in it and the origin (M + 1, 3), and for each cell which
-    of the places is the farthest (-1: none) and its squared distance.
+    Returns the size of the cubemap, the order (M,), the places in it and the origin (M + 1, 3), and for each cell the
+    index of its farthest place (-1: none) and its squared distance.
     """
     wanted = len(flips) / 8
     size = _power_of_two(np.sqrt(wanted / 6))
@@ -173,7 +173,7 @@ def _power_of_two(size: float) -> int:
 
 
 def _levels(farthest: I64, squared: F64, size: int, count: int) -> list[I64]:
-    """The farthest flips of the cells, coarse to fine; each is in the first level in which it is the farthest."""
+    """Return the farthest flips of the cells, coarse to fine; each is in the first level where it is the farthest."""
     levels = []
     while True:
         levels.append(farthest[farthest >= 0])
@@ -195,7 +195,7 @@ def _levels(farthest: I64, squared: F64, size: int, count: int) -> list[I64]:
 
 
 def _simplex(places: F64, coarse: I64) -> I64 | None:
-    """Four places that span the most, anticlockwise seen from outside, the origin first; None where they are flat."""
+    """Return four places that span the most, counter-clockwise from outside, the origin first; None if flat."""
     spots = places[coarse]
     a = int(np.einsum("ij,ij->i", spots, spots).argmax())
     across = np.cross(spots, spots[a])

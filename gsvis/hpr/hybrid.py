@@ -1,8 +1,8 @@
-"""The z-buffer and hidden point removal together: what one eye sees (paper, section 6.2). World frame, scene units.
+"""Combine the z-buffer and hidden point removal: what one eye sees (paper, section 6.2). World frame, scene units.
 
-The z-buffer says how much light reaches each Gaussian, at the size of its pixels. Where that leaves doubt - a Gaussian
-that light reaches, though no pixel center shows enough of it - the hull of the places at which light ends decides: in
-front of it the Gaussian lies on a surface that the eye sees, behind it in the depth of one.
+The z-buffer measures how much light reaches each Gaussian, at the size of its pixels. A Gaussian is in doubt if light
+reaches it but no pixel center shows enough of it. The hull of the places where light ends then decides: in front of it
+the Gaussian lies on a visible surface, behind it in the depth of one.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from gsvis.scene.gaussians import Gaussians
 __all__ = ["hybrid"]
 
 _HULL_SIZE = 64
-"""Cells along a side of the faces of the hull; finer ones cost more than they tell."""
+"""Cells along a side of the faces of the hull; finer ones cost more than they gain."""
 
 _DOUBT = 0.5
-"""A Gaussian is in doubt from this share of tau on, if its peak would have tau in the light that reaches it."""
+"""Share of tau above which a Gaussian is in doubt, if its peak would have weight tau in the light that reaches it."""
 
 
 def hybrid(
     g: Gaussians, splats: Splats, viewpoint: ArrayLike, *, size: int = 256, tau: float = TAU, margin: float = 0.1
 ) -> Seen:
-    """What an eye sees, by the z-buffer and hidden point removal together.
+    """Find what an eye sees, by the z-buffer and hidden point removal together.
 
     Args:
         g: The scene.
-        splats: The same scene laid out by `Splats.of`.
+        splats: The same scene, laid out by `Splats.from_gaussians`.
         viewpoint: (3,) the eye.
         size: Pixels along a side of the six faces of the z-buffer.
-        tau: Weight in (0, 1) from which a Gaussian is visible.
-        margin: Of the hull, see `OcclusionHull.from_scene`.
+        tau: Least weight of a visible Gaussian, in (0, 1).
+        margin: Margin of the hull; see `OcclusionHull.from_scene`.
 
     Returns:
-        The Gaussians of weight tau or more; those that the hull decided for have the weight tau.
+        The Gaussians of weight tau or more; those accepted by the hull have the weight tau.
 
     Raises:
-        ValueError: If an argument is out of range, or the splats are of another scene.
+        ValueError: If an argument is out of range, or the splats belong to another scene.
     """
     if splats.total != len(g):
         raise ValueError(
-            f"splats: expected those of this scene of {len(g)} Gaussians, got {splats.total}; use Splats.of"
+            f"splats: expected those of this scene of {len(g)} Gaussians, got {splats.total}; use Splats.from_gaussians"
         )
     if not 0.0 < tau < 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1), got {tau!r}")

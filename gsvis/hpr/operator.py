@@ -1,14 +1,13 @@
-"""The hidden point removal operator: which points of a cloud an eye sees, from their positions alone.
+"""The hidden point removal operator: find the points of a cloud that an eye sees, from their positions alone.
 
-The cloud is flipped about a sphere around the eye; a point is visible when its flip is a vertex of the convex hull of
-all flips and the eye. World frame, scene units, float64. Knows no Gaussian; `gaussians.py` gives points an extent.
+The cloud is flipped about a sphere around the eye. A point is visible if its flip is a vertex of the convex hull of all
+flips and the eye. World frame, scene units, float64. Knows no Gaussian; `gaussians.py` gives points an extent.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from gsvis import _check
 from gsvis.hpr._kernels import hull as _kernels
@@ -21,25 +20,27 @@ I64 = NDArray[np.int64]
 
 
 def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float) -> I64:
-    """The points that an eye sees.
+    """Return the points that an eye sees.
 
-    The set is that of Open3D's `PointCloud.hidden_point_removal`, but for these cases:
+    The set equals that of Open3D's `PointCloud.hidden_point_removal`, except for these cases:
 
-    - Coincident points: the one of lowest index stands for all; Open3D reports any one of them.
+    - Coincident points: the one of lowest index represents all; Open3D returns any one of them.
     - Points at the viewpoint are visible and hide nothing; Open3D crashes.
-    - Points that lie with the viewpoint in one plane or on one line: the operator of that plane or line is applied;
-      Open3D raises an error.
-    - A flip that lies within about 1e-14 radii of the hull of the others is visible or not by rounding. Where there
-      is one, Qhull decides, as in Open3D, but from fewer points, and may decide differently.
+    - Points that lie with the viewpoint in one plane or on one line: the operator is applied in that plane or line;
+    Open3D
+      raises an error.
+    - A flip within about 1e-14 radii of the hull of the others: rounding decides. Qhull is used, as in Open3D, but on
+    fewer
+      points, and may decide differently.
 
     Args:
         points: (N, 3) positions, world frame.
         viewpoint: (3,) the eye.
-        radius: Of the sphere, scene units, at least the distance of the farthest point. A larger radius finds more
-            points visible; `calibrate_radius` finds a good one.
+        radius: Radius of the sphere, scene units, at least the distance of the farthest point. A larger radius
+            makes more points visible; `calibrate_radius` finds a good one.
 
     Returns:
-        (K,) int64 indices of the visible points, rising.
+        (K,) int64 indices of the visible points, ascending.
 
     Raises:
         ValueError: If an array has a wrong shape or holds a value that is not finite, or `radius` is too small.
@@ -49,7 +50,7 @@ def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float)
     """
     cloud = _check.floats("points", points, ("N", 3), np.float64)
     eye = _check.floats("viewpoint", viewpoint, (3,), np.float64)
-    flips, elsewhere = flipped(cloud, eye, radius)
+    flips, elsewhere = flip_points(cloud, eye, radius)
     seen = hull_vertices(flips)
     if elsewhere is None:
         return seen
@@ -57,8 +58,8 @@ def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float)
     return np.union1d(elsewhere[seen], at_eye)
 
 
-def flipped(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
-    """Flips (M, 3) of the points not at the eye, relative to the eye, and which points they are (None: all of them).
+def flip_points(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
+    """Return flips (M, 3) of the points not at the eye, relative to the eye, and their indices (None: all).
 
     Raises:
         ValueError: If `radius` is not finite or below the distance of the farthest point.
@@ -71,7 +72,7 @@ def flipped(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
     if not (np.isfinite(radius) and radius >= farthest and radius > 0.0):
         raise ValueError(
             f"radius: expected a finite radius of at least the distance of the farthest point, {farthest:.6g}, got "
-            f"{radius!r}; leave out outliers or let calibrate_radius choose"
+            f"{radius!r}; remove outliers or let calibrate_radius choose"
         )
     elsewhere = None
     if len(points) and lengths.min() == 0.0:
@@ -83,7 +84,7 @@ def flipped(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
 
 
 def hull_vertices(flips: F64) -> I64:
-    """Which of the flips (M, 3) are vertices of the convex hull of all of them and the origin; rising."""
+    """Return the flips (M, 3) that are vertices of the convex hull of all of them and the origin; ascending."""
     if len(flips) < 4:
         return _by_qhull(flips, np.arange(len(flips)))
     hull, candidates = Hull.around(flips)
@@ -93,9 +94,11 @@ def hull_vertices(flips: F64) -> I64:
 
 
 def _by_qhull(flips: F64, candidates: I64) -> I64:
-    """As `hull_vertices`, among the candidates, by Qhull; in the plane or line they span where they are flat."""
+    """Return `hull_vertices` among the candidates, by Qhull; flat input is solved in its plane or line."""
+    from scipy.spatial import ConvexHull, QhullError  # here: it takes long to import, and few need it
+
     distinct, first = np.unique(flips[candidates], axis=0, return_index=True)
-    lowest = candidates[first]  # np.unique gives the first of equal rows, and candidates rise
+    lowest = candidates[first]  # np.unique returns the first of equal rows, and candidates ascend
     places = np.concatenate([distinct, np.zeros((1, 3))])
     try:
         vertices = ConvexHull(places).vertices
@@ -105,7 +108,9 @@ def _by_qhull(flips: F64, candidates: I64) -> I64:
 
 
 def _flat(places: F64) -> I64:
-    """Vertices of the hull of places (M, 3) in the plane or on the line through the last of them that they span."""
+    """Return the vertices of the hull of places (M, 3) in the plane or line through the last of them that they span."""
+    from scipy.spatial import ConvexHull, QhullError
+
     if len(places) == 1:
         return np.zeros(0, np.int64)
     _, extents, axes = np.linalg.svd(places, full_matrices=False)

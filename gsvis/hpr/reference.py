@@ -1,4 +1,4 @@
-"""What this room does in its shortest form, as the oracle of the tests.
+"""Reference implementations of this room, short and slow: the oracle of the tests.
 
 Hidden point removal: flip everything, take the hull of everything. The z-buffer: every Gaussian on every pixel.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from gsvis.scene.gaussians import Gaussians
 
@@ -17,19 +16,21 @@ __all__ = ["hidden_point_removal_reference", "look_around_reference"]
 def hidden_point_removal_reference(
     points: NDArray[np.float64], viewpoint: NDArray[np.float64], radius: float
 ) -> NDArray[np.int64]:
-    """The points whose spherical flip is a vertex of the convex hull of all flips and the eye.
+    """Return the points whose spherical flip is a vertex of the convex hull of all flips and the eye.
 
     Args:
         points: (N, 3), none of them at the viewpoint, not all in one plane with it.
         viewpoint: (3,).
-        radius: Of the sphere the points are flipped about.
+        radius: Radius of the sphere of the flip.
 
     Returns:
-        (K,) int64, rising.
+        (K,) int64, ascending.
 
     References:
         Katz, Tal, Basri, "Direct visibility of point sets", SIGGRAPH 2007, section 3.
     """
+    from scipy.spatial import ConvexHull  # here: it takes long to import, and few need it
+
     toward = points - viewpoint
     x, y, z = toward.T
     length = np.sqrt((x * x + y * y) + z * z)[:, None]
@@ -41,16 +42,16 @@ def hidden_point_removal_reference(
 def look_around_reference(
     g: Gaussians, viewpoint: NDArray[np.float64], size: int, spent: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Every Gaussian splatted on every pixel of the six faces, nearest center first.
+    """Splat every Gaussian on every pixel of the six faces, nearest center first.
 
     Args:
-        g: N Gaussians, no two at one distance.
+        g: N Gaussians, all at different distances.
         viewpoint: (3,).
         size: Pixels along a side of the faces.
         spent: Transmittance below which light counts as spent.
 
     Returns:
-        Largest weight (N,), largest light in front over the pixels covered (N,), and depths (6, size, size) at which
+        Largest weight (N,), largest light in front over the covered pixels (N,), and depths (6, size, size) at which
         light is spent.
     """
     weights, lights = np.zeros(len(g)), np.zeros(len(g))

@@ -1,8 +1,9 @@
-"""A hierarchical z-buffer for Gaussians: how deep an eye sees in every direction, and what it sees on the way.
+"""A hierarchical z-buffer for Gaussians: how deep an eye sees in every direction, and which Gaussians it sees.
 
-Gaussians are splatted front to back onto a cube around the eye (EWA, as the rasterizer does, but ordered by distance,
-so that no direction is special). What comes behind spent light costs one look at a bound over its footprint; where
-light is spent stands the depth, and pyramids of least and largest depths test anything else. World frame, scene units.
+Gaussians are splatted front to back onto a cube around the eye (EWA, as in the rasterizer, but ordered by distance, so
+that no direction is special). A Gaussian behind spent light costs one test against a bound over its footprint. The
+depth is recorded where light is spent. Pyramids of least and largest depths test anything else. World frame, scene
+units.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _MAX_SIZE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """The M Gaussians of a scene that can be seen at all, laid out for splatting; made once, used from every eye.
+    """The M Gaussians of a scene that can be visible at all, laid out for splatting; made once, used from every eye.
 
     Attributes:
         ids: (M,) int64, the Gaussian of each row.
@@ -44,8 +45,8 @@ class Splats:
     total: int
 
     @classmethod
-    def of(cls, g: Gaussians) -> Splats:
-        """Lay out a scene. Rows lie in an order of content, so that no result depends on the order of the scene."""
+    def from_gaussians(cls, g: Gaussians) -> Splats:
+        """Lay out a scene. Rows are ordered by content, so that no result depends on the order of the scene."""
         ids = _in_order(g, np.flatnonzero(g.opacities >= MIN_ALPHA))
         near = np.zeros((len(ids), 8), np.float32)
         near[:, :3], near[:, 3], near[:, 5] = g.means[ids], g.scales[ids].max(axis=1, initial=0.0), g.opacities[ids]
@@ -70,9 +71,9 @@ class ZBuffer:
     Attributes:
         viewpoint: (3,) float64, world frame.
         spent: Transmittance below which light counts as spent.
-        depths: (6, S, S) float32, distance from the eye; inf where light is left. Faces look along +x, -x, +y, -y, +z,
+        depths: (6, S, S) float32, distance from the eye; inf if light is left. Faces look along +x, -x, +y, -y, +z,
             -z; on each, columns run along the first and rows along the second of the other two axes.
-        light: (6, S, S) float32, transmittance behind everything that was splatted.
+        light: (6, S, S) float32, transmittance behind everything splatted.
     """
 
     viewpoint: NDArray[np.float64]
@@ -86,7 +87,7 @@ class ZBuffer:
         return int(self.depths.shape[1])
 
     def pyramid(self, *, largest: bool = True) -> list[F32]:
-        """Levels (6, S_k, S_k) of the largest or least depths over 2^k x 2^k pixels, from the finest to one pixel."""
+        """Return levels (6, S_k, S_k) of the largest or least depths over 2^k x 2^k pixels, finest first."""
         fold = np.maximum if largest else np.minimum
         levels = [self.depths]
         while levels[-1].shape[1] > 1:
@@ -98,13 +99,14 @@ class ZBuffer:
         return levels
 
     def hides(self, splats: Splats) -> Mask:
-        """Which Gaussians lie wholly behind the depths, by a conservative test.
+        """Find the Gaussians that lie fully behind the depths, by a conservative test.
 
-        The ball around each is hidden where its nearest distance lies behind the largest depth under its footprint,
-        widened by a pixel. What is hidden has no pixel with `spent` of the light in front; the converse is not claimed.
+        The ball around each Gaussian is hidden if its nearest distance lies behind the largest depth under its
+        footprint, widened by a pixel. A hidden Gaussian has no pixel with `spent` of the light in front; the converse
+        does not hold.
 
         Args:
-            splats: Of any scene, M rows.
+            splats: Any scene, M rows.
 
         Returns:
             (M,) mask over the rows of `splats`.
@@ -127,10 +129,10 @@ class Seen:
     """What an eye sees around it.
 
     Attributes:
-        ids: (K,) int64, rising: the Gaussians that some light reaches.
+        ids: (K,) int64, ascending: the Gaussians that some light reaches.
         weights: (K,) float32, largest weight of each over the pixel centers.
-        light: (K,) float32, largest transmittance in front of each, over the pixels it covers; opacity times this is
-            the weight its peak would have there.
+        light: (K,) float32, largest transmittance in front of each, over the pixels it covers; opacity times this
+            is the weight of its peak there.
         zbuffer: Where the light ends.
     """
 
@@ -141,14 +143,14 @@ class Seen:
 
 
 def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent: float = MIN_ALPHA) -> Seen:
-    """Splat a scene around an eye, front to back, and keep what light reaches.
+    """Splat a scene around an eye, front to back, and keep the Gaussians that light reaches.
 
     Args:
         splats: The scene.
         viewpoint: (3,) world frame.
         size: Pixels along a side of the six faces, 4 to 4096.
-        spent: Transmittance in (0, 1) below which light counts as spent; Gaussians without a brighter pixel in front
-            are left out. At most tau, if weights of tau are to be found.
+        spent: Transmittance in (0, 1) below which light counts as spent; Gaussians without a brighter pixel in
+            front are dropped. To find all weights of tau, it must be at most tau.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -180,7 +182,7 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
 
 
 def _in_order(g: Gaussians, ids: I64) -> I64:
-    """The ids along a Morton curve through the means, and where that does not tell them apart, by content."""
+    """Return the ids along a Morton curve through the means; ties are ordered by content."""
     if len(ids) == 0:
         return ids
     means = g.means[ids].astype(np.float64)
@@ -202,7 +204,7 @@ def _in_order(g: Gaussians, ids: I64) -> I64:
 
 
 def _spread(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The 21 bits of each value, two zeros between neighbors."""
+    """Return the 21 bits of each value, with two zeros between neighbors."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

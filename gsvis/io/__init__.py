@@ -1,4 +1,4 @@
-"""Bytes to scene and back: one file format, one file; camera and pose files too."""
+"""Read and write files: one format, one module; cameras and poses too."""
 
 from __future__ import annotations
 

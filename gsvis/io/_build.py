@@ -1,7 +1,7 @@
-"""From decoded numbers to a scene: activations, packed quaternions, and errors that name the file.
+"""Build a scene from decoded numbers: activations, packed quaternions, and errors that name the file.
 
-Readers hand over raw or activated arrays; what `Gaussians` refuses becomes a `FormatError`. All arrays are float32
-unless said otherwise, quaternions wxyz. This module knows no file.
+Readers pass raw or activated arrays; a value that `Gaussians` rejects becomes a `FormatError`. All arrays are float32
+unless stated otherwise, quaternions wxyz. This module knows no file.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LEAST_SCALE = float(np.finfo(np.float32).tiny)
 
 
 def sigmoid(logit_opacities: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
-    """1 / (1 + exp(-x)) in float32; infinite logits become 0 and 1, NaN stays NaN for the caller's check."""
+    """Return 1 / (1 + exp(-x)) in float32; infinite logits become 0 and 1, NaN stays NaN for the caller's check."""
     result: F32 = np.empty(logit_opacities.shape, np.float32) if out is None else out
     with np.errstate(all="ignore"):
         np.negative(logit_opacities, out=result)
@@ -43,14 +43,14 @@ def sigmoid(logit_opacities: NDArray[np.floating[Any]], out: F32 | None = None) 
 
 
 def logits(opacities: NDArray[np.floating[Any]]) -> F32:
-    """Inverse of `sigmoid`; 0 and 1 become -120 and 40, finite values that `sigmoid` turns back exactly."""
+    """Return the inverse of `sigmoid`; 0 and 1 become -120 and 40, finite values that `sigmoid` maps back exactly."""
     p = opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
         return np.asarray(np.clip(np.log(p) - np.log1p(-p), -120.0, 40.0), np.float32)
 
 
 def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
-    """Exp in float32, kept above 0: a flat Gaussian's thickness may underflow. NaN and overflow stay for the check."""
+    """Return exp in float32, kept above 0: a flat Gaussian's thickness may underflow. NaN and overflow remain."""
     with np.errstate(all="ignore"):
         minus_infinity = np.isneginf(log_scales)
         result: F32 = np.exp(log_scales, out=out, dtype=np.float32)
@@ -61,17 +61,17 @@ def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) ->
 
 
 def sh0_from_rgb(rgb: NDArray[np.floating[Any]]) -> F32:
-    """(N, 1, 3) constant coefficients of (N, 3) base colors, 0 to 1."""
-    with np.errstate(over="ignore"):  # the infinity that comes of an enormous color is refused later
+    """Return (N, 1, 3) constant coefficients of (N, 3) base colors, 0 to 1."""
+    with np.errstate(over="ignore"):  # a huge color becomes infinite and is rejected later
         return ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None, :]
 
 
 def largest_from_three(three: NDArray[np.floating[Any]], largest: NDArray[np.integer[Any]]) -> F32:
-    """Unit quaternions of which the largest component was left out.
+    """Return unit quaternions from their three smaller components.
 
     Args:
         three: (N, 3) the other components, in their order.
-        largest: (N,) 0 to 3, the place of the missing one, which is positive.
+        largest: (N,) 0 to 3, the index of the missing component, which is positive.
 
     Returns:
         (N, 4) in the component order of the file.
@@ -87,7 +87,7 @@ def largest_from_three(three: NDArray[np.floating[Any]], largest: NDArray[np.int
 
 
 def bytes_of_scene(count: int, sh_degree: int) -> int:
-    """Bytes of a scene's arrays in memory."""
+    """Return the bytes of a scene's arrays in memory."""
     return count * 4 * (11 + 3 * (sh_degree + 1) ** 2)
 
 
@@ -100,10 +100,10 @@ def gaussians_from(
     sh0: F32,
     shN: F32 | None = None,  # noqa: N803  the field's own name
 ) -> Gaussians:
-    """A scene of what a file held.
+    """Return a scene from the values in a file.
 
     Raises:
-        FormatError: If there is no Gaussian, or a value is not finite, a quaternion zero, a scale negative.
+        FormatError: If there is no Gaussian, a value is not finite, a quaternion is zero or a scale is negative.
     """
     if len(means) == 0:
         raise FormatError(path, "", "at least one Gaussian", "none", "the file holds an empty scene")
@@ -114,8 +114,8 @@ def gaussians_from(
 
 
 def format_error(path: str | os.PathLike[str], error: ValueError) -> FormatError:
-    """The error about a file for an error about arrays that came from it."""
+    """Return the error about a file for an error about arrays that came from it."""
     where, _, rest = str(error).partition(": expected ")
     expected, _, got = rest.partition(", got ")
-    got = got.partition("; ")[0]  # the remedy is for who passes arrays, not for who has a file
+    got = got.partition("; ")[0]  # the remedy is for callers that pass arrays, not for users of a file
     return FormatError(path, where if rest else "", expected or "valid values", got or str(error))

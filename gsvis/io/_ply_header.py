@@ -1,7 +1,7 @@
-"""The header of a PLY file: its elements, their properties and where their rows begin.
+"""Parse the header of a PLY file: its elements, their properties and where their rows begin.
 
-Knows the syntax alone, not what a property means. Scalar properties of every PLY type in all three encodings;
-elements with list properties may follow the ones that are read, where they are never reached.
+Knows only the syntax, not the meaning of a property. Reads scalar properties of every PLY type in all three encodings.
+Elements with list properties may follow the elements that are read; they are never reached.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Element:
     """One element: `count` rows of scalar properties.
 
     Args:
-        name: Such as `vertex`.
+        name: Name, such as `vertex`.
         count: Number of rows.
-        row: Packed row type with one field for each property; None when a property is a list.
-        offset: First byte of its rows in a binary file; for ascii the number of rows before it; None when an
-            element with lists lies in front.
+        row: Packed row type with one field for each property; None if a property is a list.
+        offset: First byte of its rows in a binary file; for ascii the number of rows before it; None if an element
+            with lists precedes it.
     """
 
     name: str
@@ -63,12 +63,12 @@ class Element:
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What the header of a PLY file says.
+    """Contents of the header of a PLY file.
 
     Args:
         path: The file.
         encoding: One of binary_little_endian, binary_big_endian, ascii.
-        elements: In file order.
+        elements: The elements, in file order.
         size: Bytes of the header.
         file_size: Bytes of the file.
     """
@@ -80,20 +80,20 @@ class PlyHeader:
     file_size: int
 
     def element(self, name: str) -> Element | None:
-        """The element of that name, or None."""
+        """Return the element with that name, or None."""
         return next((e for e in self.elements if e.name == name), None)
 
     def rows_of(self, element: Element) -> tuple[np.dtype[np.void], int]:
-        """Row type and offset of an element, after checking that its rows fit in the file.
+        """Return the row type and offset of an element, after checking that its rows fit into the file.
 
         Raises:
-            FormatError: If the element has lists or lies behind lists, or the file is too short for its rows.
+            FormatError: If the element has lists or follows lists, or the file is too short for its rows.
         """
         if element.row is None or element.offset is None:
             raise FormatError(
                 self.path,
                 f"element {element.name}",
-                "scalar properties, with no list element in front",
+                "scalar properties, with no list element before them",
                 "a list property",
                 "write the Gaussians as the first element",
             )
@@ -119,11 +119,11 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
 
     Args:
         path: The file, for error messages.
-        stream: Opened for bytes, at its start; left behind the header.
+        stream: Opened for bytes, at its start; left after the header.
         file_size: Bytes of the file.
 
     Raises:
-        FormatError: If this is no PLY header.
+        FormatError: If this is not a PLY header.
     """
     path = os.fspath(path)
     first = stream.readline(16)
@@ -136,7 +136,7 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
         at = stream.tell()
         line = stream.readline(4096)
         if not line.endswith(b"\n") or at > _MAX_HEADER:
-            raise FormatError(path, f"byte {at:,}", "an end_header line", "none", "the file is truncated or no PLY")
+            raise FormatError(path, f"byte {at:,}", "an end_header line", "none", "the file is truncated or not a PLY")
         words = line.decode("ascii", "replace").split()
         where = f"byte {at:,}"
         if words == ["end_header"]:
@@ -162,7 +162,7 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
 
 @dataclass
 class _Parsed:
-    """An element while the header is read: property names with their numpy types."""
+    """An element during parsing: property names with their numpy types."""
 
     count: int
     fields: dict[str, str] = field(default_factory=dict)
@@ -170,7 +170,7 @@ class _Parsed:
 
 
 def _place(parsed: dict[str, _Parsed], encoding: str, header_size: int) -> tuple[Element, ...]:
-    """Elements with their row types and offsets."""
+    """Return the elements with their row types and offsets."""
     placed = []
     offset: int | None = 0 if encoding == "ascii" else header_size
     for name, element in parsed.items():

@@ -1,6 +1,6 @@
-"""The rows of one element of a PLY file, binary or text, read in pieces that stay in the cache.
+"""Read the rows of one element of a PLY file, binary or text, in chunks that fit into the cache.
 
-Knows how rows lie in a file, not what a property means.
+Knows the layout of rows, not the meaning of a property.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from gsvis.io._ply_header import Element, PlyHeader
 __all__ = ["CHUNK_BYTES", "row_chunks"]
 
 CHUNK_BYTES = 2 << 20
-"""Bytes that are read, transposed and activated while they stay in the cache."""
+"""Bytes that are read, transposed and activated at a time; they fit into the cache."""
 
 
 def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> Iterator[NDArray[Any]]:
-    """The rows of an element, a few thousand at a time; a chunk is overwritten by the next one.
+    """Yield the rows of an element, a few thousand at a time; each chunk overwrites the previous one.
 
     Args:
-        header: What the file says of itself.
+        header: Header of the file.
         element: One of its elements.
         stream: The file, opened for bytes.
 
@@ -34,7 +34,7 @@ def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> I
         Structured rows in the file's byte order, one field for each property.
 
     Raises:
-        FormatError: If the rows do not fit in the file, or are no numbers.
+        FormatError: If the rows do not fit into the file, or are not numbers.
     """
     row, offset = header.rows_of(element)
     per_chunk = max(1, CHUNK_BYTES // row.itemsize)
@@ -47,7 +47,7 @@ def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> I
     for start in range(0, element.count, per_chunk):
         rows = min(per_chunk, element.count - start)
         if stream.readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
-            raise FormatError(header.path, f"row {start:,}", "a file that stays as long as it was", "its end")
+            raise FormatError(header.path, f"row {start:,}", "a file that does not change while it is read", "its end")
         yield buffer[:rows]
 
 

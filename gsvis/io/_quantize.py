@@ -21,13 +21,13 @@ _BLOCK = 1 << 23  # entries of a distance matrix in memory
 
 
 def codebook_of(values: F32) -> F32:
-    """(256,) rising numbers that stand for all the values with a small mean squared error.
+    """Return (256,) ascending numbers that represent all values with a small mean squared error.
 
     Args:
         values: Any shape, at least one value.
 
     Returns:
-        The distinct values themselves, the last repeated, where there are at most 256.
+        The distinct values themselves, the last repeated, if there are at most 256.
 
     References:
         Lloyd, "Least squares quantization in PCM", 1982; start by Panter and Dite, density to the power 1/3.
@@ -38,7 +38,7 @@ def codebook_of(values: F32) -> F32:
     ordered = np.sort(values, axis=None).astype(np.float64)
     counts, edges = np.histogram(ordered, bins=4096)
     density = np.cbrt(counts)
-    share = np.cumsum(0.75 * density / density.sum() + 0.25 / len(counts))  # a quarter evenly: no outlier goes far
+    share = np.cumsum(0.75 * density / density.sum() + 0.25 / len(counts))  # a quarter evenly: keeps outliers close
     entries = np.interp((np.arange(_ENTRIES) + 0.5) / _ENTRIES, share, edges[1:])
     sums = np.concatenate([[0.0], np.cumsum(ordered)])
     for _ in range(_ROUNDS):
@@ -50,16 +50,16 @@ def codebook_of(values: F32) -> F32:
 
 
 def nearest_entry(values: F32, codebook: F32) -> NDArray[np.uint8]:
-    """Index of the nearest entry of a rising codebook, in the shape of the values."""
+    """Return the index of the nearest entry of an ascending codebook, in the shape of the values."""
     middles = (codebook[1:].astype(np.float64) + codebook[:-1]) / 2.0
     return np.searchsorted(middles, values).astype(np.uint8)
 
 
 def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
-    """At most `entries` vectors that stand for all, and which stands for which.
+    """Return at most `entries` vectors that represent all, and which one represents each.
 
-    Two levels: about sqrt(entries) groups, then each group on its own with a share of the entries that follows its
-    squared error. That is a hundred times faster than flat k-means with 65,536 centers, at a slightly larger error.
+    Two levels: about sqrt(entries) groups, then each group on its own with a share of the entries by its squared error.
+    This is a hundred times faster than flat k-means with 65,536 centers, at a slightly larger error.
 
     Args:
         vectors: (N, F), N >= 1.
@@ -67,7 +67,7 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
 
     Returns:
         palette: (P, F) float32, P <= entries.
-        labels: (N,) int64, below P.
+        labels: (N,) int64 indices into the palette.
     """
     distinct, inverse = _distinct_rows(vectors)
     if len(distinct) <= entries:
@@ -90,21 +90,21 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
 
 
 def _distinct_rows(vectors: F32) -> tuple[F32, NDArray[np.int64]]:
-    """The distinct rows, and the index of each row among them."""
+    """Return the distinct rows, and the index of each row among them."""
     packed = np.ascontiguousarray(vectors).view(np.dtype((np.void, 4 * vectors.shape[1])))[:, 0]
     _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
     return vectors[first], inverse.reshape(-1)
 
 
 def _shares(errors: list[float], members: list[NDArray[np.int64]], entries: int) -> list[int]:
-    """Entries for each group: one at least, as many as it has members at most, `entries` together at most."""
+    """Return the number of entries of each group: from 1 to its number of members, `entries` in total at most."""
     total = sum(errors) or 1.0
     spare = entries - len(errors)
     return [1 + min(len(rows) - 1, int(spare * error / total)) for error, rows in zip(errors, members, strict=True)]
 
 
 def _lloyd(vectors: F32, entries: int, rng: np.random.Generator) -> F32:
-    """(entries, F) centers of k-means from a random start."""
+    """Return (entries, F) centers of k-means from a random start."""
     centers: F32 = vectors[rng.choice(len(vectors), min(entries, len(vectors)), replace=False)].copy()
     if len(centers) == len(vectors):
         return centers
@@ -120,7 +120,7 @@ def _lloyd(vectors: F32, entries: int, rng: np.random.Generator) -> F32:
 
 
 def _assign(vectors: F32, centers: F32) -> tuple[F32, NDArray[np.int64]]:
-    """(N,) squared distance to the nearest center, and its index."""
+    """Return (N,) squared distances to the nearest center, and its index."""
     half = 0.5 * np.einsum("ij,ij->i", centers, centers)
     label, score = np.empty(len(vectors), np.int64), np.empty(len(vectors), np.float32)
     rows = max(1, _BLOCK // len(centers))

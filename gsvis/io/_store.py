@@ -1,6 +1,6 @@
-"""The files of a SOG scene by name, from a folder or from a zip, with nothing taken on trust.
+"""Read the files of a SOG scene by name, from a folder or from a zip, without trusting the input.
 
-Names were checked with `safe_name`; every read is bounded by what a `Budget` allows. This module knows no planes.
+`safe_name` checks names; a `Budget` bounds every read. This module knows no planes.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _ZIP_FAULTS = (
 
 
 class Store(Protocol):
-    """Where the files of a scene come from."""
+    """Source of the files of a scene."""
 
     path: str
-    """What error messages call it."""
+    """Path for error messages."""
 
     def file_bytes(self, names: list[str]) -> int:
-        """Real bytes on disk behind these files."""
+        """Return the actual bytes on disk of these files."""
 
     def read(self, name: str, budget: Budget) -> bytes:
-        """Content of one file."""
+        """Return the content of one file."""
 
 
 class FolderStore:
@@ -48,8 +48,8 @@ class FolderStore:
 
     Args:
         folder: The folder.
-        path: What error messages call it, such as the path of its meta.json.
-        root: The folder that links may not leave; None is `folder`.
+        path: Path for error messages, such as that of its meta.json.
+        root: The folder that links must not leave; None means `folder`.
     """
 
     def __init__(self, folder: Path, path: str | os.PathLike[str], root: Path | None = None) -> None:
@@ -60,11 +60,13 @@ class FolderStore:
         below = self.folder.relative_to(self._root) if self.folder.is_relative_to(self._root) else Path()
         file = inside(self.path, name, self._root, os.fspath(below / name))
         if not file.is_file():
-            raise FormatError(self.path, name, "a file of that name beside the meta data", "none", "is the copy whole?")
+            raise FormatError(
+                self.path, name, "a file of that name beside the metadata", "none", "is the copy complete?"
+            )
         return file
 
     def file_bytes(self, names: list[str]) -> int:
-        """Real bytes on disk behind these files.
+        """Return the actual bytes on disk of these files.
 
         Raises:
             FormatError: If one is missing, or a link leads out of the folder.
@@ -72,7 +74,7 @@ class FolderStore:
         return sum(self._file(name).stat().st_size for name in dict.fromkeys(names))
 
     def read(self, name: str, budget: Budget) -> bytes:
-        """Content of one file.
+        """Return the content of one file.
 
         Raises:
             FormatError: If it is missing, or a link leads out of the folder.
@@ -89,7 +91,7 @@ class ZipStore:
         path: The zip.
 
     Raises:
-        FormatError: If it is no zip, holds unsafe names, or holds no `meta.json`.
+        FormatError: If it is not a zip, has unsafe names, or has no `meta.json`.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -115,7 +117,7 @@ class ZipStore:
             entries[safe_name(self.path, "zip entry", info.orig_filename)] = info
         metas = sorted((n for n in entries if PurePosixPath(n).name == "meta.json"), key=lambda n: (n.count("/"), n))
         if not metas:
-            raise FormatError(self.path, "", "a meta.json in the zip", "none", "this is no SOG scene")
+            raise FormatError(self.path, "", "a meta.json in the zip", "none", "this is not a SOG scene")
         prefix = metas[0][: -len("meta.json")]
         return {name[len(prefix) :]: info for name, info in entries.items() if name.startswith(prefix)}
 
@@ -127,7 +129,7 @@ class ZipStore:
         self._file.close()
 
     def file_bytes(self, names: list[str]) -> int:
-        """Real bytes on disk behind these files: never more than the zip has.
+        """Return the bytes on disk of these files, at most the size of the zip.
 
         Raises:
             FormatError: If one is missing.
@@ -138,10 +140,10 @@ class ZipStore:
         return self.size
 
     def read(self, name: str, budget: Budget) -> bytes:
-        """Content of one entry.
+        """Return the content of one entry.
 
         Raises:
-            FormatError: If it is missing, damaged, encrypted, or expands absurdly.
+            FormatError: If it is missing, damaged, encrypted, or expands too much.
         """
         self.file_bytes([name])
         info = self._entries[name]

@@ -1,6 +1,7 @@
-"""Comma-separated tables that name their faults: every number is checked where it stands, by line and column.
+"""Read comma-separated tables with exact errors: every number is checked in place, by line and column.
 
-Plain or gzipped (told from the first bytes), UTF-8 with or without a byte-order mark, quoted cells. Knows no format.
+Plain or gzipped (detected from the first bytes), UTF-8 with or without a byte-order mark, quoted cells. Knows no
+format.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.limits import Budget, read_whole
 
-__all__ = ["Table", "listed", "read_table"]
+__all__ = ["Table", "join_names", "read_table"]
 
 _CHUNK = 1 << 20
 _LONGEST_LINE = 1 << 16
-_CELL, _ROW = 72, 144  # bytes in memory, at most, of a cell besides its text, and of a row besides its cells
+_CELL, _ROW = 72, 144  # largest overhead in memory of a cell besides its text, and of a row besides its cells
 
 
 class Table:
@@ -34,7 +35,7 @@ class Table:
     Args:
         path: The file, for messages.
         header: Names of the columns, stripped.
-        rows: Cells, as many in each row as the header has.
+        rows: Cells; each row has as many as the header.
         lines: Line of the file on which the header and then each row ends, from 1.
     """
 
@@ -45,33 +46,33 @@ class Table:
         return len(self.rows)
 
     def where(self, row: int, column: str) -> str:
-        """Line and column of a cell, for messages."""
+        """Return the line and column of a cell, for messages."""
         return f"line {self.lines[row + 1]}, column {column}"
 
     def column(self, name: str) -> int:
-        """Index of a column.
+        """Return the index of a column.
 
         Raises:
-            FormatError: If there is none of that name, or more than one.
+            FormatError: If no column has that name, or more than one has.
         """
         return self.columns((name,))[0]
 
     def columns(self, names: tuple[str, ...], known: tuple[str, ...] = ()) -> list[int]:
-        """Indices of columns; the message about missing ones names every column that differs.
+        """Return the indices of columns; the message about missing ones names every column that differs.
 
         Args:
             names: The columns.
-            known: Further columns that the format has; they are not listed as unexpected.
+            known: Further columns of the format; they are not listed as unexpected.
 
         Raises:
-            FormatError: If one of them is missing, or there is more than one of its name.
+            FormatError: If one of them is missing, or more than one has its name.
         """
         counts = Counter(self.header)
         missing = [name for name in names if name not in counts]
         if missing:
             others = [name for name in counts if name not in names and name not in known]
             what = ("columns " if len(names) > 1 else "a column ") + ", ".join(names)
-            got = f"no {', '.join(missing)}" + (f"; unexpected: {listed(others)}" if others else "")
+            got = f"no {', '.join(missing)}" + (f"; unexpected: {join_names(others)}" if others else "")
             raise FormatError(self.path, f"line {self.lines[0]}", what, got)
         repeated = next((name for name in names if counts[name] > 1), None)
         if repeated is not None:
@@ -80,10 +81,10 @@ class Table:
         return [self.header.index(name) for name in names]
 
     def numbers(self, names: tuple[str, ...], known: tuple[str, ...] = ()) -> NDArray[np.float64]:
-        """(rows, len(names)) finite numbers of the given columns; `known` as in `columns`.
+        """Return (rows, len(names)) finite numbers of the given columns; `known` as in `columns`.
 
         Raises:
-            FormatError: If a column is missing, or at the first cell that is no finite number.
+            FormatError: If a column is missing, or at the first cell that is not a finite number.
         """
         places = self.columns(names, known)
         cells = [[row[place] for place in places] for row in self.rows]
@@ -91,7 +92,7 @@ class Table:
             values = np.array(cells, np.float64).reshape(len(cells), len(names))
         except ValueError:
             values = np.array([[_number(cell) for cell in row] for row in cells])
-        bad = ~(np.abs(values) < 1e300)  # NaN and infinity fail, too
+        bad = ~(np.abs(values) < 1e300)  # NaN and infinity fail too
         if bad.any():
             row, column = (int(i) for i in np.argwhere(bad)[0])
             got = repr(cells[row][column][:40])
@@ -99,18 +100,18 @@ class Table:
         return values
 
 
-def listed(names: list[str], most: int = 16) -> str:
-    """The names for a message, absurdly long ones and what is beyond the first `most` only counted."""
+def join_names(names: list[str], most: int = 16) -> str:
+    """Return the names for a message; long names are cut, and names beyond the first `most` only counted."""
     shown = ", ".join(repr(name[:40]) if len(name) > 40 or not name.isprintable() else name for name in names[:most])
     return shown + (f" and {len(names) - most:,} more" if len(names) > most else "")
 
 
 def read_table(path: str | os.PathLike[str]) -> Table:
-    """Read a comma-separated file whose first line names its columns; blank lines are passed over.
+    """Read a comma-separated file whose first line names its columns; skip blank lines.
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If it is no text, damaged, without header, or a row has another number of cells than the header.
+        FormatError: If it is not text, is damaged, has no header, or a row has another number of cells than the header.
     """
     path = _check.path("path", path)
     data = read_whole(path)
@@ -128,7 +129,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
                 lines.append(reader.line_num)
                 continue
             if len(cells) != len(header):
-                where, remedy = f"line {reader.line_num}", "is the file cut short?"
+                where, remedy = f"line {reader.line_num}", "is the file truncated?"
                 raise FormatError(path, where, f"{len(header)} cells, as in the header", f"{len(cells)}", remedy)
             rows.append(cells)
             lines.append(reader.line_num)
@@ -140,7 +141,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
 
 
 def _lines(path: Path, text: str, budget: Budget) -> Iterator[str]:
-    """Yield the lines of a text, absurd ones refused and the memory of their cells claimed before they are split."""
+    """Yield the lines of a text; reject overlong ones, and claim the memory of their cells before they are split."""
     for number, line in enumerate(io.StringIO(text, newline=""), 1):
         if len(line) > _LONGEST_LINE:
             raise FormatError(path, f"line {number}", f"at most {_LONGEST_LINE:,} characters", f"{len(line):,}")
@@ -166,7 +167,7 @@ def _unzip(path: Path, data: bytes, budget: Budget) -> bytes:
                 budget.claim(len(part), "gzip")
                 parts.append(part)
     except (OSError, EOFError, zlib.error) as error:
-        raise FormatError(path, "gzip", "a whole gzip file", str(error), "download it again") from error
+        raise FormatError(path, "gzip", "a complete gzip file", str(error), "download it again") from error
     return b"".join(parts)
 
 

@@ -1,7 +1,7 @@
-"""One plane of a SOG scene: a lossless WebP image whose bytes are data, not color.
+"""Decode and encode one plane of a SOG scene: a lossless WebP image whose bytes are data, not color.
 
 The size is read from the file's own header and checked before a pixel is decoded, so an image that would unpack to
-gigabytes is refused. This module knows no meta data.
+gigabytes is rejected. This module knows no metadata.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _LOSSLESS = "a lossless WebP image"
 _ANIMATED = 0x02
 
 MAX_PIXELS = 1 << 26
-"""Pixels of the largest plane that is read; streamed scenes use half a million Gaussians a file."""
+"""Pixels of the largest plane that is read; streamed scenes have half a million Gaussians per file."""
 
 
 def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[int, int]:
-    """Width and height that a WebP file declares.
+    """Return the width and height that a WebP file declares.
 
     Args:
         path: The scene, for error messages.
@@ -34,13 +34,13 @@ def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[i
         data: Content of the file.
 
     Raises:
-        FormatError: If it is no lossless, still WebP image.
+        FormatError: If it is not a lossless, still WebP image.
 
     References:
         WebP container specification; WebP lossless bitstream specification, section 3.
     """
     if len(data) < 25 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes of another kind")
+        raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes in another format")
     at, canvas = 12, None
     while at + 8 <= len(data):
         kind, length = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
@@ -64,10 +64,10 @@ def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[i
 
 
 def decode_plane(path: str | os.PathLike[str], where: str, data: bytes) -> NDArray[np.uint8]:
-    """Pixels of a plane; its size must have been checked with `plane_size`.
+    """Return the pixels of a plane; its size must have been checked with `plane_size`.
 
     Returns:
-        (H, W, 4) uint8; the fourth channel is 255 where the file has none.
+        (H, W, 4) uint8; the fourth channel is 255 if the file has none.
 
     Raises:
         FormatError: If the image is damaged.
@@ -84,7 +84,7 @@ def decode_plane(path: str | os.PathLike[str], where: str, data: bytes) -> NDArr
 
 
 def encode_plane(pixels: NDArray[np.uint8]) -> bytes:
-    """A lossless WebP file of (H, W, 4) uint8 pixels, every byte kept, also where the fourth channel is 0."""
+    """Return a lossless WebP file of (H, W, 4) uint8 pixels; every byte is kept, even where the fourth channel is 0."""
     out = io.BytesIO()
     Image.fromarray(pixels, "RGBA").save(out, "WEBP", lossless=True, exact=True, quality=80, method=4)
     return out.getvalue()

@@ -1,6 +1,6 @@
-"""Recorded 5G logs: a CSV with the column `DL_bitrate`, download in kbit/s, one row a second.
+"""Read recorded 5G logs: a CSV with the column `DL_bitrate`, download in kbit/s, one row per second.
 
-Stamps have whole seconds, repeat and leave gaps, while rows come once a second: the row counts, not the stamp.
+Timestamps have whole seconds, repeat and leave gaps, but rows come once a second: the row counts, not the timestamp.
 
 References:
     Raca et al., "Beyond Throughput, The Next Generation: a 5G Dataset with Channel and Context Metrics", MMSys 2020.
@@ -28,12 +28,12 @@ def read_bandwidth_5g(path: str | os.PathLike[str]) -> tuple[F64, F64]:
     """Read a log.
 
     Returns:
-        times: (S,) seconds 1, 2, ..., at which each rate ends.
+        times: (S,) seconds 1, 2, ..., the end of each rate.
         mbit_per_s: (S,) rates.
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If the column is missing, a cell is no number in range, or there is no row.
+        FormatError: If the column is missing, a cell is not a number in range, or there is no row.
     """
     table = read_table(path)
     rates = table.numbers((COLUMN,))[:, 0]

@@ -1,6 +1,6 @@
-"""Recorded bandwidth as text: two numbers a line, seconds and Mbit/s, as in the traces of Pensieve and Oboe.
+"""Read recorded bandwidth as text: two numbers per line, seconds and Mbit/s, as in the traces of Pensieve and Oboe.
 
-The rate of a line holds from the line before it to its own time; that of the first from 0. Lines at 0 carry no time.
+The rate of a line holds from the previous line to its own time; that of the first from 0. Lines at 0 are ignored.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ def read_bandwidth_text(path: str | os.PathLike[str]) -> tuple[F64, F64]:
     """Read a trace.
 
     Returns:
-        times: (S,) seconds > 0, strictly rising, at which each rate ends.
+        times: (S,) seconds > 0, strictly rising, the end of each rate.
         mbit_per_s: (S,) rates.
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If a line is not two numbers, times do not rise, a rate is out of range, or nothing is left.
+        FormatError: If a line is not two numbers, times do not rise, a rate is out of range, or no line remains.
     """
     path = _check.path("path", path)
     data = read_whole(path)
@@ -57,5 +57,5 @@ def read_bandwidth_text(path: str | os.PathLike[str]) -> tuple[F64, F64]:
             times.append(time)
             rates.append(rate)
     if not times:
-        raise FormatError(path, "", "at least one line after time 0", "none", "is the file cut short?")
+        raise FormatError(path, "", "at least one line after time 0", "none", "is the file truncated?")
     return np.array(times), np.array(rates)

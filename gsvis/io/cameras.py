@@ -1,7 +1,7 @@
-"""Cameras from the files people have: COLMAP models, `transforms.json`, INRIA's `cameras.json`, a report of gsvis.
+"""Read cameras of common formats: COLMAP models, `transforms.json`, INRIA's `cameras.json`, a report of gsvis.
 
-The format is told from the content; each lives in a file of its own. What comes out is in the frame of the file,
-OpenCV axes, camera from world.
+The content decides the format; each format has its own module. Results are in the frame of the file, OpenCV axes,
+camera from world.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
     Args:
         path: A COLMAP model: its folder, one above it (`sparse/0`, `sparse` and `0` are tried), or one of its files.
             Or a `transforms.json` of nerfstudio or instant-ngp, an INRIA `cameras.json`, or a folder with one of them.
-            Or the `report.json` of `gsvis analyze`, or what `gsvis render --json` printed: the same views again.
+            Or the `report.json` of `gsvis analyze`, or the output of `gsvis render --json`: the same views again.
         size: (width, height) in pixels to rescale all cameras to; needed when a file mixes sizes or states none.
 
     Returns:
@@ -40,7 +40,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
-        FormatError: If the file is none of these, is cut short or malformed, holds distorted cameras or mixed sizes.
+        FormatError: If the file is none of these, is truncated or malformed, or has distorted cameras or mixed sizes.
         ValueError: If `size` is not two positive integers.
     """
     if size is not None:
@@ -51,10 +51,10 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
 
 
 def holds_repeated_views(path: str | PathLike[str]) -> bool:
-    """Whether the cameras at a path are those that gsvis itself wrote, so that views are repeated, not captured.
+    """Return whether gsvis wrote the cameras at a path, so that the views are repeated, not captured.
 
     Args:
-        path: As for `load_cameras`.
+        path: As in `load_cameras`.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
@@ -65,7 +65,7 @@ def holds_repeated_views(path: str | PathLike[str]) -> bool:
 
 
 def _file_of(path: Path) -> Path:
-    """The JSON file that a path means, or the folder of a COLMAP model."""
+    """Return the JSON file that a path refers to, or the folder of a COLMAP model."""
     if path.is_dir():
         folder = find_colmap(path)
         if folder is not None:

@@ -1,4 +1,4 @@
-"""Checkpoints of gsplat and nerfstudio (`.pt`, `.ckpt`), and the raw values that these trainers hold in memory.
+"""Read checkpoints of gsplat and nerfstudio (`.pt`, `.ckpt`), and the raw values that these trainers hold in memory.
 
 Raw values are means, log scales, quaternions wxyz of any length, logit opacities and SH coefficients. Two layouts:
 
@@ -7,16 +7,16 @@ Raw values are means, log scales, quaternions wxyz of any length, logit opacitie
   features_dc, features_rest}, "optimizers", ...}; older files lack "gauss_params.". Without features_rest the colors
   are sigmoid(features_dc), otherwise SH.
 
-Everything else in a file (optimizers, camera poses, appearance, metrics) is passed over and never read.
+Everything else in a file (optimizers, camera poses, appearance, metrics) is skipped and never read.
 
-The frame is the trainer's, not that of the photographs: gsplat normalizes the world by default, and nerfstudio turns,
+The frame is the trainer's, not that of the photos: gsplat normalizes the world by default, and nerfstudio rotates,
 centers and scales it by the `dataparser_transforms.json` beside its `nerfstudio_models`. Cameras of the same run agree;
 a COLMAP model or `transforms.json` of the input does not.
 
-A checkpoint is a zip with a pickle of the structure and raw bytes of each tensor. The pickle is read with weights only,
-more strictly than `torch.load(weights_only=True)` does: it can make dicts, lists, numbers, texts and descriptions of
-tensors; any class or function that it names becomes an inert placeholder and is neither imported nor called. So numpy
-scalars, for which torch 2.6 refuses nerfstudio's files, do no harm, and memory is bounded by the size of the file.
+A checkpoint is a zip with a pickle of the structure and the raw bytes of each tensor. The pickle is read with weights
+only, more strictly than by `torch.load(weights_only=True)`: it can create dicts, lists, numbers, texts and descriptions
+of tensors. Any class or function that it names becomes an inert placeholder and is neither imported nor called. Numpy
+scalars, which make torch 2.6 reject nerfstudio's files, are therefore harmless, and the size of the file bounds memory.
 
 References:
     gsplat, `examples/simple_trainer.py`; nerfstudio, `nerfstudio/engine/trainer.py` and `models/splatfacto.py`.
@@ -45,7 +45,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.limits import open_regular
 from gsvis.io._build import exp_scales, format_error, sh0_from_rgb, sigmoid
-from gsvis.io._table import listed
+from gsvis.io._table import join_names
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["from_gsplat", "is_checkpoint", "load_checkpoint"]
@@ -70,10 +70,10 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
     """Return the scene of raw values as gsplat's trainers hold them; log scales and logits are activated.
 
     Args:
-        splats: A dict or `torch.nn.ParameterDict` with means (N, 3), scales (N, 3) log, quats (N, 4) wxyz, opacities
-            (N,) or (N, 1) logit, sh0 (N, 1, 3), and shN (N, K-1, 3), which may be missing. Or splatfacto's
+        splats: A dict or `torch.nn.ParameterDict` with means (N, 3), scales (N, 3) log, quats (N, 4) wxyz,
+            opacities (N,) or (N, 1) logit, sh0 (N, 1, 3), and optionally shN (N, K-1, 3). Or splatfacto's
             `gauss_params`, with features_dc (N, 3) and features_rest (N, K-1, 3). On any device; other keys are
-            passed over.
+            ignored.
 
     Returns:
         The scene, in the order and the frame of the values, which are copied.
@@ -92,7 +92,7 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
     if missing:
         remedy = "; colors of an appearance module cannot be read" if {"features", "colors"} <= {*names} else ""
         wanted = ", ".join((*_GEOMETRY, *colors))
-        raise ValueError(f"splats: expected {wanted}, got no {', '.join(missing)} but {listed(names)}{remedy}")
+        raise ValueError(f"splats: expected {wanted}, got no {', '.join(missing)} but {join_names(names)}{remedy}")
     raw = {name: _check.plain(splats[name]) for name in (*_GEOMETRY, *colors) if name in names}
     if np.ndim(raw["opacities"]) == 2 and np.shape(raw["opacities"])[1] == 1:
         raw["opacities"] = np.reshape(raw["opacities"], -1)
@@ -115,7 +115,7 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
 
 
 def is_checkpoint(path: str | os.PathLike[str]) -> bool:
-    """Whether a zip file is a checkpoint of torch; one that cannot be opened is judged by its suffix."""
+    """Return whether a zip file is a checkpoint of torch; a zip that cannot be opened is judged by its suffix."""
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             return _structure_name(archive) is not None
@@ -133,7 +133,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
         The scene, in the order and the frame of the trainer.
 
     Raises:
-        FormatError: If the file is no checkpoint with Gaussians, is damaged, or holds invalid values.
+        FormatError: If the file is not a checkpoint with Gaussians, is damaged, or has invalid values.
         OSError: If it cannot be opened.
     """
     _warn_of_other_ranks(Path(path))
@@ -148,11 +148,13 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
     except _BAD_ZIP as error:
         if isinstance(error, OSError) and error.filename is not None:  # it could not be opened
             raise
-        raise FormatError(path, "zip", "a whole checkpoint", str(error) or "the end of the file", _DAMAGED) from error
+        raise FormatError(
+            path, "zip", "a complete checkpoint", str(error) or "the end of the file", _DAMAGED
+        ) from error
 
 
 def _warn_of_other_ranks(path: Path) -> None:
-    """Log that a file of several ranks holds a part of the scene only."""
+    """Log a warning if the file is one of several ranks and has only part of the scene."""
     stem, rank, number = path.stem.rpartition("_rank")
     others = [other for other in path.parent.glob(f"{glob.escape(stem)}_rank*{path.suffix}") if other.name != path.name]
     if rank and number.isdecimal() and others:
@@ -160,25 +162,25 @@ def _warn_of_other_ranks(path: Path) -> None:
 
 
 def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str, F32]:
-    """The values of the Gaussians by their names, in either layout."""
+    """Return the values of the Gaussians by their names, in either layout."""
     name = _structure_name(archive)
     if name is None:
-        raise FormatError(path, "zip", "data.pkl", listed(archive.namelist()), "is this a checkpoint of torch?")
+        raise FormatError(path, "zip", "data.pkl", join_names(archive.namelist()), "is this a checkpoint of torch?")
     found = _gaussians_of(path, _unpickle(path, archive, name))
     records = _Records(path, archive, name.removesuffix("data.pkl"))
     return {key: records.array(key, tensor) for key, tensor in found.items()}
 
 
 def _structure_name(archive: zipfile.ZipFile) -> str | None:
-    """The entry with the pickle: data.pkl in the one folder of the archive."""
+    """Return the entry with the pickle: data.pkl in the one folder of the archive."""
     return next((name for name in archive.namelist() if name.count("/") <= 1 and name.endswith("data.pkl")), None)
 
 
 def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tensor]:
-    """Descriptions of the tensors of the Gaussians by the names of `from_gsplat`."""
+    """Return descriptions of the tensors of the Gaussians by the names of `from_gsplat`."""
     if not isinstance(content, dict):
         remedy = "for INRIA's checkpoints read point_cloud.ply" if isinstance(content, tuple) else ""
-        raise FormatError(path, "data.pkl", _KNOWN, f"no dict but {type(content).__name__.lstrip('_')}", remedy)
+        raise FormatError(path, "data.pkl", _KNOWN, f"a {type(content).__name__.lstrip('_')}", remedy)
     for key in ("splats", "pipeline"):
         if isinstance(content.get(key), dict):
             content = content[key]
@@ -192,12 +194,12 @@ def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tens
         if name in wanted and isinstance(value, _Tensor):
             found[name] = value
     if "means" not in found:
-        raise FormatError(path, "data.pkl", _KNOWN, f"keys {listed([str(key) for key in content])}")
+        raise FormatError(path, "data.pkl", _KNOWN, f"keys {join_names([str(key) for key in content])}")
     return found
 
 
 class _Storage(NamedTuple):
-    """The bytes of a tensor, not yet read: numpy type, name of the record, number of values."""
+    """The bytes of a tensor, not read yet: numpy type, name of the record, number of values."""
 
     kind: str
     key: str
@@ -205,7 +207,7 @@ class _Storage(NamedTuple):
 
 
 class _Tensor(NamedTuple):
-    """Where the values of a tensor lie in its storage; counts of values."""
+    """The place of a tensor's values in its storage, in counts of values."""
 
     storage: _Storage
     offset: int
@@ -214,7 +216,7 @@ class _Tensor(NamedTuple):
 
 
 class _Ignored:
-    """Stands for every class and function that is not needed; does nothing, whatever is done to it."""
+    """Placeholder for every class and function that is not needed; every operation on it does nothing."""
 
     def __init__(self, *_: object, **__: object) -> None: ...
 
@@ -231,7 +233,7 @@ class _Ignored:
 
 
 class _Dict(dict):  # type: ignore[type-arg]
-    """An OrderedDict as state dicts are; made empty, and without the attributes that a file may give it."""
+    """An OrderedDict as in state dicts; created empty, and without the attributes that a file may give it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -240,7 +242,7 @@ class _Dict(dict):  # type: ignore[type-arg]
 
 
 class _StorageKind(str):
-    """The type of a storage, by numpy's code; empty where it cannot be read."""
+    """The type of a storage, by numpy's code; empty if it cannot be read."""
 
 
 def _tensor(storage: Any = None, offset: Any = 0, shape: Any = (), strides: Any = (), *_: object) -> Any:
@@ -262,7 +264,7 @@ _MAKERS = {
 
 
 class _Unpickler(pickle.Unpickler):
-    """Makes plain values and descriptions of tensors; imports nothing."""
+    """Create plain values and descriptions of tensors; import nothing."""
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("torch", "torch.storage") and name.endswith("Storage"):
@@ -277,20 +279,22 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _unpickle(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str) -> Any:
-    """What the pickle of a checkpoint describes."""
+    """Return the content of the pickle of a checkpoint."""
     size = archive.getinfo(name).file_size
     if size > _MOST_STRUCTURE:
-        raise FormatError(path, name, f"at most {_MOST_STRUCTURE:,} bytes", f"{size:,}", "was more than tensors saved?")
+        raise FormatError(
+            path, name, f"at most {_MOST_STRUCTURE:,} bytes", f"{size:,}", "does it contain more than tensors?"
+        )
     data = _record(path, archive, name)
     try:
         for opcode, argument, at in pickletools.genops(data):
-            # A memo index is a promise of memory to the unpickler; every other length has been checked here.
+            # A memo index makes the unpickler allocate memory; every other length has been checked here.
             if opcode.name.endswith("PUT") and not (type(argument) is int and 0 <= argument < len(data)):
                 raise FormatError(path, f"{name}, byte {at:,}", f"a memo index below {len(data):,}", str(argument)[:40])
         return _Unpickler(io.BytesIO(data)).load()
     except FormatError:
         raise
-    except Exception as error:  # a damaged pickle raises whatever its operations meet
+    except Exception as error:  # a damaged pickle can raise anything
         what = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
         raise FormatError(path, name, "the structure of a checkpoint", what, _DAMAGED) from error
 
@@ -301,7 +305,7 @@ class _Records:
     Args:
         path: The file, for messages.
         archive: The open zip.
-        folder: What names of its records begin with.
+        folder: Prefix of the names of its records.
     """
 
     def __init__(self, path: str | os.PathLike[str], archive: zipfile.ZipFile, folder: str) -> None:
@@ -312,10 +316,10 @@ class _Records:
         self.order = ">" if big else "<"
 
     def array(self, name: str, tensor: _Tensor) -> F32:
-        """(shape) float32 values of a tensor.
+        """Return (shape) float32 values of a tensor.
 
         Raises:
-            FormatError: If they are no floating-point numbers, or do not lie in their record.
+            FormatError: If they are not floating-point numbers, or exceed their record.
         """
         storage, shape, stored = tensor.storage, tensor.shape, tensor.storage.values
         if not storage.kind:
@@ -338,12 +342,12 @@ class _Records:
         values = np.lib.stride_tricks.as_strided(flat[tensor.offset :], shape, steps, writeable=False)
         if storage.kind == "u2":  # bfloat16 is the upper half of float32
             return (values.astype(np.uint32) << 16).view(np.float32)
-        with np.errstate(over="ignore"):  # what overflows is refused as not finite
+        with np.errstate(over="ignore"):  # overflow is rejected later, as not finite
             return np.ascontiguousarray(values, np.float32)
 
 
 def _record(path: str | os.PathLike[str], archive: zipfile.ZipFile, name: str) -> bytes:
-    """All bytes of a record, which torch never compresses."""
+    """Return all bytes of a record, which torch never compresses."""
     info = archive.getinfo(name)
     if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
         raise FormatError(path, name, "a record that is not compressed", "a compressed one")

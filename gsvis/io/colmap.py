@@ -1,7 +1,7 @@
-"""COLMAP sparse models, binary and text: the cameras, images and points of a folder.
+"""Read COLMAP sparse models, binary and text: the cameras, images and points of a folder.
 
-Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centers lie at +0.5, as everywhere in
-gsvis. Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Tracks are skipped.
+Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centers lie at +0.5, as everywhere in gsvis.
+Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Tracks are skipped.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ _MODELS = (
     ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )
-_UNDISTORT = "undistort the images with `colmap image_undistorter` and give the model that it writes"
+_UNDISTORT = "undistort the images with `colmap image_undistorter` and use the model that it writes"
 
 Camera = tuple[str, int, int, F64]  # model, width, height, parameters
 Image = tuple[str, int, F64, F64]  # name, camera id, quaternion wxyz, translation
 
 
 def find_colmap(path: Path) -> Path | None:
-    """The folder of a COLMAP model, `path` or its usual `sparse/0`, `sparse` or `0`; None where there is none."""
+    """Return the folder of a COLMAP model, `path` or its usual `sparse/0`, `sparse` or `0`, or None."""
     for folder in (path, path / "sparse" / "0", path / "sparse", path / "0"):
         for suffix in (".bin", ".txt"):
             if (folder / f"cameras{suffix}").is_file() or (folder / f"images{suffix}").is_file():
@@ -61,13 +61,13 @@ def find_colmap(path: Path) -> Path | None:
 
 
 def read_colmap(folder: Path) -> Views:
-    """The posed images of a COLMAP model.
+    """Return the posed images of a COLMAP model.
 
     Args:
-        folder: Holds `cameras.bin` and `images.bin`, or the same with `.txt`; the binary pair is preferred.
+        folder: Folder with `cameras.bin` and `images.bin`, or the same with `.txt`; the binary pair is preferred.
 
     Raises:
-        FormatError: If a file is missing, cut short or malformed, or a camera in use is distorted.
+        FormatError: If a file is missing, truncated or malformed, or a camera in use is distorted.
     """
     suffix = ".bin" if (folder / "images.bin").is_file() or (folder / "cameras.bin").is_file() else ".txt"
     paths = folder / f"cameras{suffix}", folder / f"images{suffix}"
@@ -99,20 +99,20 @@ def read_colmap(folder: Path) -> Views:
 
 
 def find_colmap_points(folder: Path) -> Path | None:
-    """The points of the COLMAP model in `folder`: `points3D.bin`, `.txt`, or the `.ply` that 3DGS makes of them."""
+    """Return the points file of a COLMAP model: `points3D.bin`, `.txt`, or the `.ply` that 3DGS makes of them."""
     paths = [folder / f"points3D{suffix}" for suffix in (".bin", ".txt", ".ply")]
     return next((path for path in paths if path.is_file()), None)
 
 
 def read_colmap_points(path: Path) -> tuple[F64, NDArray[np.uint8]]:
-    """The points of a `points3D.bin` or `points3D.txt`, in file order; their positions are not checked.
+    """Return the points of a `points3D.bin` or `points3D.txt`, in file order; positions are not checked.
 
     Returns:
         positions: (N, 3), frame of the model.
         colors: (N, 3) sRGB, 255 is white.
 
     Raises:
-        FormatError: If the file is cut short or malformed.
+        FormatError: If the file is truncated or malformed.
     """
     return _points_bin(path) if path.suffix == ".bin" else _points_txt(path)
 
@@ -138,12 +138,12 @@ class _Bytes:
         return values
 
     def count(self, least: int, what: str) -> int:
-        """A 64-bit count of records of at least `least` bytes, refused when the file cannot hold them."""
+        """Return a 64-bit count of records of at least `least` bytes; reject it if the file is too short for them."""
         (number,) = self.take("<Q", f"the number of {what}")
         rest = len(self.data) - self.at
         if number * least > rest:
-            told = f"a count of {number:,} and {rest:,} bytes to hold them"
-            raise FormatError(self.path, f"byte {self.at - 8:,}", f"a possible number of {what}", told)
+            got = f"a count of {number:,} and {rest:,} bytes to hold them"
+            raise FormatError(self.path, f"byte {self.at - 8:,}", f"a possible number of {what}", got)
         return int(number)
 
     def need(self, size: int, what: str) -> None:
@@ -215,8 +215,8 @@ def _cameras_txt(path: Path) -> dict[int, Camera]:
             expected = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"
             raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
         if len(values) != counts.get(model, len(values)):
-            told = f"{len(values)} parameters"
-            raise FormatError(path, f"line {number}", f"{counts[model]} parameters of {model}", told)
+            got = f"{len(values)} parameters"
+            raise FormatError(path, f"line {number}", f"{counts[model]} parameters of {model}", got)
         cameras[key] = camera
     return cameras
 

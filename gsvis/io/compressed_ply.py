@@ -1,7 +1,7 @@
-"""PlayCanvas compressed PLY: 16 bytes a Gaussian, in chunks of 256 with their own value ranges.
+"""Read PlayCanvas compressed PLY: 16 bytes per Gaussian, in chunks of 256 with their own value ranges.
 
-Elements `chunk` (float minima and maxima), `vertex` (four packed uints) and optionally `sh` (one byte a coefficient,
-channel by channel as in INRIA PLY). Older files have no color range; their colors lie in [0, 1].
+Elements are `chunk` (float minima and maxima), `vertex` (four packed uints) and optionally `sh` (one byte per
+coefficient, channel by channel as in INRIA PLY). Older files have no color range; their colors lie in [0, 1].
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _VERTEX = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 
 def is_compressed(header: PlyHeader) -> bool:
-    """Whether the header is one of a compressed PLY: packed vertices."""
+    """Return whether the header belongs to a compressed PLY: packed vertices."""
     vertex = header.element("vertex")
     return vertex is not None and any(name in vertex.properties for name in _VERTEX)
 
@@ -72,13 +72,13 @@ def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
 
 
 def _ends(ranges: NDArray[Any], low: str, high: str, axes: str) -> tuple[F32, F32]:
-    """(C, 3) ends of the ranges of chunks."""
+    """Return (C, 3) ends of the ranges of chunks."""
     ends = [np.stack([ranges[end + axis] for axis in axes], axis=1).astype(np.float32) for end in (low, high)]
     return ends[0], ends[1]
 
 
 def _require(header: PlyHeader, name: str, properties: tuple[str, ...], kind: str) -> Element:
-    """The element of that name with all those properties, each of that numpy type."""
+    """Return the element with that name and with all those properties, each of that numpy type."""
     element = header.element(name)
     if element is None or element.row is None:
         raise FormatError(header.path, "header", f"an element {name} of scalar properties", "none")
@@ -90,17 +90,19 @@ def _require(header: PlyHeader, name: str, properties: tuple[str, ...], kind: st
 
 
 def _rows(header: PlyHeader, element: Element, stream: BufferedReader) -> NDArray[Any]:
-    """All rows of an element."""
+    """Return all rows of an element."""
     row, offset = header.rows_of(element)
     stream.seek(offset)
     rows = np.frombuffer(stream.read(element.count * row.itemsize), np.uint8)
     if len(rows) != element.count * row.itemsize:
-        raise FormatError(header.path, f"element {element.name}", "a file that stays as long as it was", "its end")
+        raise FormatError(
+            header.path, f"element {element.name}", "a file that does not change while it is read", "its end"
+        )
     return rows.view(row)
 
 
 def _higher(header: PlyHeader, count: int, stream: BufferedReader) -> F32 | None:
-    """(N, K-1, 3) coefficients of the optional `sh` element: bytes over [-4, 4], its ends exact."""
+    """Return (N, K-1, 3) coefficients of the optional `sh` element: bytes over [-4, 4], with exact ends."""
     sh = header.element("sh")
     if sh is None:
         return None

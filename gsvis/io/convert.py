@@ -1,4 +1,4 @@
-"""What `gsvis convert` does to a scene between reading and writing: cut, thin, simplify, turn.
+"""Convert a scene as `gsvis convert` does: crop, drop faint Gaussians, reduce the SH degree, rotate.
 
 Pure functions of scenes in their own frame; knows no file and no format.
 """
@@ -26,19 +26,19 @@ def convert_scene(
     max_sh_degree: int = 3,
     up: tuple[str, str] | None = None,
 ) -> Gaussians:
-    """A new scene with fewer Gaussians, less view dependence, or another up axis.
+    """Return a new scene with fewer Gaussians, less view dependence, or another up axis.
 
     Args:
-        scene: What to convert; stays as it is.
-        crop: (2, 3) lowest and highest corner of a box in the frame of `scene`; Gaussians whose center lies in it,
-            borders included, are kept. Infinite corners leave a side open.
-        min_opacity: Gaussians of at least this opacity are kept, in [0, 1].
-        max_sh_degree: Higher degrees of the spherical harmonics are dropped, 0 to 3.
-        up: The axis that points up now and the one that shall, such as `("-y", "+z")`. The scene turns about the axis
-            that is normal to both (by half a turn about x, or y for x itself, where they are opposite). None: no turn.
+        scene: The scene; it is not modified.
+        crop: (2, 3) lowest and highest corner of a box in the frame of `scene`; keeps Gaussians whose center lies
+            in it, borders included. Infinite corners leave a side open.
+        min_opacity: Keep Gaussians of at least this opacity, in [0, 1].
+        max_sh_degree: Drop higher degrees of the spherical harmonics, 0 to 3.
+        up: The current up axis and the new one, such as `("-y", "+z")`. The scene rotates about the axis normal to
+            both (by half a turn about x, or y for x itself, if they are opposite). None: no rotation.
 
     Returns:
-        The converted scene; order is kept.
+        The converted scene, in the same order.
 
     Raises:
         ValueError: If an argument is out of its range.
@@ -70,14 +70,14 @@ def convert_scene(
 
 
 def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
-    """(3, 3) rotation, new frame from old frame, that takes one axis to another.
+    """Return the (3, 3) rotation, new frame from old frame, that takes one axis to another.
 
     Args:
         old: One of `AXES`.
         new: One of `AXES`.
 
     Raises:
-        ValueError: If a name is none of `AXES`.
+        ValueError: If a name is not in `AXES`.
 
     Example:
         >>> (rotation_between_axes("-y", "+z") @ [0, -1, 0]).tolist()
@@ -96,7 +96,7 @@ def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
 
 def _pair(up: object) -> tuple[str, str]:
     if not isinstance(up, tuple | list) or len(up) != 2:
-        raise ValueError(f'up: expected two axes, now and then, such as ("-y", "+z"), got {up!r}')
+        raise ValueError(f'up: expected two axes, old and new, such as ("-y", "+z"), got {up!r}')
     return up[0], up[1]
 
 
@@ -106,7 +106,7 @@ def _axis(name: str, axis: str) -> NDArray[np.float64]:
 
 
 def _extent(scene: Gaussians) -> str:
-    """Where the centers and opacities of a scene lie, for an error message."""
+    """Return the extent of the centers and opacities of a scene, for an error message."""
     if len(scene) == 0:
         return "the scene was empty before"
     low, high = (np.round(corner, 3).tolist() for corner in scene.bounds())

@@ -1,18 +1,18 @@
-"""EyeNavGS recordings: head poses of people walking through 3DGS scenes with a headset (`user101_room.csv`).
+"""Read EyeNavGS recordings: head poses of people walking through 3DGS scenes with a headset (`user101_room.csv`).
 
-A row is one eye of one frame; `scene_setting.csv` has the tilt and the scale of each scene. What comes out is in meters
+A row is one eye of one frame; `scene_setting.csv` has the tilt and the scale of each scene. Paths come out in meters
 with +y up, x and z level, the head in OpenCV axes.
 
 Two groups published recordings. The first (Rutgers) ends rows with `Timestamp`, gaze position before gaze rotation; the
-second (NTHU) with `timestep`, gaze rotation before gaze position, and has settings of its own: each recording wants the
+second (NTHU) with `timestep`, gaze rotation before gaze position. Each has its own settings: a recording needs the
 `scene_setting.csv` of its group.
 
-Times are milliseconds. The first group's notes say so of `Timestamp`. No note says so of `timestep`: it is inferred.
-The second group's script for frame rates divides it by 1000 for seconds, and the data agree: all 289 recordings end at
-59,882 to 60,000 (one minute), frames are 28 apart in the median (36 Hz, half of the headset's 72), and the median
-person walks at 0.18 m/s with the 99th percentile of speed at 0.2 to 1.3 m/s, as in the first group.
+Times are milliseconds. The first group's notes say so for `Timestamp`. For `timestep` it is inferred: the second
+group's script for frame rates divides it by 1000 for seconds, and the data agree: all 289 recordings end at 59,882 to
+60,000 (one minute), the median distance of frames is 28 (36 Hz, half of the headset's 72), and the median person walks
+at 0.18 m/s with the 99th percentile of speed at 0.2 to 1.3 m/s, as in the first group.
 
-The axes, which the data set does not state, follow from the 44 recordings of the room and the truck (tests hold this):
+The data set does not state its axes. They follow from the 44 recordings of the room and the truck (tests check this):
 
 - Positions and quaternions (xyzw) are world from head, in a right-handed frame. The right eye lies at +x of the left
   in the head's axes, by 120 to 138 mm in room (scale 2) and 45 to 53 mm in truck (scale 0.76), constant to a
@@ -21,8 +21,8 @@ The axes, which the data set does not state, follow from the 44 recordings of th
 - Turned by the scene's quaternion, the head's +y is up: its mean lies within 20 degrees of world +y in every recording.
 - People walk forwards and look ahead: -z of the head agrees with the direction of walking (mean cosine 0.4) and with
   -z of the gaze, where that was recorded (median cosine above 0.9). These are the axes of OpenXR.
-- Both eyes of a frame carry the same orientation, though their rows are stamped 4 ms apart: the two poses are of one
-  instant. So the head is the mean of the pair at the first stamp, and nothing is interpolated between the eyes.
+- Both eyes of a frame have the same orientation, though their rows have stamps 4 ms apart: the two poses are of one
+  instant. Hence the head is the mean of the pair at the first stamp, without interpolation between the eyes.
 - FOV1 to FOV4 are radians: left, right, *down*, up (OpenXR's signs), not top, bottom as the data set's notes say. They
   are those of the headset, the same in all recordings, and are not read.
 
@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
-from gsvis.io._table import Table, listed, read_table
+from gsvis.io._table import Table, join_names, read_table
 from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
 from gsvis.scene.paths import HeadPath
 
@@ -62,18 +62,18 @@ _UNREAD = (
     *(f"GazePos{axis}" for axis in "XYZ"),
     *(f"GazeQ{axis}" for axis in "XYZW"),
 )
-_OPENGL = np.diag([1.0, -1.0, -1.0])  # OpenXR axes to OpenCV's: y and z point the other way
-_SAME_TURN = 1.0 - 1e-5  # |dot| of two quaternions of three decimals that are one orientation; half a degree
+_OPENGL = np.diag([1.0, -1.0, -1.0])  # OpenXR axes to OpenCV's: y and z are reversed
+_SAME_TURN = 1.0 - 1e-5  # |dot| of two quaternions of three decimals with one orientation; half a degree
 _MOST_DROPPED = 0.1
 _LONG_GAP = 1.0  # seconds
-_ROUNDING = 0.1  # by which the length of a quaternion may differ from 1
+_ROUNDING = 0.1  # tolerance on the length of a quaternion
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class SceneSetting:
-    """How a scene of the data set was set up.
+    """Tilt and scale of a scene of the data set.
 
     Attributes:
         quat: xyzw rotation that levels the scene: raw frame to one with +y up.
@@ -85,7 +85,7 @@ class SceneSetting:
 
 
 def is_eyenav(table: Table) -> bool:
-    """Whether a table has most of the columns that only these recordings have; the rest may be missing."""
+    """Return whether a table has most of the columns that only these recordings have; others may be missing."""
     return 2 * len({*COLUMNS} & set(table.header)) > len(COLUMNS)
 
 
@@ -94,16 +94,16 @@ def read_eyenav(path: str | os.PathLike[str], setting: SceneSetting | None = Non
 
     Args:
         path: The file, gzipped or not.
-        setting: Tilt and scale of its scene; by default the row of `scene_setting.csv`, beside the file or up to two
-            folders above, for the scene in the file's name (`user101_room.csv`), or the folder's.
+        setting: Tilt and scale of its scene. By default the row of `scene_setting.csv`, beside the file or up to
+            two folders above, for the scene in the file's name (`user101_room.csv`), or the folder's.
 
     Returns:
         The head's path in meters, up +y, from time 0. Stamps that do not rise are dropped.
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If the file or the settings are malformed or missing, or more than a tenth of the stamps do not
-            rise.
+        FormatError: If the file or the settings are malformed or missing, or more than a tenth of the timestamps do
+            not rise.
     """
     return path_of_recording(read_table(path), setting)
 
@@ -134,7 +134,7 @@ def read_scene_settings(path: str | os.PathLike[str]) -> dict[str, SceneSetting]
 
 
 def path_of_recording(table: Table, setting: SceneSetting | None = None) -> HeadPath:
-    """The head's path of a recording that was read as a table; as `read_eyenav`."""
+    """Return the head's path of a recording read as a table; see `read_eyenav`."""
     setting = setting or _setting_of(table.path)
     time = _time_column(table)
     values = table.numbers((*COLUMNS, time), known=(*_UNREAD, *TIMES))
@@ -157,16 +157,17 @@ def path_of_recording(table: Table, setting: SceneSetting | None = None) -> Head
 
 
 def _time_column(table: Table) -> str:
-    """The column with the time of each row, whose name differs between the groups.
+    """Return the column with the time of each row, whose name differs between the groups.
 
     Raises:
-        FormatError: If there is none; the columns of the header that are unknown are named.
+        FormatError: If there is none; the message names the unknown columns of the header.
     """
     time = next((name for name in TIMES if name in table.header), None)
     if time is None:
         missing = [name for name in COLUMNS if name not in table.header]
         others = [name for name in table.header if name not in COLUMNS and name not in _UNREAD]
-        got = f"no {', '.join([*missing, ' or '.join(TIMES)])}" + (f"; unexpected: {listed(others)}" if others else "")
+        unexpected = f"; unexpected: {join_names(others)}" if others else ""
+        got = f"no {', '.join([*missing, ' or '.join(TIMES)])}" + unexpected
         raise FormatError(table.path, f"line {table.lines[0]}", f"columns {', '.join(COLUMNS)}, {TIMES[0]}", got)
     return time
 
@@ -185,9 +186,9 @@ def _check_cells(table: Table, eyes: F64, quats: F64) -> None:
 
 
 def _heads(eyes: F64, positions: F64, turns: F64) -> tuple[NDArray[np.int64], F64]:
-    """One row (H,) for each frame, and the midpoint of the eyes (H, 3) in it.
+    """Return one row (H,) for each frame, and the midpoint of the eyes (H, 3) in it.
 
-    An eye without its partner is shifted by half of the median distance between the eyes, along the head's x axis.
+    An eye without its partner is shifted by half of the median eye distance, along the head's x axis.
     """
     same = np.abs(np.sum(turns[:-1] * turns[1:], axis=1)) >= _SAME_TURN
     left = np.flatnonzero((eyes[:-1] == 0) & (eyes[1:] == 1) & same)  # rows whose partner is the next row
@@ -206,7 +207,7 @@ def _heads(eyes: F64, positions: F64, turns: F64) -> tuple[NDArray[np.int64], F6
 
 
 def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> tuple[NDArray[np.int64], F64]:
-    """The frames whose stamp lies after all before it."""
+    """Return the frames whose timestamp is later than all before it."""
     latest = np.maximum.accumulate(stamps[rows])
     keep = np.concatenate([[True], stamps[rows[1:]] > latest[:-1]])
     dropped = int(np.count_nonzero(~keep))
@@ -224,7 +225,7 @@ def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> t
 
 
 def _setting_of(path: Path) -> SceneSetting:
-    """The setting of the scene that a recording's name or folder tells."""
+    """Return the setting of the scene named by a recording's file or folder."""
     folder = path.resolve().parent
     files = [place / SETTINGS for place in (folder, folder.parent, folder.parent.parent)]
     file = next((file for file in files if file.is_file()), None)
@@ -236,7 +237,7 @@ def _setting_of(path: Path) -> SceneSetting:
     for name in names:
         if name in settings:
             return settings[name]
-    known, got = listed(sorted(settings)), " or ".join(map(repr, dict.fromkeys(names)))
+    known, got = join_names(sorted(settings)), " or ".join(map(repr, dict.fromkeys(names)))
     raise FormatError(path, "", f"the name of a scene of {SETTINGS} ({known})", got, "pass setting=SceneSetting(...)")
 
 

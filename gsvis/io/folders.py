@@ -1,4 +1,4 @@
-"""Remedies for a folder in place of a file: what in it, or below it, was probably meant. Knows names, reads nothing."""
+"""Suggest which file a user probably meant who gave a folder. Knows names, reads nothing."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _MOST_ENTRIES = 5000
 
 
 def scene_remedy(folder: Path) -> str:
-    """Return the file in or below a folder that was probably meant as the scene, as advice; '' where there is none.
+    """Return advice that names the file in or below a folder that is probably the scene; '' if there is none.
 
-    Of several files the one with the highest numbers in its path is named: trainers count their steps there.
+    Of several files it names the one with the highest numbers in its path, because trainers count their steps there.
     """
     found = []
     for parent, names in _walk(folder):
@@ -37,7 +37,7 @@ def scene_remedy(folder: Path) -> str:
 
 
 def cameras_remedy(folder: Path) -> str:
-    """Return the first folder below that holds cameras of photographs, as advice; '' where there is none."""
+    """Return advice that names the first folder below with cameras of photos; '' if there is none."""
     found = _cameras_in(folder)
     return f"name the folder of one model, such as {found}" if found else ""
 
@@ -47,12 +47,12 @@ def _cameras_in(folder: Path) -> str:
 
 
 def _parts(path: Path) -> list[str]:
-    """The path as texts and numbers in turn."""
+    """Split the path into texts and numbers in turn."""
     return re.split(r"(\d{1,18})", str(path))
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, list[str]]]:
-    """Folders, this one first, with the names of their files; not too deep and not too many."""
+    """Yield folders, this one first, with the names of their files; limited in depth and number."""
     seen, base = 0, len(folder.parts)
     for parent, folders, names in os.walk(folder):
         seen += len(folders) + len(names)

@@ -1,4 +1,4 @@
-"""`cameras.json` of INRIA's 3DGS: a JSON list of the training cameras, beside the trained model.
+"""Read `cameras.json` of INRIA's 3DGS: a JSON list of the training cameras, beside the trained model.
 
 `rotation` is world from camera in OpenCV axes and `position` the viewpoint in the world. The file states no
 principal point: it is the middle of the image.
@@ -18,11 +18,11 @@ __all__ = ["read_inria_cameras"]
 
 
 def read_inria_cameras(path: Path, content: list[Any]) -> Views:
-    """The posed images of a `cameras.json`.
+    """Return the posed images of a `cameras.json`.
 
     Args:
         path: The file, for messages.
-        content: What it holds.
+        content: Its JSON value.
 
     Raises:
         FormatError: If a key is missing or malformed.

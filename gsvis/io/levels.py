@@ -1,7 +1,7 @@
-"""Quality levels as a folder: one PLY a level that any viewer opens, and the map of reuse that joins them again.
+"""Read and write quality levels as a folder: one PLY per level for any viewer, and a map that joins them again.
 
-`levels.arrow` has a row for each Gaussian of the union: the levels it stands in, and its scales and opacity, of which a
-PLY keeps only logarithms and logits. So what is loaded is what was saved, bit by bit. Frame and units are the scene's.
+`levels.arrow` has a row for each Gaussian of the union: its levels, and its scales and opacity, because a PLY stores
+only logarithms and logits. Loading returns exactly what was saved, bit by bit. Frame and units are the scene's.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gsvis.scene.levels import Levels
 __all__ = ["MAP", "LevelsInfo", "check_names", "levels_info", "load_levels", "save_levels"]
 
 MAP = "levels.arrow"
-"""Name of the map of reuse in the folder."""
+"""Name of the map in the folder."""
 
 FORMAT, VERSION = "gsvis-levels", 1
 _ROWS = 1 << 16
@@ -47,15 +47,15 @@ _FIELDS = [
 
 @dataclass(frozen=True)
 class LevelsInfo:
-    """What the map of reuse says of its folder.
+    """Contents of the map of a folder of levels.
 
     Attributes:
-        names: Of the L levels, lowest first.
-        files: Their PLYs, names inside the folder.
-        counts: Gaussians of each.
+        names: Names of the L levels, lowest first.
+        files: Names of their PLYs inside the folder.
+        counts: Number of Gaussians of each.
         digests: SHA-256 of each PLY, hexadecimal.
         gaussians: N of the union.
-        extra: What was kept with them, as given to `save_levels`.
+        extra: JSON values stored with them, as given to `save_levels`.
     """
 
     names: tuple[str, ...]
@@ -67,10 +67,10 @@ class LevelsInfo:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Say at once which names of levels cannot become names of files.
+    """Raise if names of levels cannot become names of files.
 
     Raises:
-        ValueError: If one is no file name, two differ only in case, or there are more than 16.
+        ValueError: If one is not a file name, two differ only in case, or there are more than 16.
     """
     for name in names:
         if not _NAME.fullmatch(name):
@@ -82,25 +82,25 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> None:
-    """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map of reuse.
+    """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map.
 
-    All files are written beside the folder and moved into it at the end, the old map removed first and the new one
-    moved last: a folder whose writing was cut short has no map. Other files in it stay.
+    All files are written beside the folder and moved into it at the end. The old map is removed first and the new one
+    moved last: a folder with interrupted writing has no map. Other files in it stay.
 
     Args:
-        levels: What to write.
-        folder: Where; made if it is missing.
-        extra: Anything that JSON can say, to be kept in the map.
+        levels: The levels.
+        folder: The folder; created if missing.
+        extra: JSON values to store in the map.
 
     Raises:
-        ValueError: If a level has a name that is no file name, two differ only in case, or `extra` is no JSON.
+        ValueError: If the name of a level is not a file name, two differ only in case, or `extra` is not JSON.
         OSError: If the folder cannot be written.
     """
     check_names(levels.names)
     try:
         kept = json.loads(json.dumps(dict(extra or {}), allow_nan=False))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"extra: expected what JSON can say, got {error}") from error
+        raise ValueError(f"extra: expected JSON values, got {error}") from error
     with atomic_folder(folder, last=(MAP,)) as partial:
         rows = []
         for k, name in enumerate(levels.names):
@@ -115,13 +115,13 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
 
 
 def load_levels(folder: str | os.PathLike[str]) -> Levels:
-    """Read what `save_levels` wrote: the same union, in the same order, bit by bit.
+    """Read a folder of `save_levels`: the same union, in the same order, bit by bit.
 
     Args:
         folder: The folder.
 
     Raises:
-        FormatError: If the map is damaged or of a newer version, or a PLY is missing or was changed since.
+        FormatError: If the map is damaged or has a newer version, or a PLY is missing or has changed.
         OSError: If the folder or its map cannot be opened.
     """
     file = ArrowFile(_check.path("folder", folder) / MAP, FORMAT, VERSION)
@@ -151,10 +151,10 @@ def load_levels(folder: str | os.PathLike[str]) -> Levels:
 
 
 def levels_info(folder: str | os.PathLike[str]) -> LevelsInfo:
-    """What the map says about the folder; the map's checksum is looked at, the PLYs are not.
+    """Read the map of a folder; verify its checksum, and skip the PLYs.
 
     Raises:
-        FormatError: If the map is damaged or of a newer version.
+        FormatError: If the map is damaged or has a newer version.
         OSError: If it cannot be opened.
     """
     return _info(ArrowFile(_check.path("folder", folder) / MAP, FORMAT, VERSION))
@@ -178,7 +178,7 @@ def _info(file: ArrowFile) -> LevelsInfo:
     for row in rows:
         name, digest = row.raw("name"), row.raw("sha256")
         if not isinstance(name, str) or name in names:
-            raise FormatError(file.path, row.where("name"), "a name of its own", repr(name)[:60])
+            raise FormatError(file.path, row.where("name"), "a unique name", repr(name)[:60])
         if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
             raise FormatError(file.path, row.where("sha256"), "64 hexadecimal digits", repr(digest)[:80])
         names.append(name)
@@ -190,7 +190,7 @@ def _info(file: ArrowFile) -> LevelsInfo:
 
 
 def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """First and last level, scales and opacities of the union."""
+    """Return first and last level, scales and opacities of the union."""
     file.check_schema(pa.schema(_FIELDS))
     budget = Budget(file.path, file.nbytes)
     pieces: list[list[NDArray[Any]]] = [[], [], [], []]
@@ -209,8 +209,8 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
 
 
 def _check_ply(file: Path, info: LevelsInfo, level: int) -> Path:
-    """The PLY of a level, its content that of the map."""
-    path = file.parent / info.files[level]  # links may lead anywhere: the digest says what is there
+    """Return the PLY of a level after checking its digest."""
+    path = file.parent / info.files[level]  # a link may lead anywhere: the digest verifies the content
     try:
         digest = digest_of(path)
     except FileNotFoundError as error:

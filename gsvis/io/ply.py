@@ -1,4 +1,4 @@
-"""INRIA PLY: the file that 3DGS training writes, read and written.
+"""Read and write INRIA PLY, the format that 3DGS training writes.
 
 One `vertex` element with raw values: x y z, f_dc_*, f_rest_* (all coefficients of red, then green, then blue),
 opacity (logit), scale_* (log), rot_* (wxyz). Other columns and elements are skipped. The frame is the file's own.
@@ -41,7 +41,7 @@ def load_ply(path: str | os.PathLike[str]) -> Gaussians:
         The scene, in the file's order and frame.
 
     Raises:
-        FormatError: If the file is no such PLY, is truncated, or holds invalid values.
+        FormatError: If the file is not such a PLY, is truncated, or has invalid values.
         OSError: If it cannot be opened.
     """
     with open_regular(path) as stream:
@@ -83,7 +83,7 @@ def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
 
 
 def _refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
-    """Raise if the file is a PLY as all the world writes them, with nothing of Gaussians in it."""
+    """Raise if the file is an ordinary PLY without Gaussians."""
     have = set(vertex.properties)
     if have & set(_REQUIRED) - set(_MEANS):
         return
@@ -96,7 +96,7 @@ def _refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
 
 
 def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
-    """The f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
+    """Return the f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
 
     Raises:
         FormatError: If a property is missing or the number of f_rest columns fits no SH degree.
@@ -115,9 +115,9 @@ def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
 
 
 class _Gather:
-    """Copies named columns of packed rows into a (rows, columns) float32 array.
+    """Copy named columns of packed rows into a (rows, columns) float32 array.
 
-    Rows of float32 alone, as nearly all files have them, take one indexed copy; others one copy for each column.
+    Rows of float32 alone, as in nearly all files, need one indexed copy; others need one copy per column.
     """
 
     def __init__(self, vertex: Element, groups: list[tuple[str, ...]]) -> None:
@@ -132,19 +132,19 @@ class _Gather:
             values = rows.view(np.float32).reshape(len(rows), -1)
             np.take(values, self.indices[group], axis=1, out=out, mode="clip")
             return
-        with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which the scene refuses
+        with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which the scene rejects
             for j, name in enumerate(self.columns[group]):
                 out[:, j] = rows[name]
 
 
 def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
-    """Write an INRIA PLY, binary little endian, in the property order of 3DGS, whole or not at all.
+    """Write an INRIA PLY, binary little endian, in the property order of 3DGS, atomically.
 
     Opacities 0 and 1 have no finite logit and are written as -120 and 40, which read back as 0 and 1.
 
     Args:
-        scene: What to write; its order and frame are kept.
-        path: The file; its folder is made if missing.
+        scene: The scene; its order and frame are kept.
+        path: The file; its folder is created if missing.
 
     Raises:
         OSError: If it cannot be written.

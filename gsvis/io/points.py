@@ -1,6 +1,6 @@
-"""Colored points from the files people have: COLMAP's `points3D`, PLY, and the PLY that a `transforms.json` names.
+"""Read colored points of common formats: COLMAP's `points3D`, PLY, and the PLY that a `transforms.json` names.
 
-Positions come out in the frame of the file, which is that of the cameras beside it; colors are sRGB in [0, 1].
+Positions are in the frame of the file, which is that of the cameras beside it; colors are sRGB in [0, 1].
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
             `transforms.json` with `ply_file_path`, or its folder.
 
     Returns:
-        The points in file order; mid-gray where a PLY has no colors. A file may hold none.
+        The points in file order; mid-gray if a PLY has no colors. A file may hold none.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
-        FormatError: If it holds no points, is cut short or malformed, or a position is not finite.
+        FormatError: If it has no points, is truncated or malformed, or a position is not finite.
 
     Examples:
         >>> load_points("../shared/data/photos/bonsai")  # doctest: +SKIP
@@ -63,7 +63,7 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
         with open_regular(found) as stream:
             return _read_ply(parse_header(found, stream, os.fstat(stream.fileno()).st_size), stream)
     positions, colors = read_colmap_points(found)
-    with np.errstate(over="ignore"):  # what overflows is refused below
+    with np.errstate(over="ignore"):  # overflow is rejected below
         means = positions.astype(np.float32)
     bad = _not_finite(means)
     if bad is not None:
@@ -72,10 +72,10 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
 
 
 def find_points(path: Path) -> Path | None:
-    """The file with the points of the reconstruction at `path`, as `load_points` takes it; None where there is none.
+    """Return the file with the points of the reconstruction at `path` (see `load_points`), or None.
 
     Raises:
-        FormatError: If a `transforms.json` is malformed, or names a file that is not there.
+        FormatError: If a `transforms.json` is malformed, or names a file that does not exist.
     """
     if path.is_dir():
         folder = find_colmap(path)
@@ -111,7 +111,7 @@ def _read_ply(header: PlyHeader, stream: BufferedReader) -> PointCloud:
     start = 0
     for rows in row_chunks(header, vertex, stream):
         some = slice(start, start + len(rows))
-        with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which is refused
+        with np.errstate(all="ignore"):  # a double beyond float32 becomes inf, which is rejected
             for j, name in enumerate("xyz"):
                 means[some, j] = rows[name]
             if white is not None:
@@ -123,24 +123,24 @@ def _read_ply(header: PlyHeader, stream: BufferedReader) -> PointCloud:
 
 
 def _white(header: PlyHeader, vertex: Element) -> float | None:
-    """The value of white in the colors of a PLY; None where it has none."""
+    """Return the value of white in the colors of a PLY; None if it has no colors."""
     assert vertex.row is not None
     have = [name for name in _COLORS if name in vertex.properties]
     if not have:
         return None
     kinds = {vertex.row[name].str[1:] for name in have}
     if len(have) < 3 or len(kinds) > 1 or not kinds <= set(_WHITE):
-        told = ", ".join(f"{name} {vertex.row[name].name}" for name in have)
-        expected = "red, green and blue alike, of type uchar, ushort, float or double"
-        raise FormatError(header.path, "element vertex", expected, told)
+        got = ", ".join(f"{name} {vertex.row[name].name}" for name in have)
+        expected = "red, green and blue of one type (uchar, ushort, float or double)"
+        raise FormatError(header.path, "element vertex", expected, got)
     return _WHITE[kinds.pop()]
 
 
 def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colors: F32) -> None:
-    """Refuse what is no position or no color, and say where it stands.
+    """Raise at the first invalid position or color, with its place.
 
     Args:
-        header: Of the file.
+        header: Header of the file.
         place: Number of the first row, bytes before the first row of all, bytes of a row.
         means: (R, 3) positions.
         colors: (R, 3), white is 1.
@@ -157,11 +157,11 @@ def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colo
     outside = ~((colors >= 0.0) & (colors <= 1.0)).all(axis=1)
     if outside.any():
         row = int(outside.argmax())
-        told = " ".join(f"{x:g}" for x in colors[row])
-        raise FormatError(header.path, where(row), "colors from 0 to white (1 where they are floats)", told)
+        text = " ".join(f"{x:g}" for x in colors[row])
+        raise FormatError(header.path, where(row), "colors from 0 to white (1 where they are floats)", text)
 
 
 def _not_finite(means: NDArray[Any]) -> int | None:
-    """Index of the first row that is not finite."""
+    """Return the index of the first row that is not finite."""
     bad = ~np.isfinite(means).all(axis=1)
     return int(bad.argmax()) if bad.any() else None

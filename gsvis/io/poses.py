@@ -1,7 +1,7 @@
-"""Plain pose files: a CSV with the header `t,x,y,z,qw,qx,qy,qz`, and the door to every pose format that gsvis reads.
+"""Read and write plain pose files, CSVs with the header `t,x,y,z,qw,qx,qy,qz`, and read all other pose formats.
 
 Seconds, scene units, world from camera in OpenCV axes, quaternions wxyz. A file may be gzipped. Further columns are
-passed over, and the order of columns is free.
+ignored, and columns may come in any order.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
-from gsvis.io._table import Table, listed, read_table
+from gsvis.io._table import Table, join_names, read_table
 from gsvis.io.eyenav import COLUMNS as EYENAV_COLUMNS
 from gsvis.io.eyenav import is_eyenav, path_of_recording
 from gsvis.scene.paths import HeadPath
@@ -26,17 +26,17 @@ __all__ = ["load_path", "read_poses", "write_poses"]
 
 COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
-_ROUNDING = 0.1  # by which the length of a quaternion may differ from 1
+_ROUNDING = 0.1  # tolerance on the length of a quaternion
 
 
 def load_path(path: str | os.PathLike[str]) -> HeadPath:
-    """Read a head path of any format that gsvis knows, told from its header.
+    """Read a head path of any known format, detected from its header.
 
     Args:
         path: A plain pose file (`read_poses`) or an EyeNavGS recording (`read_eyenav`), gzipped or not.
 
     Returns:
-        The path; `up` and `meters_per_unit` are set where the format states them.
+        The path; `up` and `meters_per_unit` are set if the format states them.
 
     Raises:
         FileNotFoundError: If there is no file.
@@ -47,7 +47,7 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
         return path_of_recording(table)
     if not set(COLUMNS) & set(table.header):
         known = f"columns {','.join(COLUMNS)} or those of EyeNavGS ({', '.join(EYENAV_COLUMNS)}, Timestamp or timestep)"
-        raise FormatError(path, f"line {table.lines[0]}", known, listed(table.header))
+        raise FormatError(path, f"line {table.lines[0]}", known, join_names(table.header))
     return _path_of(table)
 
 
@@ -56,18 +56,18 @@ def read_poses(path: str | os.PathLike[str]) -> HeadPath:
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If a column is missing, a cell is no finite number, times do not rise, or a quaternion's length
-            is not 1 within 0.1.
+        FormatError: If a column is missing, a cell is not a finite number, times do not rise, or a quaternion's
+            length is not 1 within 0.1.
     """
     return _path_of(_open(path))
 
 
 def write_poses(poses: HeadPath, path: str | os.PathLike[str]) -> None:
-    """Write a path as a plain pose file, whole or not at all; reading it gives the same numbers back.
+    """Write a path as a plain pose file, atomically; reading it returns the same numbers.
 
     Args:
-        poses: The path. Its `up` and `meters_per_unit` have no place in the file.
-        path: The file; gzipped where its name ends in `.gz`.
+        poses: The path. Its `up` and `meters_per_unit` are not stored.
+        path: The file; gzipped if its name ends in `.gz`.
     """
     values = np.column_stack([poses.times, poses.positions, poses.quats])
     lines = [",".join(COLUMNS), *(",".join(repr(float(v)) for v in row) for row in values), ""]

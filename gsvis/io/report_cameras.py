@@ -1,6 +1,6 @@
-"""The cameras that gsvis itself writes: in `report.json` of `gsvis analyze`, and in what `gsvis render --json` prints.
+"""Read and write cameras in files of gsvis: `report.json` of `gsvis analyze`, and the output of `gsvis render --json`.
 
-Matrices are kept as they are, every digit, so that a view is repeated exactly. OpenCV axes, camera from world.
+Matrices keep every digit, so that a view repeats exactly. OpenCV axes, camera from world.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _RIGID = 1e-4
 
 
 def describe_cameras(cameras: Cameras) -> list[dict[str, Any]]:
-    """Return one entry a camera, ready for JSON, that `load_cameras` reads back bit by bit."""
+    """Return one entry per camera, ready for JSON, that `load_cameras` reads back bit by bit."""
     return [
         {
             "name": cameras.names[i],
@@ -36,7 +36,7 @@ def describe_cameras(cameras: Cameras) -> list[dict[str, Any]]:
 
 
 def holds_own_cameras(content: Any) -> bool:
-    """Whether a JSON value is a document of gsvis that may hold cameras."""
+    """Return whether a JSON value is a document of gsvis that may hold cameras."""
     return isinstance(content, dict) and content.get("format") in _FORMATS
 
 
@@ -45,10 +45,10 @@ def read_own_cameras(path: Path, content: dict[str, Any]) -> Views:
 
     Args:
         path: The file, for messages.
-        content: What it holds.
+        content: Its JSON value.
 
     Raises:
-        FormatError: If there are no cameras in it, or one is malformed.
+        FormatError: If it has no cameras, or one is malformed.
     """
     entries = content.get("cameras")
     if not isinstance(entries, list):
@@ -64,7 +64,7 @@ def read_own_cameras(path: Path, content: dict[str, Any]) -> Views:
             raise FormatError(path, f"{where}.name", "a string", type(name).__name__)
         sides = [float(to_numbers(path, f"{where}.{key}", entry.get(key), ())) for key in ("width", "height")]
         pose = to_numbers(path, f"{where}.viewmat", entry.get("viewmat"), (4, 4))
-        with np.errstate(all="ignore"):  # enormous numbers become infinity or NaN, which is refused
+        with np.errstate(all="ignore"):  # huge numbers become infinity or NaN, which is rejected
             defect = float(np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max())
         if not defect <= _RIGID or (pose[3] != (0, 0, 0, 1)).any():
             raise FormatError(path, f"{where}.viewmat", "a rigid matrix, camera from world", "another")

@@ -1,7 +1,7 @@
-"""Reading a scene whatever its format, and writing one by its suffix.
+"""Read a scene of any format, and write one in the format of its suffix.
 
-The content decides the format first, the suffix only where there is no magic number (`.splat`). One format, one file
-beside this one.
+The content decides the format; the suffix decides only if there is no magic number (`.splat`). Each format has its own
+module.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import open_regular, read_whole
-from gsvis.io._table import listed
+from gsvis.io._table import join_names
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy
 from gsvis.io.ply import load_ply, save_ply
@@ -47,22 +47,22 @@ _MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK": ".sog"}
 
 
 def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussians:
-    """Read a scene of 3D Gaussians in any of the formats that gsvis knows.
+    """Read a scene of 3D Gaussians in any known format.
 
     Args:
         path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its
             folder), a streamed SOG (`lod-meta.json` or its folder), or a checkpoint of gsplat or of nerfstudio's
             splatfacto (`.pt`, `.ckpt`).
-        lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest that is present. Other formats
-            have one level and want None.
+        lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest present. Other formats have one
+            level and need None.
 
     Returns:
-        The scene, in the file's order and frame, activated. SPZ is turned to the frame of the same scene's PLY.
+        The scene, in the file's order and frame, activated. SPZ is rotated to the frame of the same scene's PLY.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
         FormatError: If the format is unknown, or the file is damaged, truncated, empty or made to exhaust memory.
-        ValueError: If `lod` is negative or no integer, or given for a format with one level.
+        ValueError: If `lod` is not an integer >= 0, or is given for a format with one level.
     """
     where = _check.path("path", path)
     if not where.exists():
@@ -71,18 +71,18 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
         return load_streamed_sog(where, lod)
     reader = _reader(where)
     if lod is not None:
-        raise ValueError(f"lod: expected None for a file with one level of detail, got {lod!r}; leave it out")
+        raise ValueError(f"lod: expected None for a file with one level of detail, got {lod!r}; omit it")
     return reader(where)
 
 
 def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
-    """Write a scene in the format of the path's suffix, whole or not at all.
+    """Write a scene in the format of the path's suffix, atomically.
 
     INRIA PLY (`.ply`) keeps everything; SPZ (`.spz`) and SOG (`.sog`) are about ten times smaller and lossy.
 
     Args:
-        scene: What to write.
-        path: A file name that ends in `.ply`, `.spz` or `.sog`; its folder is made if missing.
+        scene: The scene.
+        path: A file name that ends in `.ply`, `.spz` or `.sog`; its folder is created if missing.
 
     Raises:
         ValueError: If the suffix is another one, the scene is empty, or the format cannot hold it.
@@ -102,7 +102,7 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 
 def _is_streamed(path: Path) -> bool:
-    """Whether this is a streamed SOG scene: by file name in a folder, by content otherwise."""
+    """Return whether this is a streamed SOG scene: by file name in a folder, by content otherwise."""
     if path.is_dir():
         return (path / "lod-meta.json").is_file()
     if path.suffix.lower() != ".json":
@@ -112,12 +112,13 @@ def _is_streamed(path: Path) -> bool:
         "meta.json",
         "lod-meta.json",
     ):
-        raise FormatError(path, "", _KNOWN, f"JSON with keys {listed(list(fields.value))}", scene_remedy(path.parent))
+        keys = join_names(list(fields.value))
+        raise FormatError(path, "", _KNOWN, f"JSON with keys {keys}", scene_remedy(path.parent))
     return "tree" in fields or "filenames" in fields or path.name == "lod-meta.json"
 
 
 def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
-    """The reader for a file or folder that is no streamed SOG."""
+    """Return the reader for a file or folder that is not a streamed SOG."""
     if path.is_dir():
         if not (path / "meta.json").is_file():
             raise FormatError(path, "", _KNOWN, "a folder without meta.json or lod-meta.json", scene_remedy(path))
@@ -127,7 +128,7 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
     with open_regular(path) as stream:
         head = stream.read(8)
     if not head:
-        raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export cut short?")
+        raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export interrupted?")
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):
             return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]
@@ -136,7 +137,7 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
         expected, remedy = "a zip, as torch writes checkpoints since 1.6", "load it with torch and torch.save it again"
         raise FormatError(path, "", expected, "a bare pickle, perhaps of torch before 1.6", remedy)
     if reader is None:
-        # nerfstudio and gsplat write a config.yml or cfg.yml beside what they train
+        # nerfstudio and gsplat write a config.yml or cfg.yml beside their checkpoints
         remedy = scene_remedy(path.parent) if path.suffix.lower() in (".yml", ".yaml") else ""
         raise FormatError(path, "", _KNOWN, f"a file beginning {head!r} named {path.name!r}", remedy)
     return reader

@@ -1,4 +1,4 @@
-"""SOG: PlayCanvas' scenes as lossless WebP planes, versions 1 and 2, in a folder or a zip.
+"""Read SOG: PlayCanvas' scenes as lossless WebP planes, versions 1 and 2, in a folder or a zip.
 
 Row i of every plane is Gaussian i. Positions are 16-bit over a logarithmic range, quaternions three of four
 components, the rest bytes into ranges (version 1) or codebooks (version 2); higher SH a palette with labels.
@@ -38,7 +38,7 @@ def load_sog(path: str | os.PathLike[str]) -> Gaussians:
         The scene, in the file's order and frame.
 
     Raises:
-        FormatError: If meta data or planes are missing, damaged or contradict each other.
+        FormatError: If metadata or planes are missing, damaged or inconsistent.
         OSError: If the file cannot be opened.
     """
     where = _check.path("path", path)
@@ -59,7 +59,7 @@ def load_sog(path: str | os.PathLike[str]) -> Gaussians:
 
 
 class SogMeta:
-    """The checked meta data of one SOG scene.
+    """The checked metadata of one SOG scene.
 
     Args:
         fields: The object in `meta.json`.
@@ -88,11 +88,11 @@ class SogMeta:
         return [safe_name(self.path, part.where("files"), name) for name in part.items("files", number)]
 
     def table(self, key: str, channels: int) -> F32:
-        """What each byte of a plane stands for.
+        """Return the values of all bytes of a plane.
 
         Args:
             key: `scales`, `sh0` or `shN`.
-            channels: Number of channels with a range of their own in version 1.
+            channels: Number of channels with their own range in version 1.
 
         Returns:
             (entries, channels) raw values; 256 entries, or fewer in a short codebook.
@@ -106,7 +106,7 @@ class SogMeta:
                 )
                 return (low + (high - low) * (np.arange(256) / 255.0)[:, None]).astype(np.float32)
             entries = part.items("codebook")
-            if len(entries) == 256 and entries[0] is None:  # a fault of early writers; readers extrapolate
+            if len(entries) == 256 and entries[0] is None:  # a bug of early writers; readers extrapolate
                 rest = Fields(self.path, key, {"codebook": entries[1:]}).numbers("codebook", 255)
                 codebook = np.concatenate([[rest[0] + (rest[0] - rest[254]) / 255.0], rest])
             else:
@@ -118,9 +118,9 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
     """Decode the planes of one SOG scene.
 
     Args:
-        meta: Its meta data.
-        store: Where its planes are.
-        budget: What it may unpack to; knows the size of the files already.
+        meta: Its metadata.
+        store: Source of its planes.
+        budget: Limit of its unpacked size; already knows the size of the files.
 
     Raises:
         FormatError: If a plane is missing, damaged, too small, or holds an index out of range.
@@ -146,7 +146,7 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
 
 
 def _plane(meta: SogMeta, store: Store, budget: Budget, key: str, index: int = 0) -> U8:
-    """(N, 4) first pixels of a plane with one pixel for each Gaussian."""
+    """Return (N, 4) first pixels of a plane with one pixel per Gaussian."""
     pixels = _image(meta, store, budget, key, index)
     if pixels.shape[0] * pixels.shape[1] < meta.count:
         raise FormatError(
@@ -159,7 +159,7 @@ def _plane(meta: SogMeta, store: Store, budget: Budget, key: str, index: int = 0
 
 
 def _image(meta: SogMeta, store: Store, budget: Budget, key: str, index: int) -> U8:
-    """(H, W, 4) a plane, after its declared size has been claimed."""
+    """Return a plane (H, W, 4), after claiming its declared size."""
     name = meta.files[key][index]
     data = store.read(name, budget)
     width, height = plane_size(store.path, name, data)
@@ -168,7 +168,7 @@ def _image(meta: SogMeta, store: Store, budget: Budget, key: str, index: int) ->
 
 
 def _look_up(meta: SogMeta, key: str, pixels: U8, channels: int) -> F32:
-    """(N, channels) values that the bytes of a plane stand for."""
+    """Return (N, channels) values of the bytes of a plane."""
     table = meta.table(key, channels)
     _check_index(meta, key, int(pixels.max()), len(table), "codebook entries")
     return np.stack([table[:, c][pixels[:, c]] for c in range(channels)], axis=1)
@@ -194,7 +194,7 @@ def _means(meta: SogMeta, store: Store, budget: Budget) -> F32:
 
 
 def _higher(meta: SogMeta, store: Store, budget: Budget) -> F32 | None:
-    """(N, K-1, 3) higher coefficients by palette and label."""
+    """Return (N, K-1, 3) higher coefficients by palette and label."""
     part = meta.fields.child("shN")
     bands = part.integer("bands", 0, 3) if "bands" in part else None
     if bands == 0:

@@ -1,7 +1,7 @@
-"""Writing SOG version 2: WebP planes in a stored zip, the higher SH as a palette found by clustering.
+"""Write SOG version 2: WebP planes in a stored zip, the higher SH as a palette found by clustering.
 
-Lossy: 16 bits a coordinate on a logarithmic scale, 8 bits a quaternion component and opacity, 256 values for all
-scales and for all colors, up to 65,536 sets of higher coefficients. The order of the Gaussians is kept.
+Lossy: 16 bits per coordinate on a logarithmic scale, 8 bits per quaternion component and opacity, 256 values for
+    all scales and for all colors, up to 65,536 sets of higher coefficients. The order of the Gaussians is kept.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _MAX_PALETTE = 65536
 
 
 def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
-    """Write a `.sog` file, whole or not at all. The same scene gives the same bytes.
+    """Write a `.sog` file, atomically. The same scene gives the same bytes.
 
     Args:
-        scene: What to write; its order and frame are kept.
-        path: The file; its folder is made if missing.
+        scene: The scene; its order and frame are kept.
+        path: The file; its folder is created if missing.
 
     Raises:
         ValueError: If the scene is empty or has more Gaussians than a plane has pixels.
@@ -64,7 +64,7 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 
 def _as_plane(values: U8) -> U8:
-    """(H, W, 4) image with one pixel for each row; missing channels are 0 and alpha is 255."""
+    """Return an (H, W, 4) image with one pixel per row; missing channels are 0 and alpha is 255."""
     width = 4 * math.ceil(math.sqrt(len(values)) / 4)
     height = 4 * math.ceil(len(values) / width / 4)
     pixels = np.zeros((height * width, 4), np.uint8)
@@ -85,7 +85,7 @@ def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
 
 
 def _quats(quats: F32) -> U8:
-    """(N, 4) bytes: the three smaller components, and 252 plus the place of the largest."""
+    """Return (N, 4) bytes: the three smaller components, and 252 plus the index of the largest."""
     largest = np.abs(quats).argmax(axis=1)
     positive = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -quats, quats)
     others = np.array([[c for c in range(4) if c != place] for place in range(4)])

@@ -1,8 +1,8 @@
-"""SPZ, Niantic's compressed scenes, versions 1 to 4, read and written.
+"""Read and write SPZ, Niantic's compressed scenes, versions 1 to 4.
 
-Six byte streams (positions, alphas, colors, scales, rotations, SH) behind a header: one gzip stream up to version 3,
-one zstd stream each from version 4 on. The file's frame is right-up-back; gsvis reads and writes it as the
-right-down-front frame that the same scene has in a PLY, a half turn about x.
+Six byte streams (positions, alphas, colors, scales, rotations, SH) follow a header: one gzip stream up to version 3,
+one zstd stream each from version 4 on. The file's frame is right-up-back; gsvis converts it to the right-down-front
+frame that the same scene has in a PLY, and back: half a turn about x.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Header:
-    """Version, number of Gaussians, SH degree, bits behind the point, and streams or table of contents."""
+    """Version, number of Gaussians, SH degree, fraction bits, and streams or table of contents."""
 
     version: int
     count: int
@@ -56,7 +56,7 @@ class _Header:
     streams: int
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of each stream, in file order."""
+        """Return the bytes of each stream, in file order."""
         n = self.count
         return {
             "positions": n * (6 if self.version == 1 else 9),
@@ -71,7 +71,7 @@ class _Header:
 def load_spz(path: str | os.PathLike[str]) -> Gaussians:
     """Read an SPZ file.
 
-    Degree 4 of the SH, which version 4 allows, is dropped with a warning in the log.
+    SH degree 4, which version 4 allows, is dropped with a warning in the log.
 
     Args:
         path: The file.
@@ -80,7 +80,7 @@ def load_spz(path: str | os.PathLike[str]) -> Gaussians:
         The scene in the file's order, in the frame of a PLY (right-down-front).
 
     Raises:
-        FormatError: If the file is no SPZ, is truncated, or promises more than its size can hold.
+        FormatError: If the file is not SPZ, is truncated, or claims more than its size can hold.
         OSError: If it cannot be opened.
 
     References:
@@ -117,7 +117,7 @@ def _parse_header(path: str | os.PathLike[str], data: bytes, versions: range, bu
 
 
 def _read_gzip(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tuple[_Header, dict[str, U8]]:
-    """Versions 1 to 3: header and streams in one gzip stream; what follows is extensions."""
+    """Read versions 1 to 3: header and streams in one gzip stream, then extensions."""
     inflate = zlib.decompressobj(wbits=31)
     try:
         head = inflate.decompress(data, _HEADER.size)
@@ -137,7 +137,7 @@ def _read_gzip(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tup
 
 
 def _read_zstd(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tuple[_Header, dict[str, U8]]:
-    """Version 4: plain header and extensions, a table of contents, one zstd stream for each attribute."""
+    """Read version 4: plain header and extensions, a table of contents, one zstd stream per attribute."""
     header = _parse_header(path, data, range(4, 5), budget)
     start = _HEADER.size + _V4_REST.size
     sizes = {name: size for name, size in header.sizes().items() if size}
@@ -169,7 +169,7 @@ def _read_zstd(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tup
 
 
 def _unzstd(path: str | os.PathLike[str], name: str, packed: bytes, size: int) -> U8:
-    """One stream, never more than `size` bytes of it."""
+    """Decompress one stream, never more than `size` bytes of it."""
     try:
         frame = zstandard.get_frame_parameters(packed)
         unpacker = zstandard.ZstdDecompressor(max_window_size=1 << 27)
@@ -183,7 +183,7 @@ def _unzstd(path: str | os.PathLike[str], name: str, packed: bytes, size: int) -
 
 
 def _check_extensions(path: str | os.PathLike[str], block: bytes) -> None:
-    """Refuse the one extension that changes the meaning of the data: another frame than right-up-back."""
+    """Raise on the one extension that changes the meaning of the data: a frame other than right-up-back."""
     at = 0
     while at + 8 <= len(block):
         kind, length = struct.unpack_from("<II", block, at)
@@ -213,7 +213,7 @@ def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8
 
 
 def _positions(header: _Header, stream: U8) -> F32:
-    """(N, 3) coordinates: half floats in version 1, then 24-bit fixed point."""
+    """Return (N, 3) coordinates: half floats in version 1, then 24-bit fixed point."""
     turn = np.diag(_TURN).astype(np.float32)
     if header.version == 1:
         with np.errstate(all="ignore"):
@@ -224,21 +224,21 @@ def _positions(header: _Header, stream: U8) -> F32:
 
 
 def _look_up_bytes(stream: U8, table: F32, shape: tuple[int, ...]) -> F32:
-    """The value of each byte."""
+    """Return the table value of each byte."""
     values = np.empty(stream.size, np.float32)
     look_up(stream, table, values)
     return values.reshape(shape)
 
 
 def _first_three(stream: U8) -> F32:
-    """(N, 4) wxyz of three bytes x, y, z with w >= 0, versions 1 and 2."""
+    """Return (N, 4) wxyz from three bytes x, y, z with w >= 0, versions 1 and 2."""
     three = stream.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1.0
     xyzw = largest_from_three(three, np.full(len(three), 3))
     return xyzw[:, [3, 0, 1, 2]] * np.array([1, 1, -1, -1], np.float32)
 
 
 def _smallest_three(stream: U8) -> F32:
-    """(N, 4) wxyz of 32 bits: the place of the largest of xyzw, then sign and 9 bits for each other."""
+    """Return (N, 4) wxyz from 32 bits: the index of the largest of xyzw, then sign and 9 bits for each other."""
     codes = np.arange(1024)
     size = (codes & 0x1FF).astype(np.float32) * np.float32(_SQRT_HALF / 0x1FF)
     bits = stream.view("<u4").astype(np.uint32, copy=False)
@@ -249,19 +249,19 @@ def _smallest_three(stream: U8) -> F32:
 
 
 def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = False) -> None:
-    """Write an SPZ file, version 4, whole or not at all.
+    """Write an SPZ file, version 4, atomically.
 
-    Lossy: a byte a value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant color within
-    +-3.3. Coordinates have 24 bits, up to 16 of them behind the point, as many as the extent leaves.
+    Lossy: a byte per value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant color
+        within +-3.3. Coordinates have 24 bits, up to 16 of them fraction bits, as many as the extent allows.
 
     Args:
-        scene: What to write, in the frame of a PLY (right-down-front); its order is kept.
-        path: The file; its folder is made if missing.
-        compact: Whether to round as other encoders do, which makes the file a quarter to two fifths smaller and costs
-            several dB: coordinates to at most 12 bits behind the point, SH of degree 1 to 5 bits, above to 4.
+        scene: The scene, in the frame of a PLY (right-down-front); its order is kept.
+        path: The file; its folder is created if missing.
+        compact: Round as other encoders do, which makes the file a quarter to two fifths smaller and costs several
+            dB: coordinates to at most 12 fraction bits, SH of degree 1 to 5 bits, above to 4.
 
     Raises:
-        ValueError: If the scene is empty or reaches beyond 2^23 units, which 24 bits cannot hold.
+        ValueError: If the scene is empty or extends beyond 2^23 units, which 24 bits cannot hold.
         OSError: If it cannot be written.
     """
     if len(scene) == 0:

@@ -1,7 +1,7 @@
-"""Streamed SOG: an octree of SOG scenes, `lod-meta.json`, read at one level of detail.
+"""Read streamed SOG, an octree of SOG scenes in `lod-meta.json`, at one level of detail.
 
 Every leaf of the tree names, for each level, a run of Gaussians in one of the listed SOG scenes. Level 0 is the finest.
-Files of a level may be absent; the message then says which levels are there.
+Files of a level may be absent; the message then lists the levels that are present.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MAX_COUNT = 1 << 40
 
 
 def list_lods(path: str | os.PathLike[str]) -> tuple[int, ...]:
-    """Levels of detail that are present, finest first.
+    """Return the levels of detail that are present, finest first.
 
     Args:
         path: A folder with `lod-meta.json`, or that file.
@@ -45,7 +45,7 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
 
     Args:
         path: A folder with `lod-meta.json`, or that file.
-        lod: The level; None takes the finest that is present.
+        lod: The level; None takes the finest present.
 
     Returns:
         The Gaussians of all leaves, in the order of the listed files and of the Gaussians in them.
@@ -53,7 +53,7 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
     Raises:
         FormatError: If the level or the environment is absent (the message names the levels that are present), or
             a file is damaged.
-        ValueError: If `lod` is no integer of at least 0.
+        ValueError: If `lod` is not an integer >= 0.
         OSError: If the file cannot be opened.
     """
     if lod is not None:
@@ -83,7 +83,7 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
 
 
 def _some(names: list[str]) -> str:
-    """A few names and how many more."""
+    """Return a few names and the number of the others."""
     shown = ", ".join(names[:3])
     return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
 
@@ -132,17 +132,17 @@ class _Tree:
                     self.runs[int(key)][file].append((offset, count))
 
     def absent(self, lod: int) -> list[str]:
-        """Files that a level needs and that are not there."""
+        """Return the files that a level needs and that do not exist."""
         names = [self.files[file] for file in sorted(self.runs[lod])]
         return [name for name in names if not self.at(name).is_file()]
 
     def at(self, name: str) -> Path:
-        """Path of a file that the tree names; FormatError if a link leads out of the folder."""
+        """Return the path of a file that the tree names; raise if a link leads out of the folder."""
         return inside(self.path, name, self.folder, name)
 
 
 def _scene(tree: _Tree, name: str) -> Gaussians:
-    """One of the SOG scenes that the tree refers to, a meta.json or a zip, whole."""
+    """Return one of the SOG scenes of the tree, a meta.json or a zip, in full."""
     path = tree.at(name)
     if path.suffix.lower() != ".json":
         with ZipStore(path) as archive:
@@ -158,10 +158,10 @@ def _scene(tree: _Tree, name: str) -> Gaussians:
 
 
 def _pieces(tree: _Tree, file: int, runs: list[tuple[int, int]]) -> Gaussians:
-    """The Gaussians of one file that the runs name, in file order.
+    """Return the Gaussians of one file that the runs name, in file order.
 
     Raises:
-        FormatError: If a run ends behind the file or runs overlap.
+        FormatError: If a run ends beyond the file or runs overlap.
     """
     scene = _scene(tree, tree.files[file])
     first, count = np.array(sorted(runs), np.int64).T

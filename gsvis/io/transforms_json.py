@@ -1,7 +1,7 @@
-"""`transforms.json` of NeRF tools (instant-ngp, nerfstudio): one JSON object with a list of frames.
+"""Read `transforms.json` of NeRF tools (instant-ngp, nerfstudio): one JSON object with a list of frames.
 
-`transform_matrix` is world from camera in OpenGL axes (+x right, +y up, +z backward); it leaves here as camera
-from world in OpenCV axes. Intrinsics stand at the top or in a frame, which wins. Images are not opened.
+`transform_matrix` is world from camera in OpenGL axes (+x right, +y up, +z backward). The reader returns camera from
+world in OpenCV axes. Intrinsics are at the top or in a frame; the frame wins. Images are not opened.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] | None = None) -> Views:
-    """The posed images of a `transforms.json`.
+    """Return the posed images of a `transforms.json`.
 
     Args:
         path: The file, for messages.
-        content: What it holds.
-        size: (width, height) in pixels to assume where the file states none, as in synthetic NeRF data.
+        content: Its JSON value.
+        size: (width, height) in pixels to assume if the file states none, as in synthetic NeRF data.
 
     Raises:
         FormatError: If a key is missing or malformed, or the images are distorted.
@@ -44,7 +44,7 @@ def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] |
         matrix = frame.get("transform_matrix")
         rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4
         opengl = to_numbers(path, f"{where}.transform_matrix", matrix, (rows, 4))
-        axes = opengl[:3, :3] * np.array([1.0, -1.0, -1.0])  # OpenGL's y and z point the other way
+        axes = opengl[:3, :3] * np.array([1.0, -1.0, -1.0])  # OpenGL's y and z are reversed
         views.viewmats.append(pose_of_camera(path, f"{where}.transform_matrix", axes, opengl[:3, 3]))
         k, pixels = _intrinsics(path, where, {**content, **frame}, size)
         views.names.append(name.removeprefix("./"))
@@ -56,16 +56,16 @@ def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] |
 def _intrinsics(
     path: Path, where: str, values: dict[str, Any], size: tuple[int, int] | None
 ) -> tuple[F64, tuple[int, int]]:
-    """The pinhole matrix of one frame and the image size it belongs to."""
+    """Return the pinhole matrix of one frame and its image size."""
 
     def number(key: str) -> float | None:
         return None if values.get(key) is None else float(to_numbers(path, f"{where}: {key}", values[key], ()))
 
     distorted = [key for key in _DISTORTION if number(key)]
     if distorted or "FISHEYE" in str(values.get("camera_model", "")).upper():
-        told = f"distortion {' '.join(distorted)}" if distorted else str(values["camera_model"])
-        remedy = "undistort the images, for example with `colmap image_undistorter`, and give the model that it writes"
-        raise FormatError(path, where, "a pinhole camera", told, remedy)
+        got = f"distortion {' '.join(distorted)}" if distorted else str(values["camera_model"])
+        remedy = "undistort the images, for example with `colmap image_undistorter`, and use the model that it writes"
+        raise FormatError(path, where, "a pinhole camera", got, remedy)
     width, height = number("w"), number("h")
     if width is None or height is None:
         if size is None:
@@ -86,7 +86,7 @@ def _intrinsics(
 
 
 def _focal(path: Path, where: str, side: float, angle: float | None) -> float | None:
-    """Focal length in pixels of a full angle in radians across `side` pixels."""
+    """Return the focal length in pixels for a full angle in radians across `side` pixels."""
     if angle is None:
         return None
     if not 0.0 < angle < np.pi:

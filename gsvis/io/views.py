@@ -1,7 +1,7 @@
-"""Posed images as a file lists them: names, poses, intrinsics and sizes, checked once for all camera formats.
+"""Store posed images as a file lists them: names, poses, intrinsics and sizes, with the checks of all camera formats.
 
-OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, `Cameras`
-may not: the change from one to the other happens here. This module knows no format.
+OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, `Cameras` may
+not: this module converts one into the other. It knows no format.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 Path_ = str | PathLike[str]
 
 MAX_SIDE = 1 << 20
-"""Pixels; a longer side is taken for a broken file."""
+"""Largest side in pixels; a longer side means a broken file."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Views:
     """C posed images in the order of their file.
 
     Args:
-        path: The file they come from, for messages.
+        path: Path of their file, for messages.
         names: C image names.
         viewmats: C matrices (4, 4), camera from world.
         Ks: C matrices (3, 3), pixels of that image.
@@ -46,7 +46,7 @@ class Views:
     sizes: list[tuple[int, int]]
 
     def cameras(self, size: tuple[int, int] | None = None) -> Cameras:
-        """One `Cameras`, sorted by name; `size` (width, height) rescales all images to one size.
+        """Return one `Cameras`, sorted by name; `size` (width, height) rescales all images to one size.
 
         Raises:
             FormatError: If there is no image, if sizes are mixed and `size` is None, or if intrinsics are unusable.
@@ -56,9 +56,9 @@ class Views:
         if size is None:
             found = sorted(set(self.sizes))
             if len(found) > 1:
-                told = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
+                text = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
                 remedy = "give one size to rescale to, size=(width, height) or --width and --height"
-                raise FormatError(self.path, "", "images of one size", f"{len(found)} sizes: {told}", remedy)
+                raise FormatError(self.path, "", "images of one size", f"{len(found)} sizes: {text}", remedy)
             size = found[0]
         order = sorted(range(len(self.names)), key=self.names.__getitem__)
         factors = np.ones((len(order), 3))
@@ -72,7 +72,7 @@ class Views:
 
 
 def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, int]) -> F64:
-    """(3, 3) intrinsics of two focal lengths and a principal point, all in pixels of an image of `size`.
+    """Return (3, 3) intrinsics of two focal lengths and a principal point, all in pixels of an image of `size`.
 
     Raises:
         FormatError: If a focal length is not positive, a number is not finite or a side is out of range.
@@ -87,9 +87,9 @@ def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, 
 
 
 def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64:
-    """(4, 4) camera from world, of a camera's axes and place in the world.
+    """Return (4, 4) camera from world, of a camera's axes and place in the world.
 
-    Files print rotations with few digits, so the nearest true rotation is taken.
+    Files print rotations with few digits, so the nearest true rotation is used.
 
     Args:
         path: The file, for messages.
@@ -102,11 +102,11 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
     """
     if not (np.isfinite(rotation).all() and np.isfinite(position).all()):
         raise FormatError(path, where, "finite numbers in a pose", "NaN or infinity")
-    with np.errstate(all="ignore"):  # enormous numbers become infinity or NaN, which is refused
+    with np.errstate(all="ignore"):  # huge numbers become infinity or NaN, which is rejected
         defect = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if not defect <= 1e-2 or np.linalg.det(rotation) < 0:
-        told = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
-        raise FormatError(path, where, "a rotation (orthonormal columns, determinant 1)", told)
+        text = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
+        raise FormatError(path, where, "a rotation (orthonormal columns, determinant 1)", text)
     u, _, vt = np.linalg.svd(rotation)
     pose = np.eye(4)
     pose[:3, :3] = (u @ vt).T
@@ -115,7 +115,7 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
 
 
 def read_json(path: Path_) -> Any:
-    """The value in a JSON file.
+    """Return the value in a JSON file.
 
     Raises:
         FormatError: If the file is not JSON.
@@ -125,10 +125,10 @@ def read_json(path: Path_) -> Any:
 
 
 def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F64:
-    """A float64 array of the given shape from a JSON value; () for a single number.
+    """Return a float64 array of the given shape from a JSON value; () for a single number.
 
     Raises:
-        FormatError: If it is something else, or not finite.
+        FormatError: If it has another shape or type, or is not finite.
     """
     expected = "a number" if not shape else f"{' x '.join(map(str, shape))} numbers"
     try:

@@ -166,8 +166,8 @@ class ActiveTerms:
         return self.info.cells
 
     def __repr__(self) -> str:
-        told = f"{self.info.terms:,} terms, {len(self):,} cells, epsilon {self.epsilon:g}"
-        return f"ActiveTerms({told}, {self.path.name})"
+        text = f"{self.info.terms:,} terms, {len(self):,} cells, epsilon {self.epsilon:g}"
+        return f"ActiveTerms({text}, {self.path.name})"
 
     @property
     def epsilon(self) -> float:
@@ -211,15 +211,15 @@ class ActiveTerms:
         Raises:
             FormatError: If it was made from others.
         """
-        for name, told, made, given in (
+        for name, part, made, given in (
             ("scene", "scene", self.info.scene, None if scene is None else scene_hash(scene)),
             ("colors", "colors", self.info.colors, None if colors is None else colors_hash(colors)),
             ("sets", "visible sets", self.info.sets, None if sets is None else sets_hash(sets)),
         ):
             if given is not None and given != made:
-                wanted, got = f"active terms of {told} {given[:12]}...", f"those of {made[:12]}..."
+                wanted, got = f"active terms of {part} {given[:12]}...", f"those of {made[:12]}..."
                 raise FormatError(
-                    self.path, name, wanted, got, f"open it with the {told} it was built for, or {_AGAIN}"
+                    self.path, name, wanted, got, f"open it with the {part} it was built for, or {_AGAIN}"
                 )
 
     def verify(self, *, progress: Progress = silent) -> None:

@@ -1,7 +1,7 @@
 """What a package holds, in memory: records of Gaussians and terms, the table of chunks, levels; and what it stands for.
 
-A record is bytes that travel as they are; `Contents.of` makes them of a scene, and the other methods make a scene of
-them. Ids are places in the order of the package. Scene frame and units.
+A record is bytes that travel as they are; `Contents.from_levels` makes them from a scene, and the other methods make a
+scene of them. Ids are places in the order of the package. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Contents:
     starts: I64
 
     @classmethod
-    def of(cls, levels: Levels, colors: QuantizedColors) -> Contents:
+    def from_levels(cls, levels: Levels, colors: QuantizedColors) -> Contents:
         """Records of levels in the order of a package.
 
         Args:
@@ -69,13 +69,13 @@ class Contents:
         g = levels.union
         if len(colors) != len(g):
             raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
-        TermLayout.of(colors.grids)
-        order = PackageOrder.of(levels)
+        TermLayout.from_grids(colors.grids)
+        order = PackageOrder.from_levels(levels)
         if not np.array_equal(order.permutation, np.arange(len(g))):
             raise ValueError("levels: expected the order of a package, got another; pass them through in_package_order")
         counts = np.diff(colors.offsets)
         _check.in_range("colors", counts, 0, 255)
-        layout = RecordLayout.of(colors.grids.variant)
+        layout = RecordLayout.from_variant(colors.grids.variant)
         table = build_chunks(g, layout, starts=order.chunks)
         heads = table.starts[:-1]
         base = colors.base.astype(np.uint8)
@@ -97,7 +97,7 @@ class Contents:
     @property
     def layout(self) -> RecordLayout:
         """Where the bits of a record are."""
-        return RecordLayout.of(self.grids.variant)
+        return RecordLayout.from_variant(self.grids.variant)
 
     @cached_property
     def term_offsets(self) -> I64:
@@ -154,7 +154,7 @@ def base_places(records: U8, grids: Grids) -> U8:
         records: (M, 16).
         grids: The tables of the scene.
     """
-    places, bits = base_colors(records, RecordLayout.of(grids.variant)), grids.precision
+    places, bits = base_colors(records, RecordLayout.from_variant(grids.variant)), grids.precision
     most = np.array([bits.base, bits.base, bits.base, bits.scale][: places.shape[1]])
     return places if most.min() >= 8 else np.minimum(places, ((1 << most) - 1).astype(np.uint8))
 

@@ -43,7 +43,7 @@ def measure_cost(
         raise ValueError("cameras: expected at least one, got none")
     if len(exact) != len(levels.union):
         raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
-    contents = Contents.of(levels, colors)
+    contents = Contents.from_levels(levels, colors)
     member = levels.member(len(levels) - 1)
     scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
     shown = exact[member], contents.colors().dequantize()[member]

@@ -48,7 +48,7 @@ class RecordLayout:
         color_scale: Whether a byte holds the scale of the color.
 
     Examples:
-        >>> RecordLayout.of("rgb")
+        >>> RecordLayout.from_variant("rgb")
         RecordLayout(position=14, rotation=9, scale=9, color_scale=False)
     """
 
@@ -58,7 +58,7 @@ class RecordLayout:
     color_scale: bool
 
     @classmethod
-    def of(cls, name: str) -> RecordLayout:
+    def from_variant(cls, name: str) -> RecordLayout:
         """Return the layout for a variant of colors; those with a scale have fewer bits for the rest.
 
         Raises:
@@ -98,7 +98,7 @@ class TermLayout:
     intensities: int
 
     @classmethod
-    def of(cls, grids: Grids) -> TermLayout:
+    def from_grids(cls, grids: Grids) -> TermLayout:
         """The layout for colors that were rounded to these tables.
 
         Raises:

@@ -77,7 +77,7 @@ class PackageInfo:
         try:
             kept = json.loads(json.dumps(dict(self.provenance), allow_nan=False))
         except (TypeError, ValueError) as error:
-            raise ValueError(f"provenance: expected what JSON can say, got {error}") from error
+            raise ValueError(f"provenance: expected JSON values, got {error}") from error
         object.__setattr__(self, "provenance", kept)
 
 
@@ -169,7 +169,7 @@ class Manifest:
 
     def to_json(self) -> bytes:
         """The file; the same manifest gives the same bytes."""
-        layout = RecordLayout.of(self.grids.variant)
+        layout = RecordLayout.from_variant(self.grids.variant)
         blobs = {"visibility": self.visibility, "active_terms": self.active_terms}
         value = {
             "format": FORMAT,
@@ -182,7 +182,7 @@ class Manifest:
             "levels": [{"name": name, "count": count} for name, count in zip(self.names, self.counts, strict=True)],
             "quantization": {
                 "record": asdict(layout),
-                "term": asdict(TermLayout.of(self.grids)),
+                "term": asdict(TermLayout.from_grids(self.grids)),
                 "colors": asdict(self.grids),
                 "cost": None if self.info.cost is None else asdict(self.info.cost),
             },
@@ -236,7 +236,7 @@ class Manifest:
         colors = quantized.child("colors")
         name = colors.text("variant", PACKED_VARIANTS)
         grids = grids_of(colors, name)
-        for key, layout in (("record", RecordLayout.of(name)), ("term", TermLayout.of(grids))):
+        for key, layout in (("record", RecordLayout.from_variant(name)), ("term", TermLayout.from_grids(grids))):
             if quantized.raw(key) != asdict(layout):
                 raise FormatError(
                     fields.path, f"quantization.{key}", f"{asdict(layout)}", repr(quantized.raw(key))[:200]

@@ -44,7 +44,7 @@ class PackageOrder:
     chunks: I64
 
     @classmethod
-    def of(cls, levels: Levels) -> PackageOrder:
+    def from_levels(cls, levels: Levels) -> PackageOrder:
         """The order for levels."""
         union = levels.union
         codes = morton_codes(union.means, *_frame(union))
@@ -70,7 +70,7 @@ def in_package_order(levels: Levels) -> Levels:
     Args:
         levels: In any order.
     """
-    order = PackageOrder.of(levels).permutation
+    order = PackageOrder.from_levels(levels).permutation
     return Levels(levels.union[order], levels.first[order], levels.last[order], levels.names)
 
 

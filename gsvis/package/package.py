@@ -239,7 +239,7 @@ class Package:
     @property
     def _widths(self) -> tuple[int, int]:
         """Bytes of a record and of a term."""
-        return RECORD_BYTES, TermLayout.of(self.manifest.grids).nbytes
+        return RECORD_BYTES, TermLayout.from_grids(self.manifest.grids).nbytes
 
     def _budget(self) -> Budget:
         """Memory for all parts together, by their real size; a part that is named twice counts once."""

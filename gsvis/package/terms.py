@@ -42,7 +42,7 @@ def encode_terms(colors: QuantizedColors) -> U8:
     Raises:
         ValueError: If a term needs more than 64 bits.
     """
-    layout = TermLayout.of(colors.grids)
+    layout = TermLayout.from_grids(colors.grids)
     parts = [colors.functions, colors.centers[:, 0], colors.centers[:, 1], colors.decays, *colors.intensities.T]
     words, shift = np.zeros(colors.num_terms, "<u8"), 0
     for part, width in zip(parts, layout.widths.tolist(), strict=True):
@@ -61,7 +61,7 @@ def decode_terms(records: ArrayLike, grids: Grids) -> Terms:
     Raises:
         ValueError: If the shape does not fit.
     """
-    layout = TermLayout.of(grids)
+    layout = TermLayout.from_grids(grids)
     packed = _check.integers("records", records, ("T", layout.nbytes), np.uint8)
     padded = np.zeros((len(packed), 8), np.uint8)
     padded[:, : layout.nbytes] = packed

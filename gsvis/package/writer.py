@@ -65,7 +65,7 @@ def write_package(
     """
     target = _check.path("folder", folder)
     check_target(target)
-    contents = Contents.of(levels, colors)
+    contents = Contents.from_levels(levels, colors)
     scene = scene_hash(levels.union)
     _check_stores(levels, contents, visibility, active_terms)
     parts = PartFolder(target / PARTS)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis._extras import has, remedy_of
 from gsvis.color.activation import Activation
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.srbf import SrbfColors
@@ -220,21 +221,17 @@ def _join(rows: Sequence[tuple[float, float, float | None]]) -> Likeness:
 
 def has_flip() -> bool:
     """Whether FLIP can be asked here."""
-    try:
-        import flip_evaluator  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return has("flip_evaluator")
 
 
 def check_flip() -> None:
-    """Say at once if epsilon cannot be calibrated for want of FLIP.
+    """Raise at once if epsilon cannot be calibrated because FLIP is missing.
 
     Raises:
         BackendError: With the remedy.
     """
     if not has_flip():
         raise BackendError(
-            "epsilon: expected the package flip-evaluator, to calibrate it, got none; pip install 'gsvis[metrics]', or"
-            " give a number"
+            "epsilon: expected the package flip-evaluator, to calibrate it, got none;"
+            f" {remedy_of('flip_evaluator')}, or give a number"
         )

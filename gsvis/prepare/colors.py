@@ -130,15 +130,15 @@ def prepare_colors(
     if given is None and config.rays_per_face > 0:
         _trace(as_levels(g), navigable, config.rays_per_face, kept, found, progress)
         rays = "1 ray" if config.rays_per_face == 1 else f"{config.rays_per_face} rays"
-        told = f"traced outward ({rays} for each of 80) and gathered from the views of the fit"
+        sources = f"traced outward ({rays} for each of 80) and gathered from the views of the fit"
     else:
         found.setdefault("sets", np.zeros((len(union), NUM_FACES // 8), np.uint8))
-        told = "gathered from the views of the fit"
-        told = told if given is None else f"of the visible sets and {told}"
+        sources = "gathered from the views of the fit"
+        sources = sources if given is None else f"of the visible sets and {sources}"
     views = config.views.cameras(g, navigable) if config.views.count else None
     if views is None:
         found["importance"] = np.ones(len(union))
-        told = told.replace(" and gathered from the views of the fit", "")
+        sources = sources.replace(" and gathered from the views of the fit", "")
     elif "importance" not in found:
         from gsvis.prepare.importance import importance_from_views  # imports torch
 
@@ -148,9 +148,9 @@ def prepare_colors(
         if kept is not None:
             kept.keep_arrays(_FOUND, found)
     directions = found["sets"] if given is None else found["sets"] | given
-    told += "" if levels_record(g) is None else ", in each level"
+    sources += "" if levels_record(g) is None else ", in each level"
     fit = fit_srbf(union, directions, config.fit, importance=found["importance"], progress=progress)
-    return ColorPreparation(fit, directions, found["importance"], views, told)
+    return ColorPreparation(fit, directions, found["importance"], views, sources)
 
 
 def find_kept(

@@ -1,4 +1,4 @@
-"""A scene whose colors were fitted and rounded to what its file holds, with the figures that are told of it.
+"""Store fitted and rounded colors of a scene, with the figures for reports.
 
 Sizes are of records as they travel, before any entropy coding. Nothing here draws or writes.
 """

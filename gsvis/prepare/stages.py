@@ -177,8 +177,8 @@ class Stages:
                 found = prepare_colors(
                     levels, self.space, self.config.colors, sets=sets, keep=found_so_far, progress=self.progress
                 )
-                told = {"directions": found.sets_from}
-                save_srbf(self.work.at(name), levels.union, found.fit.colors, provenance=told)
+                provenance = {"directions": found.sets_from}
+                save_srbf(self.work.at(name), levels.union, found.fit.colors, provenance=provenance)
                 self.work.seal_file(name)
             path = self.work.at(name)
             return load_srbf(path)[1], str(srbf_info(path).provenance.get("directions"))

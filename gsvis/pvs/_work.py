@@ -82,7 +82,7 @@ class SceneArrays:
     config: PvsConfig
 
     @classmethod
-    def of(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
+    def from_levels(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
         """The arrays themselves."""
         arrays = {name: getattr(levels.union, name) for name in _SHAPES}
         return cls(key, arrays | {name: getattr(levels, name) for name in _MEMBERSHIP}, config)
@@ -175,8 +175,8 @@ def run_on(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_f
     Raises:
         GsvisError: If tasks are lost again and again.
     """
-    told = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
-    return _until_done(tasks, lambda left: _submit(executor, share(), left, in_flight), CancelledError, told)
+    message = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
+    return _until_done(tasks, lambda left: _submit(executor, share(), left, in_flight), CancelledError, message)
 
 
 def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
@@ -190,15 +190,15 @@ def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Ite
         with _local_processes(min(workers, len(left))) as executor:
             yield from _submit(executor, scene, left, 2 * workers)
 
-    told = (
+    message = (
         "worker processes died again and again, most likely for want of memory: use fewer --workers or a smaller"
         " --max-memory"
     )
-    return _until_done(tasks, attempt, BrokenExecutor, told)
+    return _until_done(tasks, attempt, BrokenExecutor, message)
 
 
 def _until_done(
-    tasks: list[Task], attempt: Callable[[list[Task]], Iterator[Result]], lost: type[Exception], told: str
+    tasks: list[Task], attempt: Callable[[list[Task]], Iterator[Result]], lost: type[Exception], message: str
 ) -> Iterator[Result]:
     missing = {task.cell: task for task in tasks}
     failures = 0
@@ -211,7 +211,7 @@ def _until_done(
         except lost as error:
             failures = 0 if len(missing) < before else failures + 1
             if failures > _RESTARTS:
-                raise GsvisError(told) from error
+                raise GsvisError(message) from error
 
 
 def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: int) -> Iterator[Result]:

@@ -157,7 +157,7 @@ def build_pvs(
             progress("cells", len(finished), len(grid))
             left = sorted(set(range(len(grid))) - set(finished))
             tasks = [Task(cell, viewpoints.spread(cell, config.max_viewpoints)) for cell in left]
-            scene = SceneArrays.of(_key(plan), levels, config)
+            scene = SceneArrays.from_levels(_key(plan), levels, config)
             with closing(_results(scene, tasks, workers, count, work)) as results:
                 for done, (cell, data) in enumerate(results, len(finished) + 1):
                     work.keep(name_entry(cell), data)
@@ -208,7 +208,7 @@ def estimate_pvs(
     plan = _plan(levels, grid, space, config)
     finished = len(find_kept_cells(KeptWork.beside(path, plan), len(grid), len(levels.union)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
-    scene = SceneArrays.of(_key(plan), levels, config)
+    scene = SceneArrays.from_levels(_key(plan), levels, config)
     scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
     began, taken, bits = _clock(), 0, 0.0
     progress("trying", 0, len(some))
@@ -241,13 +241,13 @@ def journal_of(
 def _check_levels(g: Gaussians | Levels) -> Levels:
     """The levels, if there is something to see in each."""
     bright = union_of(g).opacities >= MIN_ALPHA
-    told = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
+    problem = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
     if not bright.any():
-        raise SceneError(f"the scene {told}")
+        raise SceneError(f"the scene {problem}")
     levels = as_levels(g)
     for k, name in enumerate(levels.names):
         if not bright[levels.member(k)].any():
-            raise SceneError(f"level {name!r} {told}")
+            raise SceneError(f"level {name!r} {problem}")
     return levels
 
 

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from typing import Any
 
+from gsvis._extras import require
 from gsvis.errors import BackendError
 from gsvis.pvs import _work
 from gsvis.pvs.build import Workers
@@ -46,18 +47,17 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
 
     Raises:
         ValueError: If the address is malformed.
-        BackendError: If dask is not installed, no scheduler or no worker answers, or a worker lacks this gsvis.
+        MissingExtraError: If dask is not installed.
+        BackendError: If no scheduler or no worker answers, or a worker lacks this gsvis.
     """
     check_address(address)
-    try:
-        from dask import config
-        from distributed import Client
-        from distributed.diagnostics.plugin import WorkerPlugin
-    except ImportError as error:
-        raise BackendError(f"a Dask cluster needs dask.distributed ({error}): pip install 'gsvis[cluster]'") from error
+    require("a Dask cluster", "dask", "distributed")
+    from dask import config
+    from distributed import Client
+    from distributed.diagnostics.plugin import WorkerPlugin
 
     class Threads(WorkerPlugin):  # type: ignore[misc]
-        """Tells a worker how many threads its kernels may use; workers that come later are told too."""
+        """Set the number of threads of kernels in each worker, also in workers that join later."""
 
         name = _PLUGIN
         idempotent = True
@@ -112,10 +112,10 @@ def _check_versions(client: Any) -> None:
     """
     here = version("gsvis")
     found = client.run(_version, on_error="return")
-    other = {worker: told for worker, told in found.items() if told != here}
+    other = {worker: reported for worker, reported in found.items() if reported != here}
     if other:
-        worker, told = next(iter(other.items()))
-        got = f"gsvis {told}" if isinstance(told, str) else f"{type(told).__name__}: {told}"
+        worker, reported = next(iter(other.items()))
+        got = f"gsvis {reported}" if isinstance(reported, str) else f"{type(reported).__name__}: {reported}"
         raise BackendError(f"worker {worker}: expected gsvis {here}, as here, got {got}; install it there")
 
 

@@ -59,7 +59,7 @@ class Look:
 def _hybrid(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
     from gsvis.hpr import Splats, hybrid
 
-    splats = Splats.of(g)
+    splats = Splats.from_gaussians(g)
 
     def see(viewpoint: F64) -> Sight:
         seen = hybrid(g, splats, viewpoint, size=size, tau=floor)

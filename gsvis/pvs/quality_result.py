@@ -74,7 +74,7 @@ class Figure:
 
     Attributes:
         key: Its name in JSON.
-        told: What it is, in words.
+        label: Label for tables.
         mean: Over all measurements.
         worst: The worst of them, None where there is no worse or better; of `worst_of`.
         worst_of: "cell", "viewpoint" or "image".
@@ -84,7 +84,7 @@ class Figure:
     """
 
     key: str
-    told: str
+    label: str
     mean: float
     worst: float | None
     worst_of: str
@@ -216,20 +216,20 @@ class Quality:
             _figure("ceiling", "image from exactly what it shows", self.ceiling, "image", "higher", "dB"),
         ]
         if self.dense_psnr is not None:
-            told = "image from the dense union"
-            found.append(_figure("dense_psnr", told, self.dense_psnr, "image", "higher", "dB"))
+            label = "image from the dense union"
+            found.append(_figure("dense_psnr", label, self.dense_psnr, "image", "higher", "dB"))
         if self.size_over_dense is not None and self.dense_recall is not None:
-            told = "size of set over dense union"
-            found.append(_figure("size_over_dense", told, self.size_over_dense, "cell", "lower", "times"))
-            told = "dense union that the set has"
-            found.append(_figure("dense_recall", told, self.dense_recall, "cell", "higher", "share"))
-        told = "visible Gaussians that it has"
-        found.append(_figure("recall", told, self.recall, "viewpoint", "higher", "share"))
+            label = "size of set over dense union"
+            found.append(_figure("size_over_dense", label, self.size_over_dense, "cell", "lower", "times"))
+            label = "dense union that the set has"
+            found.append(_figure("dense_recall", label, self.dense_recall, "cell", "higher", "share"))
+        label = "visible Gaussians that it has"
+        found.append(_figure("recall", label, self.recall, "viewpoint", "higher", "share"))
         if self.ray_recall is not None:
-            told = "the same, by pixel rays"
-            found.append(_figure("ray_recall", told, self.ray_recall, "viewpoint", "higher", "share"))
-        told = "set that some viewpoint confirms"
-        found.append(_figure("precision", told, self.confirmed, "cell", "higher", "share"))
+            label = "the same, by pixel rays"
+            found.append(_figure("ray_recall", label, self.ray_recall, "viewpoint", "higher", "share"))
+        label = "set that some viewpoint confirms"
+        found.append(_figure("precision", label, self.confirmed, "cell", "higher", "share"))
         shares = self.kept[:, 0] / self.gaussians
         found.append(
             Figure("visible_share", "set over the whole scene", _mean(shares), None, "", (None, None), "", "share")
@@ -271,7 +271,7 @@ class Quality:
             "cells_left_out": list(self.left_out),
             "figures": {
                 each.key: {
-                    "told": each.told,
+                    "told": each.label,
                     "mean": each.mean,
                     "worst": each.worst,
                     "worst_of": each.worst_of,
@@ -310,9 +310,9 @@ class Quality:
         return row
 
 
-def _figure(key: str, told: str, values: F64, worst_of: str, better: str, unit: str) -> Figure:
+def _figure(key: str, label: str, values: F64, worst_of: str, better: str, unit: str) -> Figure:
     worst = float(values.max() if better == "lower" else values.min())
-    return Figure(key, told, _mean(values), worst, worst_of, TARGETS.get(key, (None, None)), better, unit)
+    return Figure(key, label, _mean(values), worst, worst_of, TARGETS.get(key, (None, None)), better, unit)
 
 
 def _mean(values: F64) -> float:

@@ -91,7 +91,7 @@ def why(
 
     Args:
         store: The sets of all cells.
-        tracer: Of the scene the store was made from; None casts no ray, so that nothing is told of what hides it.
+        tracer: Tracer of the scene of the store; None casts no ray, and the result does not say what hides it.
         gaussian: Id in scene order.
         cell: Number of the cell.
         viewpoints: (V, 3) where rays start, world frame; None means the center of the cell and eight points near its

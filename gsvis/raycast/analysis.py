@@ -1,7 +1,7 @@
-"""What views need of a scene, and from how many directions its Gaussians can be seen: the paper's section 3.1.
+"""Analyze a scene: what views need of it, and from how many directions its Gaussians are visible (paper, section 3.1).
 
 Cameras are traced one at a time and only counters and direction sets are kept, so memory does not grow with their
-number. World frame of the scene; visible means a largest weight of at least tau (docs/conventions.md). Knows no file,
+number. World frame of the scene. Visible means a largest weight of at least tau (docs/conventions.md). Knows no file,
 no plot and no command line.
 """
 
@@ -27,29 +27,29 @@ __all__ = ["FACE_LIMITS", "PAPER", "Agreement", "Analysis", "AnalysisConfig", "D
 PAPER = MappingProxyType(
     {"mean_visible": 0.2021, "one_view_visible": 0.3358, "below_33_faces": 0.394, "below_48_faces": 0.804}
 )
-"""What SRBF-Gaussian, section 3.1, found on Tanks & Temples: shares of all Gaussians, in [0, 1]."""
+"""Results of SRBF-Gaussian, section 3.1, on Tanks & Temples: shares of all Gaussians, in [0, 1]."""
 
 FACE_LIMITS = (33, 48)
 """41.25% and 60% of the 80 faces; the paper's shares are of Gaussians seen from *less* than these."""
 
 SETTLED = 0.02
-"""A CDF of which no point moves by this much when the number of cameras doubles has settled."""
+"""A CDF has settled if no point moves by this much when the number of cameras doubles."""
 
-_ANGLE_RAYS = 4  # a face, for solid angles: unlike faces they need no more (docs/results.md)
+_ANGLE_RAYS = 4  # per face, for solid angles: unlike faces they need no more (docs/results.md)
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class AnalysisConfig:
-    """How a scene is analyzed.
+    """How to analyze a scene.
 
     Attributes:
-        tau: Weight in (0, 1] from which a Gaussian is visible.
-        traced_sample: Gaussians drawn at random whose directions are traced outward; 0 traces none.
-        rays_per_face: Rays of that tracing over each of the 80 faces: 1, 4, 16 or 64. A face counts when anything in it
-            is seen, so more rays find more faces.
-        seed: Of the sample and of the order in which cameras are taken.
+        tau: Least weight of a visible Gaussian, in (0, 1].
+        traced_sample: Number of random Gaussians whose directions are traced outward; 0 traces none.
+        rays_per_face: Traced rays over each of the 80 faces: 1, 4, 16 or 64. A face counts if any part of it is
+            seen, so more rays find more faces.
+        seed: Seed of the sample and of the order of the cameras.
     """
 
     tau: float = TAU
@@ -68,24 +68,24 @@ class AnalysisConfig:
 
 @dataclass(frozen=True, eq=False)
 class DirectionCdf:
-    """Of how many of the 80 faces the Gaussians are seen.
+    """Distribution of the number of faces from which Gaussians are seen, of 80.
 
     Attributes:
         count: Number of Gaussians.
-        values: (81,) float64; entry k is the share of them seen from at most k faces.
+        values: (81,) float64; entry k is the share seen from at most k faces.
     """
 
     count: int
     values: F64
 
     @classmethod
-    def of(cls, sets: U8) -> DirectionCdf:
-        """The distribution of direction sets (N, 10), N > 0."""
+    def from_sets(cls, sets: U8) -> DirectionCdf:
+        """Return the distribution of direction sets (N, 10), N > 0."""
         return cls(len(sets), directions.direction_cdf(directions.direction_fractions(sets)))
 
     @property
     def seen(self) -> int:
-        """How many Gaussians are seen from at least one face."""
+        """Number of Gaussians seen from at least one face."""
         return round(self.count * (1.0 - float(self.values[0])))
 
     @property
@@ -96,11 +96,11 @@ class DirectionCdf:
 
     @property
     def mean_faces(self) -> float:
-        """Faces from which a Gaussian is seen, mean over all."""
+        """Mean number of faces from which a Gaussian is seen, over all Gaussians."""
         return float(np.sum(1.0 - self.values[:-1]))
 
     def below(self, faces: int, *, of_seen: bool = False) -> float:
-        """Share of the Gaussians seen from strictly fewer than `faces` faces.
+        """Return the share of the Gaussians seen from strictly fewer than `faces` faces.
 
         Args:
             faces: 1 to 80.
@@ -109,7 +109,7 @@ class DirectionCdf:
         return float((self.values_of_seen if of_seen else self.values)[faces - 1])
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists."""
+        """Return plain numbers and lists, ready for JSON."""
         return {
             "gaussians": self.count,
             "seen_at_least_once": self.seen,
@@ -124,17 +124,17 @@ class DirectionCdf:
 
 @dataclass(frozen=True)
 class Settling:
-    """Whether more cameras would still change the gathered directions: the figures after part of the cameras.
+    """Figures after part of the cameras, which show whether more cameras would change the gathered directions.
 
     Attributes:
-        cameras: Number of cameras taken so far, in a random order.
-        seen: Gaussians seen at least once by them.
-        mean_faces: Faces from which a Gaussian is seen, mean over all.
+        cameras: Number of cameras so far, in a random order.
+        seen: Number of Gaussians seen at least once by them.
+        mean_faces: Mean number of faces from which a Gaussian is seen, over all Gaussians.
         below_33_of_all: Share of all Gaussians seen from fewer than 33 faces.
-        below_48_of_all: The same for 48 faces.
-        below_33_of_seen: Share of the Gaussians seen at least once.
-        below_48_of_seen: The same for 48 faces.
-        change: Largest difference to the CDF of all Gaussians one step before; None for the first step.
+        below_48_of_all: Share of all Gaussians seen from fewer than 48 faces.
+        below_33_of_seen: Share of the Gaussians seen at least once that are seen from fewer than 33 faces.
+        below_48_of_seen: Share of the Gaussians seen at least once that are seen from fewer than 48 faces.
+        change: Largest difference from the CDF of all Gaussians one step before; None for the first step.
     """
 
     cameras: int
@@ -147,8 +147,8 @@ class Settling:
     change: float | None
 
     @classmethod
-    def of(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
-        """The figures of one distribution and of the one a step before."""
+    def from_cdfs(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
+        """Return the figures of a distribution, with its change from the one a step before."""
         return cls(
             cameras=cameras,
             seen=cdf.seen,
@@ -163,13 +163,13 @@ class Settling:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How alike the two ways to a direction set are, over the traced sample.
+    """Agreement of the two kinds of direction sets over the traced sample.
 
     Attributes:
-        mean_jaccard: Mean Jaccard index; 1 where both sets are empty.
-        mean_jaccard_of_seen: The same over the Gaussians that at least one of the ways sees.
+        mean_jaccard: Mean Jaccard index; 1 if both sets are empty.
+        mean_jaccard_of_seen: Mean Jaccard index over the Gaussians in at least one of the sets.
         gathered_confirmed: Share of all faces gathered from cameras that tracing outward found too.
-        traced_confirmed: Share of all faces traced outward that cameras had seen too.
+        traced_confirmed: Share of all faces traced outward that cameras saw too.
     """
 
     mean_jaccard: float
@@ -178,8 +178,8 @@ class Agreement:
     traced_confirmed: float
 
     @classmethod
-    def of(cls, gathered: U8, traced: U8) -> Agreement:
-        """Of two direction sets (M, 10) of the same Gaussians, M > 0."""
+    def from_sets(cls, gathered: U8, traced: U8) -> Agreement:
+        """Compare two direction sets (M, 10) of the same Gaussians, M > 0."""
         index = directions.jaccard(gathered, traced)
         either = (gathered | traced).any(axis=1)
         both, of_gathered, of_traced = (_faces(sets) for sets in (gathered & traced, gathered, traced))
@@ -193,24 +193,24 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What `analyze` found.
+    """Result of `analyze`.
 
     Attributes:
-        config: How it was found.
+        config: The configuration.
         gaussians: N, all Gaussians of the scene.
-        opaque_enough: How many of them have an opacity of at least 1/255, so that they can be seen at all.
-        cameras: The C cameras; their resolution and field of view belong to every visible fraction.
-        visible: (C,) int64, visible Gaussians in each camera.
+        opaque_enough: Number of Gaussians with an opacity of at least 1/255, so that they can be visible at all.
+        cameras: The C cameras; visible fractions depend on their resolution and field of view.
+        visible: (C,) int64, number of visible Gaussians in each camera.
         gathered_sets: (N, 10) uint8, direction sets gathered from the cameras.
-        gathered: Their distribution.
-        settling: The same after 1/8, 1/4, 1/2 and all of the cameras.
-        sample: (M,) int64, the Gaussians traced outward, rising; empty without tracing.
-        traced_sets: (M, 10) uint8, their direction sets.
-        traced: Their distribution; None without tracing.
-        agreement: Of the two ways over the sample; None without tracing.
-        untraced_because: Why nothing was traced outward; empty when it was.
-        solid_angles: (M,) share of the sphere, by solid angle, from which each of the sample is seen; None without
-            tracing. More rays hardly change it, while faces only ever add up.
+        gathered: Distribution of `gathered_sets`.
+        settling: Figures after 1/8, 1/4, 1/2 and all of the cameras.
+        sample: (M,) int64, the Gaussians traced outward, ascending; empty without tracing.
+        traced_sets: (M, 10) uint8, direction sets of the sample.
+        traced: Distribution of `traced_sets`; None without tracing.
+        agreement: Agreement of both kinds of sets over the sample; None without tracing.
+        untraced_because: Why nothing was traced outward; empty otherwise.
+        solid_angles: (M,) share of the sphere, by solid angle, from which each of the sample is visible; None
+            without tracing. More rays hardly change it, while they only ever add faces.
     """
 
     config: AnalysisConfig
@@ -229,7 +229,7 @@ class Analysis:
     solid_angles: NDArray[np.float32] | None = None
 
     def below_solid_angle(self, share: float) -> float:
-        """Share of the traced Gaussians seen from less than this share of the sphere, by solid angle.
+        """Return the share of the traced Gaussians visible from less than this share of the sphere, by solid angle.
 
         Raises:
             ValueError: If nothing was traced outward.
@@ -240,7 +240,7 @@ class Analysis:
 
     @property
     def visible_fractions(self) -> F64:
-        """(C,) share of all Gaussians that is visible in each camera."""
+        """(C,) share of all Gaussians visible in each camera."""
         return self.visible / self.gaussians
 
     @property
@@ -254,14 +254,14 @@ class Analysis:
     def has_settled(self) -> bool:
         """Whether twice the cameras moved no point of the gathered CDF by 2 percentage points or more.
 
-        Each camera adds at most one face to a set, so fewer than 160 cameras never count as settled: the first half
-        must have been able to fill all 80 faces.
+        Each camera adds at most one face to a set. Fewer than 160 cameras therefore never count as settled: the first
+        half must have been able to fill all 80 faces.
         """
         change = self.settling[-1].change
         return change is not None and self.settling[-2].cameras >= directions.NUM_FACES and change < SETTLED
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return plain numbers, strings and lists, ready for JSON."""
         fractions = self.visible_fractions
         low, high = self.field_of_view
         return {
@@ -307,21 +307,21 @@ def analyze(
     tracer: Tracer | None = None,
     progress: Progress = silent,
 ) -> Analysis:
-    """Visible fraction of each camera, and direction sets gathered from the cameras and traced outward.
+    """Compute the visible fraction of each camera, and direction sets from the cameras and traced outward.
 
     Args:
         g: The scene, N Gaussians.
         cameras: C cameras; one ray through each pixel center.
         config: Thresholds, sample and seed; None means `AnalysisConfig()`.
-        navigable: Where eyes may be; None traces nothing outward.
-        tracer: A tracer of `g` to use again; None builds one.
+        navigable: Allowed viewpoints; None traces nothing outward.
+        tracer: A tracer of `g` to reuse; None builds one.
         progress: Called with stages "structure", "cameras", "directions" and "angles".
 
     Returns:
         The analysis.
 
     Raises:
-        ValueError: If there is no camera or `tracer` is of another scene.
+        ValueError: If there is no camera or `tracer` belongs to another scene.
         SceneError: If the scene is empty.
 
     References:
@@ -329,11 +329,11 @@ def analyze(
     """
     config = config or AnalysisConfig()
     if len(g) == 0:
-        raise SceneError("the scene has no Gaussian: there is nothing to see")
+        raise SceneError("the scene has no Gaussians")
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one camera, got none")
     if tracer is not None and tracer.proxies.gaussians is not g:
-        raise ValueError("tracer: expected a tracer of this scene, got one of another; leave it out to have one built")
+        raise ValueError("tracer: expected a tracer of this scene, got one of another; omit it to build one")
     progress("structure", 0, 1)
     tracer = tracer or Tracer(EllipsoidProxies.from_scene(g))
     _ = tracer.hierarchy
@@ -341,9 +341,11 @@ def analyze(
     rng = np.random.default_rng(config.seed)
     sample = np.sort(rng.choice(len(g), min(config.traced_sample, len(g)), replace=False))
     visible, sets, settling = _from_cameras(tracer, cameras, config.tau, rng.permutation(len(cameras)), progress)
-    found = Analysis(config, len(g), len(tracer.proxies), cameras, visible, sets, DirectionCdf.of(sets), settling)
+    found = Analysis(
+        config, len(g), len(tracer.proxies), cameras, visible, sets, DirectionCdf.from_sets(sets), settling
+    )
     if len(sample) == 0 or navigable is None:
-        why = "no sample was asked for" if navigable is not None else "no navigable space was given"
+        why = "no sample was requested" if navigable is not None else "no navigable space was given"
         return replace(found, untraced_because=why)
     traced = directions.trace_directions(
         tracer, navigable, ids=sample, rays_per_face=config.rays_per_face, tau=config.tau, progress=progress
@@ -360,16 +362,16 @@ def analyze(
         found,
         sample=sample,
         traced_sets=traced,
-        traced=DirectionCdf.of(traced),
+        traced=DirectionCdf.from_sets(traced),
         solid_angles=angles,
-        agreement=Agreement.of(sets[sample], traced),
+        agreement=Agreement.from_sets(sets[sample], traced),
     )
 
 
 def _from_cameras(
     tracer: Tracer, cameras: Cameras, tau: float, order: NDArray[np.int64], progress: Progress
 ) -> tuple[NDArray[np.int64], U8, tuple[Settling, ...]]:
-    """Visible counts (C,), direction sets (N, 10) and how they settled, cameras taken in the given order."""
+    """Return visible counts (C,), direction sets (N, 10) and how they settled, cameras in the given order."""
     g, total = tracer.proxies.gaussians, len(cameras)
     visible = np.zeros(total, np.int64)
     sets = np.zeros((len(g), directions.NUM_FACES // 8), np.uint8)
@@ -383,8 +385,8 @@ def _from_cameras(
         visible[c] = np.count_nonzero(weights[0] >= np.float32(tau))
         sets |= directions.seen_directions(g, weights, camera.viewpoints, tau)
         if done in stops:
-            cdf = DirectionCdf.of(sets)
-            settling.append(Settling.of(done, cdf, before))
+            cdf = DirectionCdf.from_sets(sets)
+            settling.append(Settling.from_cdfs(done, cdf, before))
             before = cdf
         progress("cameras", done, total)
     return visible, sets, tuple(settling)

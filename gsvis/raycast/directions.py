@@ -1,4 +1,4 @@
-"""Direction sets: from which of the 80 faces of the once-subdivided icosahedron each Gaussian has been seen.
+"""Compute direction sets: from which of the 80 faces of the once-subdivided icosahedron each Gaussian is visible.
 
 Directions point from the Gaussian to the eye, world frame. A set is 10 bytes: bit f % 8 of byte f // 8 is face f. Sets
 are gathered from viewpoints, or traced outward from the Gaussians into navigable space (DESIGN decision 3).
@@ -40,19 +40,19 @@ F64 = NDArray[np.float64]
 
 
 def icosphere_faces() -> F64:
-    """(80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
+    """Return (80, 3, 3) unit corners of the faces, counter-clockwise seen from outside."""
     vertices, faces = icosphere(1)
     return np.asarray(vertices[faces])
 
 
 def face_of(directions: ArrayLike) -> NDArray[np.int64]:
-    """The face that holds each direction.
+    """Return the face that holds each direction.
 
     Args:
         directions: (D, 3) from the Gaussian to the eye, any non-zero length.
 
     Returns:
-        (D,) int64 in [0, 80). A direction on an edge belongs to one of its faces, always the same.
+        (D,) int64 in [0, 80). A direction on an edge always belongs to the same one of its faces.
 
     Raises:
         ValueError: If a direction is zero or not finite.
@@ -64,15 +64,15 @@ def face_of(directions: ArrayLike) -> NDArray[np.int64]:
 
 
 def seen_directions(g: Gaussians, weights: ArrayLike, viewpoints: ArrayLike, tau: float = TAU) -> U8:
-    """Direction sets gathered from viewpoints: a face counts when anything in it was seen.
+    """Gather direction sets from viewpoints: a face counts if any direction in it was seen.
 
-    Sets of several calls are joined with `|`.
+    Join the sets of several calls with `|`.
 
     Args:
         g: The scene, N Gaussians.
         weights: (V, N) largest weight of each Gaussian from each viewpoint.
         viewpoints: (V, 3) positions, world frame.
-        tau: Weight from which a Gaussian counts as seen.
+        tau: Least weight of a visible Gaussian.
 
     Returns:
         (N, 10) uint8.
@@ -91,12 +91,12 @@ def seen_directions(g: Gaussians, weights: ArrayLike, viewpoints: ArrayLike, tau
 
 
 def directions_from_cameras(tracer: Tracer, cameras: Cameras, tau: float = TAU, *, progress: Progress = silent) -> U8:
-    """Direction sets gathered from the pixel rays of cameras.
+    """Gather direction sets from the pixel rays of cameras.
 
     Args:
         tracer: The scene, N Gaussians.
-        cameras: Any number; one is held in memory at a time.
-        tau: Weight from which a Gaussian counts as seen.
+        cameras: Any number of cameras; memory holds one at a time.
+        tau: Least weight of a visible Gaussian.
         progress: Called with stage "cameras".
 
     Returns:
@@ -121,17 +121,17 @@ def trace_directions(
     tau: float = TAU,
     progress: Progress = silent,
 ) -> U8:
-    """Direction sets traced outward: a face counts when an eye in navigable space would see the Gaussian along it.
+    """Trace direction sets outward: a face counts if an eye in navigable space would see the Gaussian along it.
 
-    On each ray from the center of the Gaussian the eye is put into the first navigable voxel that the ray meets;
-    farther eyes on the same ray see no more. No cameras are needed.
+    On each ray from the center of the Gaussian the eye is put into the first navigable voxel that the ray meets; more
+    distant eyes on the same ray see no more. No cameras are needed.
 
     Args:
         tracer: The scene, N Gaussians.
-        navigable: Where eyes may be.
+        navigable: Allowed viewpoints.
         ids: (M,) Gaussians to trace; None means all N.
-        rays_per_face: 1, 4, 16 or 64 rays spread over each face; one that sees is enough.
-        tau: Weight from which a Gaussian counts as seen.
+        rays_per_face: 1, 4, 16 or 64 rays spread over each face; one that sees the Gaussian is enough.
+        tau: Least weight of a visible Gaussian.
         progress: Called with stage "directions".
 
     Returns:
@@ -140,7 +140,7 @@ def trace_directions(
     Raises:
         ValueError: If an id is out of range.
     """
-    chosen = tracer.chosen(ids)
+    chosen = tracer.check_ids(ids)
     sets = np.zeros((len(chosen), NUM_FACES // 8), np.uint8)
     progress("directions", 0, len(chosen))
     for start in range(0, len(chosen), _CHUNK):
@@ -159,17 +159,17 @@ def solid_angle_fractions(
     tau: float = TAU,
     progress: Progress = silent,
 ) -> NDArray[np.float32]:
-    """Share of the sphere of directions, by solid angle, from which an eye in navigable space would see each Gaussian.
+    """Return the share of directions, by solid angle, from which an eye in navigable space would see each Gaussian.
 
-    Direction sets count a face as soon as anything in it is seen, so finer sampling only ever adds faces, and slowly
-    adds many. This measure weighs each ray by the solid angle it stands for; it converges.
+    Direction sets count a face as soon as any direction in it is seen, so finer sampling only ever adds faces, and adds
+    many. This measure weights each ray by its solid angle, so it converges.
 
     Args:
         tracer: The scene, N Gaussians.
-        navigable: Where eyes may be.
+        navigable: Allowed viewpoints.
         ids: (M,) Gaussians to trace; None means all N.
         rays_per_face: 1, 4, 16 or 64 rays spread over each of the 80 faces.
-        tau: Weight from which a Gaussian counts as seen.
+        tau: Least weight of a visible Gaussian.
         progress: Called with stage "directions".
 
     Returns:
@@ -178,7 +178,7 @@ def solid_angle_fractions(
     Raises:
         ValueError: If an id is out of range.
     """
-    chosen = tracer.chosen(ids)
+    chosen = tracer.check_ids(ids)
     rays, areas = face_directions(rays_per_face), face_shares(rays_per_face)
     fractions = np.zeros(len(chosen))
     progress("directions", 0, rays_per_face)
@@ -198,13 +198,13 @@ def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], ra
 
 
 def direction_fractions(sets: ArrayLike) -> NDArray[np.float32]:
-    """Share of the 80 directions from which each Gaussian has been seen.
+    """Return the share of the 80 directions from which each Gaussian is visible.
 
     Args:
         sets: (N, 10) uint8 direction sets.
 
     Returns:
-        (N,) seen faces over 80, in [0, 1]; 0 for a Gaussian never seen.
+        (N,) seen faces over 80, in [0, 1]; 0 for a Gaussian that is never seen.
 
     Raises:
         ValueError: If the last axis is not 10 bytes.
@@ -216,10 +216,10 @@ def direction_fractions(sets: ArrayLike) -> NDArray[np.float32]:
 
 
 def direction_cdf(fractions: ArrayLike) -> F64:
-    """Cumulative distribution of direction fractions.
+    """Return the cumulative distribution of direction fractions.
 
     Args:
-        fractions: (N,) as `direction_fractions` gives them.
+        fractions: (N,) fractions, as `direction_fractions` returns them.
 
     Returns:
         (81,) float64; entry k is the share of Gaussians seen from at most k faces. The share seen from *less than*
@@ -240,14 +240,14 @@ def direction_cdf(fractions: ArrayLike) -> F64:
 
 
 def jaccard(left: ArrayLike, right: ArrayLike) -> F64:
-    """Agreement of two direction sets of each Gaussian: faces in both over faces in either.
+    """Return the agreement of two direction sets of each Gaussian: faces in both over faces in either.
 
     Args:
         left: (N, 10) uint8.
         right: (N, 10) uint8.
 
     Returns:
-        (N,) float64 in [0, 1]; 1 where both are empty.
+        (N,) float64 in [0, 1]; 1 if both are empty.
     """
     a, b = _sets("left", left), _sets("right", right)
     _check.same_length(left=a, right=b)
@@ -267,7 +267,7 @@ def _counts(sets: U8) -> NDArray[np.int64]:
 
 
 def face_planes() -> tuple[F64, F64]:
-    """Centers (20, 3) of the icosahedron's faces, and (20, 3, 3) planes that cut off their three corners."""
+    """Return centers (20, 3) of the icosahedron's faces, and (20, 3, 3) planes that cut off their three corners."""
     vertices, faces = icosphere(0)
     centers = vertices[faces].sum(axis=1)
     a, b, c = (vertices[faces[:, k]] for k in range(3))

@@ -1,4 +1,4 @@
-"""The two Embree engines behind one small interface: first face of a ray, and all faces where the engine lists them.
+"""Wrap the two Embree engines in one small interface: the first face of a ray, and all faces if the engine lists them.
 
 Both trace the same float32 triangles. Distances are in scene units along unit directions; a miss is inf and face -1.
 """
@@ -11,9 +11,10 @@ import numpy as np
 from numba import get_num_threads
 from numpy.typing import NDArray
 
+from gsvis._extras import has, require
 from gsvis.errors import BackendError
 
-__all__ = ["ENGINES", "EmbreexEngine", "Engine", "Open3dEngine"]
+__all__ = ["ENGINES", "EmbreexEngine", "Engine", "Open3dEngine", "fastest_engine"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -21,29 +22,29 @@ I64 = NDArray[np.int64]
 
 
 class Engine(Protocol):
-    """What a tracer needs of an engine."""
+    """Interface between a tracer and an engine."""
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
-        """Distance (R,) and face (R,) of the first hit of each ray; inf and -1 for a miss."""
+        """Return distance (R,) and face (R,) of the first hit of each ray; inf and -1 for a miss."""
         ...
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
-        """Ray (H,) and face (H,) of every hit, rays in order."""
+        """Return ray (H,) and face (H,) of every hit, rays in order."""
         ...
 
 
 class Open3dEngine:
-    """Embree through Open3D's RaycastingScene, on all cores."""
+    """Use Embree through Open3D's RaycastingScene, on all cores."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
         get_num_threads()  # starts numba's threads before open3d brings a TBB that numba finds too old, and says so
+        require("engine 'open3d'", "open3d")
         try:
             import open3d as o3d
         except ImportError as error:
             raise BackendError(
-                "engine 'open3d': expected an importable open3d, got "
-                f"'{error}'; pip install open3d-cpu (Linux x86-64; it needs the system's libusb-1.0: "
-                "apt-get install libusb-1.0-0), or use engine='embreex'"
+                f"engine 'open3d': expected an importable open3d, got '{error}'; install the system's libraries that it"
+                " links (Debian: libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1), or use engine='embreex'"
             ) from error
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(faces):
@@ -51,45 +52,46 @@ class Open3dEngine:
             self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
-        """See `Engine`."""
+        """Return first hits; see `Engine`."""
         answer = self._scene.cast_rays(_rays32(rays_o, rays_d))
         faces = answer["primitive_ids"].numpy()
         return _hits(answer["t_hit"].numpy(), np.where(faces == self._scene.INVALID_ID, -1, faces.astype(np.int64)))
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
-        """See `Engine`."""
+        """Return all hits; see `Engine`."""
         answer = self._scene.list_intersections(_rays32(rays_o, rays_d))
         return answer["ray_ids"].numpy().astype(np.int64), answer["primitive_ids"].numpy().astype(np.int64)
 
 
 class EmbreexEngine:
-    """Embree through embreex, one core, first hits alone."""
+    """Use Embree through embreex: one core, first hits only."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise BackendError(
-                f"engine 'embreex': expected an importable embreex, got '{error}'; pip install embreex"
-            ) from error
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
         self._scene: Any = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, vertices, faces.astype(np.int32)) if len(faces) else None
         self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
-        """See `Engine`."""
+        """Return first hits; see `Engine`."""
         if self._mesh is None:
             return np.full(len(rays_o), np.inf), np.full(len(rays_o), -1, np.int64)
         answer = self._scene.run(rays_o.astype(np.float32), rays_d.astype(np.float32), output=True)
         return _hits(answer["tfar"], answer["primID"].astype(np.int64))
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
-        """Not offered: embreex answers with one hit a ray, and restarting behind it loses coincident faces."""
-        raise BackendError("engine 'embreex' lists first hits alone; use engine='open3d' or search='hierarchy'")
+        """Raise: embreex returns one hit per ray, and restarting behind it loses coincident faces."""
+        raise BackendError("engine 'embreex' lists first hits only; use engine='open3d' or search='hierarchy'")
 
 
 ENGINES: dict[str, type[Open3dEngine] | type[EmbreexEngine]] = {"open3d": Open3dEngine, "embreex": EmbreexEngine}
+
+
+def fastest_engine() -> str:
+    """Return the name of the fastest engine that is installed: "open3d", or "embreex", which always is."""
+    return "open3d" if has("open3d") else "embreex"
 
 
 def _rays32(rays_o: F64, rays_d: F64) -> F32:

@@ -1,8 +1,8 @@
-"""The hierarchy over ellipsoids that finds every Gaussian a ray meets, front to back, and stops where light is spent.
+"""Store the hierarchy over ellipsoids that finds the Gaussians a ray meets, front to back, until light is spent.
 
-Embree's Python faces return either the first face or all faces of a ray. Real scenes are deep, half of all faces lie
-behind spent transmittance, so contributions are traced through our own eight-wide hierarchy over the ellipsoids
-themselves (docs/design/003-contributions.md). World frame, scene units.
+Embree's Python interfaces return either the first face or all faces of a ray. Real scenes are deep: half of all faces
+lie behind spent transmittance. Contributions are therefore traced through our own eight-wide hierarchy over the
+ellipsoids themselves (docs/design/003-contributions.md). World frame, scene units.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _CHUNK = 1 << 17
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """M Gaussians in hierarchy order with the boxes above them; every array is what the kernels take.
+    """M Gaussians in hierarchy order with the boxes above them, as arrays for the kernels.
 
     Attributes:
         ids: (M,) int64; position in the hierarchy -> Gaussian of the scene.
         positions: (N,) int64; the inverse, -1 for a Gaussian without proxy.
         table: (M, 16) float64; mean, whitening matrix by rows, squared reach, opacity, two unused.
-        content: (M, C) float32; what orders hits of equal depth and equal mean.
+        content: (M, C) float32; orders hits of equal depth and equal mean.
         boxes: (K, 6, 8) float32 child boxes of each node.
         children: (K, 8) int64.
     """
@@ -42,7 +42,7 @@ class Hierarchy:
 
     @classmethod
     def from_proxies(cls, proxies: EllipsoidProxies) -> Hierarchy:
-        """Build it; some seconds for 1.5 million Gaussians."""
+        """Build the hierarchy; takes some seconds for 1.5 million Gaussians."""
         g, m = proxies.gaussians, len(proxies)
         low, high = np.empty((m, 3), np.float32), np.empty((m, 3), np.float32)
         for part in _parts(m):
@@ -61,7 +61,7 @@ class Hierarchy:
             whitening = np.swapaxes(some.rotations(), 1, 2) / some.scales.astype(np.float64)[:, :, None]
             table[part, 3:12] = whitening.reshape(-1, 9)
             table[part, 13] = some.opacities
-        # A hair more than the reach: the exact test is alpha >= min_alpha.
+        # Slightly more than the reach: the exact test is alpha >= min_alpha.
         table[:, 12] = 2.0 * np.log(np.maximum(table[:, 13] / proxies.min_alpha, 1.0)) + 1e-9
         higher = g.shN[:, 0] if g.sh_degree else g.shN.reshape(len(g), 0)
         content = np.concatenate([g.scales, g.quats, g.opacities[:, None], g.sh0[:, 0], higher], axis=1)[ids]
@@ -73,7 +73,7 @@ class Hierarchy:
     def arrays(
         self,
     ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """What every kernel takes first: table, content, boxes, children."""
+        """First arguments of every kernel: table, content, boxes, children."""
         return self.table, self.content, self.boxes, self.children
 
     @property

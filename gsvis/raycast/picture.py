@@ -1,6 +1,6 @@
-"""Images by ray casting: the color, alpha and depth that the contributions along pixel rays add up to.
+"""Render images by ray casting: color, alpha and depth from the contributions along pixel rays.
 
-For reports and comparisons; `gsvis.render` is the fast way to an image. OpenCV cameras, colors not clipped above.
+For reports and comparisons; `gsvis.render` is faster. OpenCV cameras, colors not clipped above.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["ray_image"]
 def ray_image(
     tracer: Tracer, camera: Cameras, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> NDArray[np.float32]:
-    """What one camera sees, ray by ray.
+    """Render what one camera sees, ray by ray.
 
     Args:
         tracer: The scene.
@@ -26,10 +26,10 @@ def ray_image(
         background: RGB behind everything.
 
     Returns:
-        (height, width, 3) float32; 0 is black, 1 white, brighter values are kept.
+        (height, width, 3) float32; 0 is black, 1 white; brighter values are kept.
 
     Raises:
-        ValueError: If `camera` holds not exactly one camera.
+        ValueError: If `camera` does not hold exactly one camera.
     """
     if len(camera) != 1:
         raise ValueError(f"camera: expected one camera, got {len(camera)}; index it, as in cameras[0]")

@@ -1,7 +1,7 @@
-"""Proxy meshes: for each Gaussian a stretched icosahedron that encloses the ellipsoid where it matters.
+"""Build proxy meshes: for each Gaussian a stretched icosahedron that encloses its ellipsoid.
 
-The ellipsoid is where alpha reaches `min_alpha`, so its size follows opacity; a ray that misses the proxy cannot gain
-from the Gaussian. World frame, scene units. Knows nothing of rays.
+The ellipsoid is the surface where alpha is `min_alpha`, so its size depends on opacity. A ray that misses the proxy
+gets no contribution from the Gaussian. World frame, scene units. Knows nothing of rays.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 __all__ = ["MIN_ALPHA", "EllipsoidProxies", "reaches"]
 
 MIN_ALPHA = 1.0 / 255.0
-"""Alpha below this is nothing (docs/conventions.md)."""
+"""Alpha below this counts as 0 (docs/conventions.md)."""
 
-_THINNEST = 1e-4  # proxy half-width over its largest; thinner ones collapse in the tracers' float32
+_THINNEST = 1e-4  # least proxy half-width over its largest; thinner proxies collapse in the tracers' float32
 _CHUNK = 1 << 16
 
 
 def reaches(opacities: NDArray[np.float32], min_alpha: float = MIN_ALPHA) -> NDArray[np.float64]:
-    """How far, in standard deviations, each Gaussian's alpha stays at or above `min_alpha`.
+    """Return the distance, in standard deviations, within which each Gaussian's alpha is at least `min_alpha`.
 
     Args:
         opacities: (N,) in [0, 1].
@@ -52,7 +52,7 @@ class EllipsoidProxies:
 
     Attributes:
         gaussians: The whole scene, N Gaussians.
-        ids: (M,) int64, the Gaussian of each proxy, rising.
+        ids: (M,) int64, the Gaussian of each proxy, ascending.
         radii: (M, 3) float64, semi-axes of the enclosed ellipsoids, scene units.
         faces_per_proxy: 20 or 80.
         min_alpha: Alpha on the surface of the ellipsoids.
@@ -66,12 +66,12 @@ class EllipsoidProxies:
 
     @classmethod
     def from_scene(cls, g: Gaussians, faces: int = 20, min_alpha: float = MIN_ALPHA) -> EllipsoidProxies:
-        """Proxies for every Gaussian that can matter.
+        """Build proxies for every Gaussian that can be visible.
 
         Args:
             g: The scene.
             faces: 20 (icosahedron) or 80 (once subdivided, tighter).
-            min_alpha: Alpha on the ellipsoids; larger values give the opaque inner cores.
+            min_alpha: Alpha on the ellipsoids; larger values give only the opaque cores.
 
         Raises:
             ValueError: If `faces` or `min_alpha` is out of range.
@@ -100,7 +100,7 @@ class EllipsoidProxies:
         return vertices / heights.min(), faces
 
     def meshes(self, start: int = 0, stop: int | None = None) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-        """Triangles of proxies start..stop as one mesh.
+        """Return the triangles of proxies start..stop as one mesh.
 
         Args:
             start: First proxy.
@@ -127,7 +127,7 @@ class EllipsoidProxies:
         return vertices.reshape(-1, 3), faces.reshape(-1, 3)
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """All proxies as one `trimesh.Trimesh`, to look at or to export."""
+        """Return all proxies as one `trimesh.Trimesh`, to view or export."""
         import trimesh
 
         vertices, faces = self.meshes()

@@ -1,4 +1,4 @@
-"""The brute-force tracer: every Gaussian against every ray, as the definitions say it. The oracle of this room.
+"""Trace by brute force: every Gaussian against every ray, from the definitions. The oracle of this room.
 
 Slow and short on purpose: float64 NumPy, one ray at a time, no hierarchy, no proxies. World frame, scene units.
 """
@@ -18,13 +18,13 @@ __all__ = ["brute_force_contributions"]
 def brute_force_contributions(
     g: Gaussians, rays_o: ArrayLike, rays_d: ArrayLike, *, min_alpha: float = MIN_ALPHA
 ) -> Contributions:
-    """What `Tracer.contributions` must return, from the definitions alone.
+    """Return what `Tracer.contributions` must return, from the definitions alone.
 
     Args:
         g: The scene.
         rays_o: (R, 3) origins, world frame.
         rays_d: (R, 3) directions, any non-zero length.
-        min_alpha: Alpha below this is nothing.
+        min_alpha: Alpha below this counts as 0.
     """
     origins, directions = _rays(rays_o, rays_d)
     whitening = np.swapaxes(g.rotations(), 1, 2) / g.scales.astype(np.float64)[:, :, None]

@@ -1,7 +1,7 @@
-"""Rays against a scene: every Gaussian that contributes to a ray, front to back, or the first proxy it meets.
+"""Trace rays against a scene: all Gaussians that contribute to a ray, front to back, or the first proxy it meets.
 
-Rays start at `rays_o` and run along unit `rays_d` in the world frame; depths are in scene units. What alpha, weight
-and depth mean on a ray, and where a ray stops, is in docs/conventions.md.
+Rays start at `rays_o` and run along unit `rays_d` in the world frame; depths are in scene units. docs/conventions.md
+defines alpha, weight and depth on a ray, and where a ray stops.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.raycast._kernels import trace as _kernels
-from gsvis.raycast.engines import ENGINES, Engine
+from gsvis.raycast.engines import ENGINES, Engine, fastest_engine
 from gsvis.raycast.hierarchy import Hierarchy
 from gsvis.raycast.proxies import EllipsoidProxies
 
 __all__ = ["MAX_ALPHA", "MIN_TRANSMITTANCE", "TAU", "Contributions", "FirstHits", "Tracer"]
 
 MAX_ALPHA = 0.999
-"""Alpha is capped here."""
+"""Upper bound of alpha."""
 MIN_TRANSMITTANCE = 1e-4
 """A ray stops when less light than this is left."""
 TAU = 1.0 / 255.0
-"""Default weight from which a Gaussian is visible."""
+"""Default least weight of a visible Gaussian."""
 
-_ROW = 128  # hits a ray has room for at first; the few rays with more are traced again
+_ROW = 128  # initial capacity of a ray's row; the few rays with more hits are traced again
 _BYTES_A_HIT = 16
-_CHUNK_RAYS = 8192  # more gain nothing
+_CHUNK_RAYS = 8192  # larger chunks are not faster
 
 F64 = NDArray[np.float64]
 Columns = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
@@ -38,7 +38,7 @@ Columns = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDA
 
 @dataclass(frozen=True, eq=False)
 class Contributions:
-    """What R rays meet, in CSR form: ray r owns `ray_offsets[r]:ray_offsets[r + 1]`, front to back.
+    """Gaussians that R rays meet, in CSR form: ray r owns `ray_offsets[r]:ray_offsets[r + 1]`, front to back.
 
     Attributes:
         ray_offsets: (R + 1,) int64.
@@ -62,7 +62,7 @@ class Contributions:
 
     @property
     def ray_ids(self) -> NDArray[np.int64]:
-        """(H,) the ray of each hit."""
+        """(H,) index of the ray of each hit."""
         return np.repeat(np.arange(len(self)), np.diff(self.ray_offsets))
 
     @property
@@ -73,7 +73,7 @@ class Contributions:
 
     @staticmethod
     def concatenate(parts: list[Contributions]) -> Contributions:
-        """The contributions of several lots of rays as one."""
+        """Return the contributions of several batches of rays as one."""
         if len(parts) == 1:
             return parts[0]
         counts = np.concatenate([np.diff(part.ray_offsets) for part in parts] or [np.zeros(0, np.int64)])
@@ -85,7 +85,7 @@ class Contributions:
 
 @dataclass(frozen=True, eq=False)
 class FirstHits:
-    """The first proxy face each ray meets, as if proxies were opaque.
+    """The first proxy face of each ray, as if proxies were opaque.
 
     Attributes:
         t_hit: (R,) float64, scene units; inf for a miss.
@@ -97,22 +97,23 @@ class FirstHits:
 
 
 class Tracer:
-    """Traces rays against the proxies of a scene.
+    """Trace rays against the proxies of a scene.
 
-    What a query needs is built when it is first asked: an Embree scene of the triangles for `first_hit` and
+    Acceleration structures are built on first use: an Embree scene of the triangles for `first_hit` and
     `search="faces"`, the ellipsoid hierarchy for everything else.
 
     Args:
-        proxies: What to trace.
-        engine: "open3d" (all cores) or "embreex"; both are Embree.
+        proxies: Proxies of the scene.
+        engine: "open3d" (all cores, extra 'open3d') or "embreex" (one core); both are Embree. None takes the first
+            that is installed.
 
     Raises:
         ValueError: If the engine is unknown.
-        BackendError: On first use, if the engine's library is missing; says what to install.
+        BackendError: On first use, if Open3D was asked for and is missing; says what to install.
     """
 
-    def __init__(self, proxies: EllipsoidProxies, engine: str = "open3d") -> None:
-        self.engine = _check.one_of("engine", engine, tuple(ENGINES))
+    def __init__(self, proxies: EllipsoidProxies, engine: str | None = None) -> None:
+        self.engine = fastest_engine() if engine is None else _check.one_of("engine", engine, tuple(ENGINES))
         self.proxies = proxies
 
     def __repr__(self) -> str:
@@ -133,8 +134,8 @@ class Tracer:
         """(min_alpha, max_alpha, min_transmittance), as the kernels take them."""
         return self.proxies.min_alpha, MAX_ALPHA, MIN_TRANSMITTANCE
 
-    def chosen(self, ids: ArrayLike | None) -> NDArray[np.int64]:
-        """Gaussians given by number, checked; None means all.
+    def check_ids(self, ids: ArrayLike | None) -> NDArray[np.int64]:
+        """Return checked ids of Gaussians; None means all.
 
         Raises:
             ValueError: If an id is not in [0, N).
@@ -148,7 +149,7 @@ class Tracer:
         return picked
 
     def first_hit(self, rays_o: ArrayLike, rays_d: ArrayLike) -> FirstHits:
-        """The first proxy each ray meets.
+        """Return the first proxy each ray meets.
 
         Args:
             rays_o: (R, 3) origins, world frame.
@@ -166,14 +167,14 @@ class Tracer:
     def contributions(
         self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str = "hierarchy", max_memory: int = 256 << 20
     ) -> Contributions:
-        """All Gaussians that contribute to each ray, front to back.
+        """Return all Gaussians that contribute to each ray, front to back.
 
         Args:
             rays_o: (R, 3) origins, world frame.
             rays_d: (R, 3) directions, any non-zero length.
-            search: "hierarchy" walks the ellipsoids and stops where light is spent; "faces" lets the engine list
-                every proxy face first (engine "open3d"). Same answer; the second is the slower twin.
-            max_memory: Bytes of working memory beside the result; rays are traced in chunks that fit.
+            search: "hierarchy" traverses the ellipsoids and stops where light is spent; "faces" first lists every
+                proxy face by the engine (engine "open3d"). Both give the same result; the second is the slower twin.
+            max_memory: Working memory in bytes, beside the result; rays are traced in chunks that fit.
 
         Raises:
             ValueError: If shapes differ or values are not finite.
@@ -185,7 +186,7 @@ class Tracer:
     def iter_contributions(
         self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str = "hierarchy", max_memory: int = 256 << 20
     ) -> Iterator[tuple[int, Contributions]]:
-        """`contributions` chunk by chunk, for results larger than memory.
+        """Return `contributions` chunk by chunk, for results larger than memory.
 
         Yields:
             The index of the chunk's first ray, and the contributions of its rays.
@@ -208,7 +209,7 @@ class Tracer:
         packed = np.empty(total, np.int64), *_columns((total,))[1:]
         _kernels.pack(self.hierarchy.ids, offsets, np.arange(len(rays_o)), *rows, *packed)
         long = np.flatnonzero(counts > _ROW)
-        while len(long):  # these found no room in their rows
+        while len(long):  # these rays did not fit into their rows
             room = int(counts[long].max())
             some, long = np.split(long, [max(1, max_memory // (2 * room * _BYTES_A_HIT))])
             rows = _columns((len(some), room))
@@ -232,7 +233,7 @@ class Tracer:
 
 
 def _columns(shape: tuple[int, ...]) -> Columns:
-    """Room for ids, alphas, weights and depths."""
+    """Allocate ids, alphas, weights and depths."""
     floats = [np.empty(shape, np.float32) for _ in range(3)]
     return np.empty(shape, np.int32), floats[0], floats[1], floats[2]
 

@@ -1,7 +1,7 @@
-"""Which Gaussians an eye sees, and by how much: the largest weight of each over rays from viewpoints or cameras.
+"""Find the Gaussians that an eye sees: the largest weight of each over rays from viewpoints or cameras.
 
-Two samplings (DESIGN decision 2). Pixel rays give what an image of that size shows; Gaussians smaller than a pixel
-fall between them. Gaussian rays go from the eye to each Gaussian and need no resolution. World frame, scene units.
+Two samplings (DESIGN decision 2). Pixel rays give what an image of that size shows; they miss some Gaussians smaller
+than a pixel. Gaussian rays run from the eye to each Gaussian and need no resolution. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class GaussianRays:
-    """How Gaussian rays are cast.
+    """How to cast Gaussian rays.
 
     Attributes:
-        ring: Rays to points on the one-sigma ring seen from the eye, besides the one to the center. 0 sees a
-            Gaussian only by its center; 4 or more also finds those that peep past an edge.
-        floor: Weights below it are given as 0, so that hidden Gaussians end early.
+        ring: Number of rays to points on the one-sigma ring seen from the eye, besides the one to the center. 0
+            finds a Gaussian only by its center; 4 or more also finds those partly visible past an edge.
+        floor: Weights below it are returned as 0, so that hidden Gaussians end early.
     """
 
     ring: int = 0
@@ -45,7 +45,7 @@ class GaussianRays:
 
 
 def visible_in(tracer: Tracer, cameras: Cameras, *, progress: Progress = silent) -> F32:
-    """Largest weight of each Gaussian over the pixel rays of each camera.
+    """Return the largest weight of each Gaussian over the pixel rays of each camera.
 
     Args:
         tracer: The scene.
@@ -53,7 +53,7 @@ def visible_in(tracer: Tracer, cameras: Cameras, *, progress: Progress = silent)
         progress: Called with stage "cameras".
 
     Returns:
-        (C, N) float32; a Gaussian is visible in camera c where the entry is at least tau.
+        (C, N) float32; a Gaussian is visible in camera c if the entry is at least tau.
     """
     weights = np.zeros((len(cameras), len(tracer.proxies.gaussians)), np.float32)
     progress("cameras", 0, len(cameras))
@@ -73,26 +73,26 @@ def visible_from(
     ids: ArrayLike | None = None,
     progress: Progress = silent,
 ) -> F32:
-    """Largest weight of each Gaussian from each viewpoint, in all directions.
+    """Return the largest weight of each Gaussian from each viewpoint, in all directions.
 
     Args:
         tracer: The scene.
         viewpoints: (V, 3) positions, world frame.
         sampling: "pixels" casts the rays of a cubemap; "gaussians" casts rays to every Gaussian.
         size: Pixels along a side of the cubemap faces (sampling "pixels").
-        rays: How Gaussian rays are cast (sampling "gaussians"); None means `GaussianRays()`.
-        ids: (M,) Gaussians asked for; None means all N. With Gaussian rays only these cost anything.
+        rays: How to cast Gaussian rays (sampling "gaussians"); None means `GaussianRays()`.
+        ids: (M,) Gaussians to test; None means all N. With Gaussian rays the cost grows with their number.
         progress: Called with stage "viewpoints".
 
     Returns:
-        (V, N) float32, or (V, M) with ids; a Gaussian is visible from viewpoint v where the entry is at least tau.
+        (V, N) float32, or (V, M) with ids; a Gaussian is visible from viewpoint v if the entry is at least tau.
 
     Raises:
         ValueError: If an argument is out of range.
     """
     _check.one_of("sampling", sampling, ("pixels", "gaussians"))
     points = _check.floats("viewpoints", viewpoints, ("V", 3), np.float64)
-    chosen = tracer.chosen(ids)
+    chosen = tracer.check_ids(ids)
     weights = np.zeros((len(points), len(chosen)), np.float32)
     progress("viewpoints", 0, len(points))
     for v, point in enumerate(points):
@@ -114,16 +114,16 @@ def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
 
 
 def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.int64]) -> F32:
-    """Weights (M,) from one eye along rays to the center and the ring of the Gaussians ids (M,)."""
+    """Return weights (M,) from one eye along rays to the center and the ring of the Gaussians ids (M,)."""
     hierarchy, g = tracer.hierarchy, tracer.proxies.gaussians
-    there = np.flatnonzero(hierarchy.positions[ids] >= 0)  # the others are too faint to be seen
-    targets = np.sort(hierarchy.positions[ids[there]])  # neighbors one after the other: their paths share memory
+    there = np.flatnonzero(hierarchy.positions[ids] >= 0)  # the others are too faint to be visible
+    targets = np.sort(hierarchy.positions[ids[there]])  # neighbors in sequence: their paths share memory
     table, owners = hierarchy.table[targets], hierarchy.ids[targets]
     best, out = np.zeros(len(targets)), np.empty(len(targets))
     for offset in _offsets(table, g.quats[owners], g.scales[owners], eye, rays.ring):
         toward = table[:, :3] + offset - eye
         length = np.linalg.norm(toward, axis=1)
-        toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is in the center: every direction is as good
+        toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is at the center: any direction will do
         toward /= np.where(length == 0.0, 1.0, length)[:, None]
         rays_o = np.tile(eye, (len(toward), 1))
         _kernels.weights_of(*hierarchy.arrays, rays_o, toward, targets, tracer.limits, rays.floor, out)
@@ -134,7 +134,7 @@ def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.
 
 
 def _offsets(table: F64, quats: F32, scales: F32, eye: F64, ring: int) -> list[F64]:
-    """Offsets (M, 3) from the centers of the points that rays are cast to."""
+    """Return offsets (M, 3) from the centers to the ray targets."""
     offsets = [np.zeros((len(table), 3))]
     if ring == 0 or len(table) == 0:
         return offsets

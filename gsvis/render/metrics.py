@@ -1,6 +1,6 @@
 """How far an image is from its target: PSNR, SSIM, FLIP, LPIPS.
 
-Images are RGB, channels last, sRGB values where 0 is black and `data_range` (1 unless told otherwise) is white. One
+Images are RGB, channels last, sRGB values where 0 is black and `data_range` (1 by default) is white. One
 image (H, W, 3) gives one value, a stack (C, H, W, 3) gives C. NumPy arrays give NumPy values or a float, torch tensors
 give tensors on their device, differentiable in PSNR, SSIM and LPIPS (`gsvis.render.metrics_torch`).
 """

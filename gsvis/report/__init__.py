@@ -1,13 +1,13 @@
-"""Reports: plots, pictures, one JSON document and one self-contained page of what an analysis found."""
+"""Reports: plots, pictures, one JSON document and one self-contained page for the results of an analysis."""
 
 from typing import TYPE_CHECKING, Any
 
-from gsvis.report.document import Subject, report_document, write_report
 from gsvis.report.pictures import ViewPicture, picture_views
 from gsvis.report.staircase import PERSON_RULE, load_staircase_result, write_staircase_page
 
 if TYPE_CHECKING:
     from gsvis.report.approximations import Approximations, flip_difference
+    from gsvis.report.document import Subject, report_document, write_report
 
 __all__ = [
     "PERSON_RULE",
@@ -24,11 +24,18 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """What draws with the rasterizer brings torch with it, and so waits until it is asked for."""
+    """Import names that need the rasterizer or matplotlib on first use."""
     if name in ("Approximations", "flip_difference"):
         from gsvis.report import approximations
 
         return getattr(approximations, name)
+    if name in ("Subject", "report_document", "write_report"):
+        from gsvis._extras import require
+
+        require(f"gsvis.report.{name}", "matplotlib")
+        from gsvis.report import document
+
+        return getattr(document, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -1,6 +1,6 @@
-"""Images of a scene with all terms of its colors and with those alone that are active at an epsilon.
+"""Render a scene with all terms of its colors, and with only the terms active at an epsilon.
 
-What the staircase shows to a person, and what the metric that stands in for one compares.
+The staircase shows these images to a person; the metric that replaces a person compares them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ F32 = NDArray[np.float32]
 
 
 class Approximations:
-    """Views of one scene, drawn with all terms or without those that an epsilon leaves out.
+    """Views of one scene, rendered with all terms or without the terms below an epsilon.
 
     Args:
         g: N Gaussians.
@@ -53,11 +53,11 @@ class Approximations:
         self.reference = np.stack([self._draw(view, None) for view in range(len(cameras))])
 
     def images(self, epsilon: float) -> F32:
-        """(C, H, W, 3) with the terms that change a channel by more than epsilon."""
+        """Return (C, H, W, 3) images with the terms that change a channel by more than epsilon."""
         return np.stack([self._draw(view, epsilon) for view in range(len(self._cameras))])
 
     def ladder(self, epsilons: ArrayLike, *, progress: Progress = silent) -> F32:
-        """(C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
+        """Return (C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
 
         Args:
             epsilons: (E,), such as the rungs of a rule.
@@ -72,7 +72,7 @@ class Approximations:
         return out
 
     def shares(self, epsilon: float) -> NDArray[np.float64]:
-        """(C,) active terms of all terms, for each view's eye; 0 where there are no terms."""
+        """Return (C,) shares of active terms, for each view's eye; 0 if there are no terms."""
         counts = [int((found > np.float32(epsilon)).sum()) for found in self._contributions]
         return np.asarray(counts) / max(1, len(self._contributions[0]))
 
@@ -86,20 +86,20 @@ class Approximations:
 def flip_difference(
     pictures: Approximations, *, percentile: float = 99.0, pixels_per_degree: float = 67.0
 ) -> Callable[[float], float]:
-    """What `MetricObserver` asks: the difference that an epsilon makes in the view where it shows most.
+    """Return the metric for `MetricObserver`: the difference that an epsilon makes in the worst view.
 
     Args:
         pictures: The views.
-        percentile: Of the FLIP map of a view: 99 tells the error that the worst hundredth of the image exceeds. One
-            pixel is nothing that an eye finds; the mean forgives whatever is confined to a part of the image.
-        pixels_per_degree: Of the observer's field of view.
+        percentile: Percentile of the FLIP map of a view: 99 is the error that the worst hundredth of the image
+            exceeds. A single pixel is invisible to an eye; the mean hides an error in a small part of the image.
+        pixels_per_degree: Resolution of the observer's field of view.
 
     Returns:
         A function from epsilon to the largest percentile over the views.
 
     Raises:
-        ValueError: If the percentile is none.
-        BackendError: When called, if the package flip-evaluator is absent.
+        ValueError: If the percentile is not in [0, 100].
+        BackendError: When called, if the package flip-evaluator is missing.
     """
     if not 0.0 <= percentile <= 100.0:
         raise ValueError(f"percentile: expected a value in [0, 100], got {percentile!r}")

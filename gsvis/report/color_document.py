@@ -1,4 +1,4 @@
-"""The report on colors on disk: `report.json`, plots and pictures as PNG, `report.html` with all of it inside."""
+"""Write the report on colors: `report.json`, plots and pictures as PNG, and `report.html` with all of it inside."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gsvis.report.document import Subject
 from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 
 __all__ = ["color_document", "write_color_report"]
 
@@ -34,11 +34,11 @@ _PICTURES = {
 
 
 def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
         fitted: The colors, with their quality.
-        subject: What they are about; its `cameras_from` says where the views of the comparison come from.
+        subject: Context of the report; its `cameras_from` names the source of the compared views.
 
     Raises:
         ValueError: If the quality was not measured.
@@ -62,16 +62,16 @@ def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
 def write_color_report(
     folder: str | os.PathLike[str], fitted: FittedColors, subject: Subject, *, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Draw everything and write the folder, whole or not at all.
+    """Draw everything and write the folder, atomically.
 
     Args:
-        folder: Made if missing; files in it that are not of a report stay.
+        folder: Created if missing; files in it that do not belong to a report are kept.
         fitted: The colors, with their quality.
-        subject: What they are about.
+        subject: Context of the report.
         progress: Called with stage "writing".
 
     Returns:
-        What was written as `report.json`.
+        The content of `report.json`.
 
     Raises:
         ValueError: If the quality was not measured.
@@ -83,7 +83,7 @@ def write_color_report(
     with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(partial_folder, figures.values(), document, color_page(fitted, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+        (folder / stale).unlink(missing_ok=True)  # belongs to an earlier report
     return document
 
 
@@ -94,7 +94,7 @@ def _quality(fitted: FittedColors) -> ColorQuality:
 
 
 def _views(quality: ColorQuality) -> dict[str, int]:
-    """The views that are shown, by their role."""
+    """Return the shown views by role."""
     order = np.argsort(quality.all_terms.psnr, kind="stable")
     roles = {"worst": int(order[0])}
     if len(order) > 1:
@@ -103,7 +103,7 @@ def _views(quality: ColorQuality) -> dict[str, int]:
 
 
 def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
-    """All plots and pictures by name, plots for light and for dark pages."""
+    """Return all plots and pictures by name, plots for light and for dark pages."""
     quality, epsilon = _quality(fitted), fitted.epsilon
     plots: dict[str, tuple[Any, tuple[float, float]]] = {"bytes": (partial(draw_bytes, fitted=fitted), (5.2, 2.4))}
     if fitted.colors.num_terms:
@@ -120,7 +120,7 @@ def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
         plots["spheres"] = (partial(draw_spheres, spheres=spheres), (7.6, 0.25 + 1.08 * rows))
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", min(done, steps - 1), steps)
     for role, view in _views(quality).items():
         for name, image in _pictures(fitted, quality, view).items():
@@ -130,7 +130,7 @@ def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
 
 
 def _pictures(fitted: FittedColors, quality: ColorQuality, view: int) -> dict[str, NDArray[np.float32]]:
-    """One view: by SH, by all terms, by base colors, and what differs between the first two."""
+    """Return pictures of one view: by SH, by all terms, by base colors, and the difference of the first two."""
     camera, (g, fit) = quality.cameras[view], fitted.drawn
     images = {
         name: np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0], 0.0, 1.0)

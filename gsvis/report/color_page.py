@@ -1,4 +1,4 @@
-"""The report on colors as one HTML page that needs nothing else: images inside, no script, no network."""
+"""The report on colors as one self-contained HTML page: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from typing import Any
 
 from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
-from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
+from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
 from gsvis.report.spheres import COUNTS
 
 __all__ = ["DIFFERENCE", "color_page"]
 
 DIFFERENCE = 8.0
-"""How much differences are enlarged in pictures of them."""
+"""Factor by which pictures of differences are brightened."""
 
 _MEASURES = (("psnr", "PSNR, dB", 1), ("ssim", "SSIM", 4), ("flip", "FLIP", 4))
 
 
 def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
         fitted: The colors, with their quality.
         document: The content of `report.json`.
-        figures: Plots and pictures by name; what is absent is left out of the page.
+        figures: Plots and pictures by name; missing ones are omitted from the page.
     """
-    return filled(
+    return fill_template(
         "color_page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
@@ -37,7 +37,7 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
         active=_active(document, figures),
         bytes=_bytes(document, figures),
         spheres=_spheres(fitted, figures),
-        how=described(document),
+        how=describe_run(document),
     )
 
 
@@ -46,7 +46,7 @@ def _lead(document: dict[str, Any]) -> str:
     if not terms["total"]:
         return (
             f"<p class='lead'>The {document['gaussians']:,} Gaussians of this scene have base colors and no terms:"
-            " nothing of what is sent depends on direction.</p>"
+            " no color depends on direction.</p>"
         )
     return (
         f"<p class='lead'>Each of the {document['gaussians']:,} Gaussians has a base color and"
@@ -78,14 +78,14 @@ def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
                 cells += [f"{quality[key][measure][which]:.{digits}f}" for which in ("mean", "worst")]
         rows.append(cells)
     header = ["against SH"]
-    for measure, told, _ in _MEASURES:
+    for measure, label, _ in _MEASURES:
         if measure in quality["all_terms"]:
-            header += [told, "worst"]
+            header += [label, "worst"]
     text = table(header, rows)
-    for role, told in (("worst", "The view that comes out worst"), ("median", "A view in the middle")):
+    for role, label in (("worst", "The worst view"), ("median", "The median view")):
         if f"{role}_sh" in figures:
             row = next(each for each in quality["cameras"] if each["role"] == role)
-            text += f"<h3>{told}</h3>" + _pictures(role, row, figures)
+            text += f"<h3>{label}</h3>" + _pictures(role, row, figures)
     if "first_terms" in figures:
         caption = (
             "Terms come one by one, the most useful of each Gaussian first. Below the number is how many that makes of"
@@ -104,9 +104,9 @@ def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str
         ("sh", "SH, as the scene came."),
         ("srbf", f"Base colors and all terms: {row['psnr']:.1f} dB."),
         ("base", f"Base colors alone: {row['base_psnr']:.1f} dB."),
-        ("difference", f"What differs between the first two, brightened {DIFFERENCE:g} times."),
+        ("difference", f"Difference of the first two, brightened {DIFFERENCE:g} times."),
     )
-    drawn = "".join(figure(figures[f"{role}_{name}"], told, told) for name, told in shown)
+    drawn = "".join(figure(figures[f"{role}_{name}"], label, label) for name, label in shown)
     return f"<div class='pair'>{drawn}</div>"
 
 
@@ -134,9 +134,9 @@ def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     quality, epsilon = document["quality"], document["epsilon"]
     if "active" not in figures:
-        return "<p>There are no terms to leave out.</p>"
+        return "<p>The colors have no terms.</p>"
     shares = "Share of all terms that change a channel of their Gaussian by more than epsilon, as an eye sees it."
-    kept = f"What leaving out the others costs, against all terms. The target is {ACTIVE_TARGET:g} dB."
+    kept = f"Quality with active terms only, against all terms. The target is {ACTIVE_TARGET:g} dB."
     low, high = PAPER_EPSILONS
     text = "<div class='pair'>"
     text += figure(figures["active"], "Share of active terms by epsilon", shares)
@@ -183,7 +183,7 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     rows[-1] = (rows[-1][0], rows[-1][1], "", "")
     caption = "Bytes of a Gaussian's color, before any further compression. Geometry is the same in all cases."
     return (
-        figure(figures["bytes"], "Bytes of a color, by how it is sent", caption)
+        figure(figures["bytes"], "Bytes of a color, by encoding", caption)
         + table(("color", "bytes a Gaussian", "MB in all", "of SH in 32 bits"), rows)
         + f"<p>The file, with geometry in 32 bits a number, takes {document['file_bytes'] / 1e6:.2f} MB.</p>"
     )
@@ -192,10 +192,10 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
     if "spheres" not in figures:
         return ""
-    told = ", ".join(str(k) for k in COUNTS)
+    text = ", ".join(str(k) for k in COUNTS)
     caption = (
         "Gaussians whose color depends much on direction, as spheres that show what an eye on that side would see:"
-        f" by SH, by the base color, and by {told} terms ({escape(fitted.colors.variant)}). Below each is its mean"
+        f" by SH, by the base color, and by {text} terms ({escape(fitted.colors.variant)}). Below each is its mean"
         " squared error over all directions. The terms were fitted for this picture, over the whole sphere."
     )
     return (

@@ -1,4 +1,4 @@
-"""The plots of a report on colors: who has how many terms, what terms are worth, what epsilon leaves, and bytes."""
+"""Draw the plots of a report on colors: numbers of terms, the gain by terms, the effect of epsilon, and bytes."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ __all__ = [
 F64 = NDArray[np.float64]
 
 PAPER_EPSILONS = (0.01, 0.05)
-"""Between which the paper's epsilons lie (SRBF-Gaussian, section 6.2)."""
+"""Range of the paper's epsilons (SRBF-Gaussian, section 6.2)."""
 ACTIVE_TARGET = 45.0
-"""PSNR in dB that active terms should have against all terms."""
+"""Target PSNR in dB of active terms against all terms."""
 
 _PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 
 def draw_term_counts(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
-    """Share of Gaussians with each number of terms, beside their share of what images show."""
+    """Draw the share of Gaussians with each number of terms, beside their share of the image content."""
     gaussians, importance = fitted.by_count, fitted.importance_by_count
     at = np.arange(len(gaussians))
     axes.bar(at - 0.2, gaussians, width=0.4, color=theme.gathered, label="of the Gaussians")
@@ -60,7 +60,7 @@ def draw_term_counts(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
 
 
 def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
-    """PSNR against SH by the number of first terms of each Gaussian that have come."""
+    """Draw PSNR against SH by the number of received terms of each Gaussian."""
     counts, found = quality.counts, quality.psnr_by_count
     mean, worst = found.mean(axis=1), found.min(axis=1)
     x = np.arange(len(counts))
@@ -91,7 +91,7 @@ def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
 
 
 def draw_active(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: float | None) -> None:
-    """Share of all terms that are active for an eye, by epsilon."""
+    """Draw the share of terms that are active for an eye, by epsilon."""
     shares = quality.active_shares
     _by_epsilon(axes, theme, quality.epsilons, shares.mean(axis=1), (shares.min(axis=1), shares.max(axis=1)))
     axes.set_ylim(0.0, max(1.05 * float(shares.max()), 1e-3))
@@ -101,7 +101,7 @@ def draw_active(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: float 
 
 
 def draw_active_psnr(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: float | None) -> None:
-    """PSNR of active terms against all terms, by epsilon."""
+    """Draw PSNR of active terms against all terms, by epsilon."""
     found = quality.active_psnr
     _by_epsilon(axes, theme, quality.epsilons, found.mean(axis=1), (found.min(axis=1), found.max(axis=1)))
     axes.axhline(ACTIVE_TARGET, color=theme.traced, linewidth=1.6, dashes=(5, 2))
@@ -123,7 +123,7 @@ def draw_active_psnr(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: f
 
 
 def draw_bytes(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
-    """Bytes of the color of a Gaussian: records, their bases alone, and SH."""
+    """Draw the bytes of the color of a Gaussian: records, their bases alone, and SH."""
     sizes = fitted.sizes()
     rows = [
         ("SH, 32 bits", sizes["sh_32"], theme.hidden),
@@ -158,7 +158,7 @@ def _by_epsilon(axes: Axes, theme: Theme, epsilons: F64, mean: F64, spread: tupl
 
 
 def _mark_epsilon(axes: Axes, theme: Theme, epsilon: float | None) -> None:
-    """What the bands mean, said above the plot; the epsilon of this scene as a line."""
+    """Label the bands above the plot, and draw the epsilon of this scene as a line."""
     axes.fill_between([], [], [], color=theme.published, alpha=0.2, linewidth=0, label="the paper's epsilons")
     if epsilon is not None:
         axes.axvline(epsilon, color=theme.ink, linewidth=1.4, dashes=(4, 2), label=f"here {epsilon:.3g}")

@@ -1,7 +1,7 @@
-"""Gaussians of a scene as spheres of what they show in each direction: by SH, and by ever more terms.
+"""Draw Gaussians of a scene as spheres of their color in each direction: by SH, and by more and more terms.
 
-Figure 15 of the paper for colors that occur: 2, 6, 10, 15, 20 and 30 terms; `gsvis.report.spheres` draws functions of
-one number. The fits are made for the picture alone, over all directions and without a price for terms.
+Figure 15 of the paper for real colors: 2, 6, 10, 15, 20 and 30 terms; `gsvis.report.spheres` draws functions of one
+number. The fits are made only for the picture, over all directions and without a price for terms.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from gsvis.scene.icosphere import face_directions, face_shares
 __all__ = ["Spheres", "draw_spheres", "fit_spheres"]
 
 _SIDE = 180  # pixels of a sphere
-_STEP, _ROW = 195, 222  # from one sphere to the next, with its figure below
+_STEP, _ROW = 195, 222  # pixels from one sphere to the next, with its figure below
 
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """M Gaussians, shown as spheres.
+    """M Gaussians, drawn as spheres.
 
     Attributes:
-        ids: (M,) which.
-        images: (M, 2 + len(COUNTS), S, S, 3) by SH, by the base color, by so many terms.
+        ids: (M,) indices of the Gaussians.
+        images: (M, 2 + len(COUNTS), S, S, 3) by SH, by the base color, by each number of terms.
         errors: (M, 1 + len(COUNTS)) squared RGB error, mean over directions and channels, of base and terms.
     """
 
@@ -44,11 +44,11 @@ class Spheres:
 
 
 def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None) -> Spheres:
-    """The Gaussians whose color depends most on direction, among those that images show, fitted ever closer.
+    """Select visible Gaussians whose color depends most on direction, and fit them with more and more terms.
 
     Args:
         fitted: A scene and its colors.
-        count: How many Gaussians; fewer where there are fewer.
+        count: Number of Gaussians; fewer if the scene has fewer.
         variant: How to split colors; None takes that of `fitted`.
     """
     g, weight = fitted.gaussians, fitted.preparation.importance
@@ -74,7 +74,7 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
 
 
 def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
-    """A row for each Gaussian: SH, base color, and 2 to 30 terms, with the error below each."""
+    """Draw a row for each Gaussian: SH, base color, and 2 to 30 terms, with the error below each."""
     rows, columns = spheres.images.shape[:2]
     cover = sphere_directions(pixels=_SIDE)[0][..., None]
     paper = np.array([int(theme.paper[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
@@ -93,12 +93,12 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
         middle = (c + 0.5) * _STEP
         axes.text(middle, -12, name, ha="center", va="bottom", fontsize=8, fontweight="bold", color=theme.ink)
         for m in range(rows if c else 0):
-            told = f"{spheres.errors[m, c - 1]:.1e}"
-            axes.text(middle, m * _ROW + _SIDE + 5, told, ha="center", va="top", fontsize=7, color=theme.muted)
+            text = f"{spheres.errors[m, c - 1]:.1e}"
+            axes.text(middle, m * _ROW + _SIDE + 5, text, ha="center", va="top", fontsize=7, color=theme.muted)
 
 
 def _pick_different(order: NDArray[np.int64], g: Gaussians, count: int) -> NDArray[np.int64]:
-    """The first few of an order whose base colors differ, so that the rows do not all look alike."""
+    """Return the first few of an order whose base colors differ, so that the rows do not all look alike."""
     chosen: list[int] = []
     candidates = order[: 200 * count]
     for least in (0.5, 0.2, 0.0):

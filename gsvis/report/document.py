@@ -1,4 +1,4 @@
-"""A report on disk: `report.json`, the plots and pictures as PNG files, and `report.html` with all of it inside."""
+"""Write a report: `report.json`, the plots and pictures as PNG files, and `report.html` with all of it inside."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gsvis.report.maps import Ground, draw_directions, draw_seen_map
 from gsvis.report.page import page
 from gsvis.report.pictures import ViewPicture, png_of
 from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["Subject", "report_document", "write_report"]
@@ -33,20 +33,20 @@ _PICTURES = {"visible.png", "cdf.png", "settling.png", "map_directions.png"} | {
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What a report is about, besides the figures.
+    """Context of a report, besides the figures.
 
     Attributes:
-        title: The scene's name.
+        title: Name of the scene.
         gaussians: The scene.
         up: (3,) its up axis, for maps.
-        cameras_from: Where the cameras come from, as a phrase.
+        cameras_from: Source of the cameras, as a phrase.
         command: The exact command that makes this report again.
-        version: Of gsvis.
-        facts: What inspection found, as `SceneReport.as_dict()` gives it.
+        version: Version of gsvis.
+        facts: Results of the inspection, as `SceneReport.as_dict()` returns them.
         parameters: All parameters by name.
-        seconds: How long each stage took, by its name.
-        differs: What keeps the paper's figures, means over the training views of captures of one subject, from being
-            compared with these; empty where they can be.
+        seconds: Duration of each stage, by name.
+        differs: Why the paper's figures, means over the training views of captures of one subject, cannot be
+            compared with these; empty if they can.
     """
 
     title: str
@@ -62,11 +62,11 @@ class Subject:
 
 
 def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
         analysis: The figures.
-        subject: What they are about.
+        subject: Context of the report.
     """
     return {
         "format": "gsvis-report",
@@ -90,17 +90,17 @@ def write_report(
     *,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Draw everything and write the folder, whole or not at all.
+    """Draw everything and write the folder, atomically.
 
     Args:
-        folder: Made if missing; files in it that are not of a report stay.
+        folder: Created if missing; files in it that do not belong to a report are kept.
         analysis: The figures.
-        subject: What they are about.
-        pictures: Rendered views, as `picture_views` gives them.
+        subject: Context of the report.
+        pictures: Rendered views, as `picture_views` returns them.
         progress: Called with stage "writing".
 
     Returns:
-        What was written as `report.json`.
+        The content of `report.json`.
 
     Raises:
         OSError: If the folder cannot be written.
@@ -111,16 +111,16 @@ def write_report(
     with atomic_folder(folder, last=LAST) as partial_folder:
         write_files(partial_folder, figures.values(), document, page(analysis, document, figures), subject.seconds)
     for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (folder / stale).unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+        (folder / stale).unlink(missing_ok=True)  # belongs to an earlier report
     return document
 
 
 def _figures(
     analysis: Analysis, subject: Subject, pictures: list[ViewPicture], progress: Progress
 ) -> dict[str, Figure]:
-    """All plots, maps and pictures by name, each plot drawn for light and for dark pages."""
+    """Return all plots, maps and pictures by name, each plot drawn for light and for dark pages."""
     cameras, comparable = analysis.cameras, not subject.differs
-    ground = Ground.of(subject.gaussians, subject.up, cameras.viewpoints)
+    ground = Ground.from_scene(subject.gaussians, subject.up, cameras.viewpoints)
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
         "visible": (partial(draw_visible, analysis=analysis, published=comparable), (5.2, 2.9)),
         "cdf": (partial(draw_cdf, analysis=analysis, published=comparable), (5.2, 4.0)),
@@ -136,6 +136,6 @@ def _figures(
     figures = {f"view_{p.role}": Figure(f"view_{p.role}.png", png_of(p.image)) for p in pictures}
     progress("writing", 0, len(plots))
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, len(plots))
     return figures

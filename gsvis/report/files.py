@@ -1,6 +1,6 @@
-"""The files of a report in their folder: pictures, `report.json`, `report.html`, and `timings.json`.
+"""Write the files of a report into their folder: pictures, `report.json`, `report.html`, and `timings.json`.
 
-Two runs of one command write the same bytes, but for `timings.json`: it alone says how long something took.
+Two runs of one command write the same bytes, except in `timings.json`, the only file with durations.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TIMINGS = "timings.json"
 """The file that differs between two runs."""
 
 LAST = ("report.html", "report.json")
-"""Files that move into place after all others: where `report.json` is new, all of the report is."""
+"""Files that move into place after all others: if `report.json` is new, all of the report is new."""
 
 
 def write_files(
@@ -28,10 +28,10 @@ def write_files(
 
     Args:
         folder: A folder that exists.
-        figures: Plots and pictures; those for light pages become files.
+        figures: Plots and pictures; those for light pages are written as files.
         document: The content of `report.json`.
         html: The content of `report.html`.
-        seconds: How long each stage took, by its name.
+        seconds: Duration of each stage, by name.
     """
     for figure in figures:
         (folder / figure.file).write_bytes(figure.light)

@@ -1,6 +1,6 @@
-"""Pieces of a report page: its style, pictures with captions, tables.
+"""Build the parts of a report page: its style, pictures with captions, tables.
 
-Text that comes from outside is escaped here or by the caller, as each function says.
+Text from outside is escaped here or by the caller, as each function states.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-__all__ = ["Figure", "described", "figure", "filled", "plain", "table", "tiles"]
+from gsvis._extras import remedy_of
+
+__all__ = ["Figure", "describe_run", "figure", "fill_template", "plain", "table", "tiles"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +24,9 @@ class Figure:
     """A picture of a report.
 
     Attributes:
-        file: Its name on disk.
+        file: File name.
         light: PNG bytes, for light pages and on disk.
-        dark: PNG bytes for dark pages; None where one serves both.
+        dark: PNG bytes for dark pages; None if one serves both.
     """
 
     file: str
@@ -32,20 +34,29 @@ class Figure:
     dark: bytes | None = None
 
 
-def filled(template: str, **parts: str) -> str:
-    """A page of this package with its parts, which are HTML, and the common style filled in.
+def fill_template(template: str, **parts: str) -> str:
+    """Fill the parts and the common style into a page template of this package; parts are HTML.
 
     Args:
         template: File name beside this module.
-        parts: By the names in it.
+        parts: Parts by their names in the template.
     """
     here = files("gsvis.report")
     style = (here / "page.css").read_text(encoding="utf-8")
     return Template((here / template).read_text(encoding="utf-8")).substitute(parts, style=style)
 
 
-def figure(figure: Figure, alternative: str, caption: str) -> str:
-    """A picture with its caption; `caption` is HTML, `alternative` is text."""
+def figure(figure: Figure | None, alternative: str, caption: str) -> str:
+    """Return a picture with its caption, or the reason why it is missing.
+
+    Args:
+        figure: The picture; None where matplotlib is missing, which draws plots.
+        alternative: What is shown instead of the picture; text.
+        caption: HTML.
+    """
+    if figure is None:
+        text = f"Not drawn: {alternative}. Plots need matplotlib: {remedy_of('matplotlib')}."
+        return f"<figure><p>{escape(text)}</p><figcaption>{caption}</figcaption></figure>"
     image = f"<img src='{_data(figure.light)}' alt='{escape(alternative, quote=True)}'>"
     if figure.dark is not None:
         source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"
@@ -54,7 +65,7 @@ def figure(figure: Figure, alternative: str, caption: str) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; its cells are HTML. The first column names the row."""
+    """Return a table; its cells are HTML. The first column names the row."""
     head = "".join(f"<th scope='col'>{cell}</th>" for cell in header)
     body = "".join(
         f"<tr><th scope='row'>{row[0]}</th>" + "".join(f"<td>{cell}</td>" for cell in row[1:]) + "</tr>" for row in rows
@@ -63,15 +74,15 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def tiles(found: Sequence[tuple[str, str, str]]) -> str:
-    """The items of the list of large figures: value, what it is, what it is compared with; all text."""
+    """Return the list of large figures: value, meaning, comparison; all text."""
     return "".join(
-        f"<li><strong>{escape(value)}</strong><span>{escape(told)}</span><small>{escape(beside)}</small></li>"
-        for value, told, beside in found
+        f"<li><strong>{escape(value)}</strong><span>{escape(label)}</span><small>{escape(beside)}</small></li>"
+        for value, label, beside in found
     )
 
 
-def described(document: dict[str, Any]) -> str:
-    """How a report was made: its command and parameters."""
+def describe_run(document: dict[str, Any]) -> str:
+    """Return how a report was made: its command and parameters."""
     shown = [(name, plain(value)) for name, value in document["parameters"].items()]
     return (
         f"<pre><code>{escape(document['command'])}</code></pre>"
@@ -82,7 +93,7 @@ def described(document: dict[str, Any]) -> str:
 
 
 def plain(value: Any) -> str:
-    """A value of a parameter as text."""
+    """Return the value of a parameter as text."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

@@ -1,6 +1,6 @@
-"""Maps of a scene from above: which Gaussians a view needs, and from how many directions each can be seen.
+"""Draw maps of a scene from above: which Gaussians a view needs, and from how many directions each is visible.
 
-From above means along the up axis, whatever axis of the scene that is; map coordinates are scene units.
+From above means along the up axis, whatever axis of the scene it is; map coordinates are scene units.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _CELLS = 420  # along the longer side, at most
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The plane a map is drawn on.
+    """The plane of a map.
 
     Attributes:
         right: (3,) unit vector to the right of the map.
@@ -48,16 +48,16 @@ class Ground:
     box: F64
 
     @classmethod
-    def of(cls, g: Gaussians, up: ArrayLike, eyes: ArrayLike | None = None) -> Ground:
-        """The map of a scene, N > 0.
+    def from_scene(cls, g: Gaussians, up: ArrayLike, eyes: ArrayLike | None = None) -> Ground:
+        """Return the map of a scene, N > 0.
 
         Args:
             g: The scene.
             up: (3,) up axis.
-            eyes: (C, 3) viewpoints to have on the map even where they stand outside the scene's robust bounds.
+            eyes: (C, 3) viewpoints that the map must cover, even outside the scene's robust bounds.
         """
         axis = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))[0]
-        level = np.eye(3)[np.abs(axis).argsort(kind="stable")[0]]  # an axis of the scene, so that maps lie straight
+        level = np.eye(3)[np.abs(axis).argsort(kind="stable")[0]]  # an axis of the scene, so that maps are straight
         right = level - (level @ axis) * axis
         right /= np.linalg.norm(right)
         onward = np.cross(axis, right)
@@ -71,35 +71,35 @@ class Ground:
         return cls(right, onward, places, np.stack([low - margin, high + margin]))
 
     def project(self, points: F64) -> F64:
-        """(M, 2) map coordinates of (M, 3) points."""
+        """Return (M, 2) map coordinates of (M, 3) points."""
         return np.asarray(points @ np.stack([self.right, self.onward]).T)
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height in inches for a plot of 5.2 inches at the most."""
+        """Width and height in inches of a plot of at most 5.2 inches."""
         width, height = self.box[1] - self.box[0]
         return 5.2, float(np.clip(5.2 * height / width, 2.2, 6.5))
 
     @property
     def size_with_bar(self) -> tuple[float, float]:
-        """The same for a map with a bar of colors beside it."""
+        """Width and height in inches of a map with a color bar beside it."""
         width, height = self.box[1] - self.box[0]
         return 5.2, float(np.clip(3.3 * height / width + 0.6, 2.2, 6.5))
 
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """Values of cells, to be drawn from above.
+    """Values of cells for a map.
 
     Attributes:
         grid: C cells.
-        values: (C,) what decides the color; NaN where it is not known.
-        label: What the values are.
+        values: (C,) value behind the color; NaN if unknown.
+        label: Name of the values.
         low: Value of the darkest color.
         high: Value of the brightest.
-        logarithmic: Whether colors go by the logarithm.
-        ticks: How values are written; None means as plain numbers.
-        unknown: What cells without a value are called.
+        logarithmic: Whether the color scale is logarithmic.
+        ticks: Format of values; None means plain numbers.
+        unknown: Label of cells without a value.
     """
 
     grid: CellGrid
@@ -112,7 +112,7 @@ class CellMap:
     unknown: str = "not measured"
 
     def columns(self) -> tuple[F64, F64]:
-        """(P, 4, 3) the lower corners of cells as seen from above, and (P,) the largest value below each; NaN if none.
+        """Return (P, 4, 3) lower corners of cells seen from above, and (P,) the largest value below each; NaN if none.
 
         Cells above each other, along the axis of the grid that is nearest to up, share one square.
         """
@@ -128,7 +128,7 @@ class CellMap:
 
 
 def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None:
-    """The cells from above in the colors of their values, with the scene's walls as shadows over them."""
+    """Draw the cells from above in the colors of their values, with the scene's walls as shadows over them."""
     corners, values = cells.columns()
     squares = ground.project(corners.reshape(-1, 3)).reshape(-1, 4, 2)
     known = np.isfinite(values)
@@ -151,20 +151,20 @@ def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None
 
 
 def draw_seen_map(axes: Axes, theme: Theme, ground: Ground, visible: NDArray[np.bool_], camera: Cameras) -> None:
-    """The scene from above, what one camera sees in color and what it does not in gray, with the camera.
+    """Draw the scene from above with the camera: what it sees in color, the rest in gray.
 
     Args:
-        axes: Where to draw.
+        axes: Axes to draw on.
         theme: Colors.
         ground: The map.
-        visible: (N,) what the camera sees.
+        visible: (N,) whether the camera sees each Gaussian.
         camera: One camera.
     """
     extent, count, seen = _raster(ground, visible)
     share = seen / np.maximum(count, 1.0)
     strength = np.log1p(count) / np.log1p(max(np.quantile(count[count > 0], 0.95), 1.0)) if count.any() else count
     strength = np.where(count > 0, np.clip(0.4 + 0.6 * strength, 0.0, 1.0), 0.0)[..., None]
-    hue = np.sqrt(share)[..., None]  # a few visible Gaussians among many still show
+    hue = np.sqrt(share)[..., None]  # keeps a few visible Gaussians among many recognizable
     color = hue * to_rgb(theme.gathered) + (1.0 - hue) * np.asarray(to_rgb(theme.hidden))
     image = strength * color + (1.0 - strength) * np.asarray(to_rgb(theme.paper))
     axes.imshow(image, extent=extent, origin="lower", interpolation="nearest", aspect="equal")
@@ -173,7 +173,7 @@ def draw_seen_map(axes: Axes, theme: Theme, ground: Ground, visible: NDArray[np.
 
 
 def draw_directions(axes: Axes, theme: Theme, ground: Ground, analysis: Analysis) -> None:
-    """The traced sample from above, colored by the share of directions from which each Gaussian can be seen."""
+    """Draw the traced sample from above, colored by the share of directions from which each Gaussian is visible."""
     fractions = directions.direction_fractions(analysis.traced_sets)
     places = ground.places[analysis.sample]
     order = np.argsort(fractions, kind="stable")
@@ -187,7 +187,7 @@ def draw_directions(axes: Axes, theme: Theme, ground: Ground, analysis: Analysis
 
 
 def _raster(ground: Ground, visible: NDArray[np.bool_]) -> tuple[tuple[float, float, float, float], F64, F64]:
-    """Extent of the map, and Gaussians and visible Gaussians in each of its cells."""
+    """Return the extent of the map, and the Gaussians and visible Gaussians in each of its cells."""
     low, high = ground.box
     cell = float((high - low).max()) / np.clip(0.6 * len(visible) ** 0.5, 60, _CELLS)
     cells = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
@@ -205,7 +205,7 @@ def _raster(ground: Ground, visible: NDArray[np.bool_]) -> tuple[tuple[float, fl
 
 
 def _draw_camera(axes: Axes, theme: Theme, ground: Ground, camera: Cameras) -> None:
-    """A dot where the camera stands and a wedge over its horizontal field of view."""
+    """Draw a dot at the camera and a wedge over its horizontal field of view."""
     eye = ground.project(camera.viewpoints)[0]
     focal, center = camera.Ks[0, 0, 0], camera.Ks[0, 0, 2]
     reach = 0.16 * float((ground.box[1] - ground.box[0]).max())
@@ -233,7 +233,7 @@ def _frame(axes: Axes, ground: Ground) -> None:
 
 
 def _name_axis(direction: F64) -> str:
-    """'x' or '-z' for an axis of the scene, 'across' for anything oblique."""
+    """Return 'x' or '-z' for an axis of the scene, 'across' for anything oblique."""
     which = int(np.abs(direction).argmax())
     if abs(direction[which]) < 0.999:
         return "across"

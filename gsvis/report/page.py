@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: images inside, no script, no network, light and dark."""
+"""The report as one self-contained HTML page: images inside, no script, no network, light and dark."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from html import escape
 from typing import Any
 
 from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
-from gsvis.report.html import Figure, described, figure, filled, table
+from gsvis.report.html import Figure, describe_run, figure, fill_template, table
 from gsvis.report.html import tiles as listed
 
 __all__ = ["page"]
 
 _AGAIN = (
-    "<p>All cameras are in <code>report.json</code>. The first of them again, every pixel the same:"
-    " <code>gsvis render SCENE --camera report.json --index 0 -o view.png</code>. All figures of all views again:"
-    " <code>gsvis analyze SCENE --cameras report.json -o again</code>.</p>"
+    "<p>All cameras are in <code>report.json</code>. To render the first of them again, identical in every pixel:"
+    " <code>gsvis render SCENE --camera report.json --index 0 -o view.png</code>. To compute all figures of all views"
+    " again: <code>gsvis analyze SCENE --cameras report.json -o again</code>.</p>"
 )
 _ROLES = {"most": "most", "median": "the median share", "least": "least"}
 
 
 def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
         analysis: The figures.
@@ -28,7 +28,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         figures: Plots, maps and pictures by name.
     """
     differs = document["paper"]["differs"] or ""
-    return filled(
+    return fill_template(
         "page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
@@ -38,7 +38,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         views=_views(analysis, figures),
         directions=_directions(analysis, figures, differs),
         scene=_scene(analysis, document["scene"]),
-        how=described(document) + _AGAIN,
+        how=describe_run(document) + _AGAIN,
     )
 
 
@@ -67,16 +67,16 @@ def _tiles(analysis: Analysis, differs: str) -> str:
     way = analysis.traced or analysis.gathered
     named = "traced outward" if analysis.traced else f"gathered from {len(analysis.cameras):,} cameras"
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
-        told = f"seen from less than {limit} of the 80 directions, {named}"
+        text = f"seen from less than {limit} of the 80 directions, {named}"
         more = [] if differs else [f"paper: {PAPER[published]:.1%}"]
         if analysis.solid_angles is not None:
             more.insert(0, f"by solid angle: {analysis.below_solid_angle(faces / 80.0):.1%}")
-        tiles.append((f"{way.below(faces):.1%}", told, "; ".join(more)))
+        tiles.append((f"{way.below(faces):.1%}", text, "; ".join(more)))
     return listed(tiles)
 
 
 def _explain_paper(differs: str) -> str:
-    """Why the paper's figures do not stand beside these."""
+    """Return why the paper's figures are not shown beside these."""
     return (
         f"<p>The paper's figures ({PAPER['mean_visible']:.2%} visible in a view on average) are means over the training"
         f" views of Tanks &amp; Temples. They do not compare with these: {escape(differs)}.</p>"
@@ -200,7 +200,7 @@ def _explain_settling(analysis: Analysis, figures: dict[str, Figure]) -> str:
     header = ("cameras", "seen at all", "&lt; 41.25%", "&lt; 60%", "&lt; 41.25%, of seen", "&lt; 60%, of seen", "moved")
     caption = (
         "The gathered shares after the first 1/8, 1/4, 1/2 and all of the cameras, taken in random order."
-        " In the table, moved tells by how much the curve did, at most, since the step before."
+        " In the table, moved is the largest change of the curve since the step before."
     )
     drawn = "settling" in figures
     return (
@@ -241,4 +241,4 @@ def _scene(analysis: Analysis, scene: dict[str, Any]) -> str:
         ]
     problems = scene.get("problems", [])
     listed = "".join(f"<li>{escape(problem)}</li>" for problem in problems)
-    return table(("scene", ""), rows) + (f"<p>What looks wrong with it:</p><ul>{listed}</ul>" if listed else "")
+    return table(("scene", ""), rows) + (f"<p>Possible problems:</p><ul>{listed}</ul>" if listed else "")

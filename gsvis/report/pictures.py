@@ -1,4 +1,4 @@
-"""Pictures of the views that need the most, the middle and the least of a scene, by ray casting."""
+"""Render pictures of the views that need the most, the median and the least of a scene, by ray casting."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class ViewPicture:
 
     Attributes:
         role: "most", "median" or "least", by visible share.
-        camera: Its index in the analysis.
-        image: (H, W, 3) float32, 0 black to 1 white, brighter values kept.
-        visible: (N,) what the camera sees, with the analysis's rays.
+        camera: Index of the camera in the analysis.
+        image: (H, W, 3) float32, 0 black to 1 white; brighter values are kept.
+        visible: (N,) whether the camera sees each Gaussian, with the analysis's rays.
     """
 
     role: str
@@ -40,13 +40,13 @@ def picture_views(
     """Render the views with the largest, the median and the smallest visible share.
 
     Args:
-        tracer: The scene that was analyzed.
-        analysis: What was found.
+        tracer: The analyzed scene.
+        analysis: The analysis.
         longest_side: Pixels of the longer side of the pictures.
         progress: Called with stage "pictures".
 
     Returns:
-        Up to three pictures, fewer where there are fewer cameras.
+        Up to three pictures; fewer if there are fewer cameras.
     """
     _check.positive_int("longest_side", longest_side)
     order = np.argsort(-analysis.visible, kind="stable")
@@ -59,13 +59,13 @@ def picture_views(
     for index, role in sorted(roles.items(), key=lambda item: ("most", "median", "least").index(item[1])):
         camera = cameras[index]
         visible = visible_in(tracer, camera)[0] >= np.float32(analysis.config.tau)
-        pictures.append(ViewPicture(role, index, ray_image(tracer, camera.resized(*size)), visible))
+        pictures.append(ViewPicture(role, index, ray_image(tracer, camera.resize(*size)), visible))
         progress("pictures", len(pictures), len(roles))
     return pictures
 
 
 def png_of(image: NDArray[np.float32]) -> bytes:
-    """PNG bytes of an image (H, W, 3); values outside [0, 1] are clipped."""
+    """Return the PNG bytes of an image (H, W, 3); values outside [0, 1] are clipped."""
     out = io.BytesIO()
     Image.fromarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)).save(out, "PNG", optimize=True)
     return out.getvalue()

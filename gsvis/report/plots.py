@@ -1,4 +1,4 @@
-"""The plots of a report: visible fraction of each camera, the direction CDF, and whether it has settled."""
+"""Draw the plots of a report: visible fraction of each camera, the direction CDF, and whether it has settled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PAPER_POINTS = ((33, PAPER["below_33_faces"]), (48, PAPER["below_48_faces"]))
 
 
 def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -> None:
-    """Bars of the visible fraction of each camera, highest first, with this mean and, if `published`, the paper's."""
+    """Draw the visible fraction of each camera, highest first, with the mean and, if `published`, the paper's mean."""
     fractions = np.sort(analysis.visible_fractions)[::-1]
     count = len(fractions)
     if count <= _BARS:
@@ -56,7 +56,7 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: boo
 
 
 def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -> None:
-    """Share of Gaussians seen from less than so many directions, both ways; if `published`, the paper's two points."""
+    """Draw the CDF of direction counts, gathered and traced; if `published`, with the paper's two points."""
     gathered, traced = analysis.gathered, analysis.traced
     if traced is not None:
         _curve(axes, traced, theme.traced, "traced outward")
@@ -78,7 +78,7 @@ def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -
 
 
 def _paper_points(axes: Axes, theme: Theme) -> None:
-    """The two points of the curve that the paper states."""
+    """Draw the two points of the curve that the paper states."""
     axes.plot(
         *np.array([(k / 80.0, share) for k, share in _PAPER_POINTS]).T,
         linestyle="none",
@@ -111,7 +111,7 @@ def _curve(axes: Axes, cdf: DirectionCdf, color: str, label: str) -> None:
 
 
 def draw_settling(axes: Axes, theme: Theme, analysis: Analysis) -> None:
-    """The two shares of the gathered CDF after part of the cameras."""
+    """Draw the two shares of the gathered CDF after part of the cameras."""
     steps = analysis.settling
     cameras = [step.cameras for step in steps]
     lines = (

@@ -1,4 +1,4 @@
-"""The report on visible sets on disk: `report.json`, plots and maps as PNG, `report.html` with all of it inside."""
+"""Write the report on visible sets: `report.json`, plots and maps as PNG, and `report.html` with all of it inside."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from gsvis.report.pvs_plots import (
     draw_trades,
     draw_viewpoints,
 )
-from gsvis.report.theme import DARK, LIGHT, drawn
+from gsvis.report.theme import DARK, LIGHT, draw_png
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["pvs_document", "write_pvs_report"]
 
-_BRIGHTER = 8.0  # how much differences are enlarged in the picture of them
+_BRIGHTER = 8.0  # factor by which the picture of differences is brightened
 
 
 def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
-        quality: What was measured.
+        quality: The measurements.
         store: The visible sets.
-        subject: What they are about; its `cameras_from` says where fresh viewpoints come from.
+        subject: Context of the report; its `cameras_from` names the source of fresh viewpoints.
     """
     return {
         "format": "gsvis-pvs-report",
@@ -59,7 +59,7 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
 
 
 def _describe_store(store: VisibilityStore) -> dict[str, Any]:
-    """What the store holds, for all cells."""
+    """Return a description of the store, over all cells."""
     shares = store.visible_counts / max(store.gaussians, 1)
     looked, growing = store.viewpoints, still_growing(store)
     return {
@@ -86,7 +86,7 @@ def _describe_store(store: VisibilityStore) -> dict[str, Any]:
 
 
 def still_growing(store: VisibilityStore) -> NDArray[np.bool_]:
-    """(C,) cells that were left at the largest number of viewpoints while their sets still grew."""
+    """Return (C,) cells that reached the largest number of viewpoints while their sets were still growing."""
     most, limit = store.info.config.get("max_viewpoints"), store.info.config.get("growth")
     if not isinstance(most, int) or not isinstance(limit, int | float):
         return np.zeros(len(store), bool)
@@ -101,17 +101,17 @@ def write_pvs_report(
     *,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Draw everything and write the folder, whole or not at all.
+    """Draw everything and write the folder, atomically.
 
     Args:
-        folder: Made if missing; files in it that are not of a report stay.
-        quality: What was measured.
+        folder: Created if missing; files in it that do not belong to a report are kept.
+        quality: The measurements.
         store: The visible sets.
-        subject: What they are about; its `cameras_from` says where fresh viewpoints come from.
+        subject: Context of the report; its `cameras_from` names the source of fresh viewpoints.
         progress: Called with stage "writing".
 
     Returns:
-        What was written as `report.json`.
+        The content of `report.json`.
 
     Raises:
         OSError: If the folder cannot be written.
@@ -127,10 +127,10 @@ def write_pvs_report(
 def _figures(
     quality: Quality, store: VisibilityStore, subject: Subject, ever: float, progress: Progress
 ) -> dict[str, Figure]:
-    """All plots, maps and pictures by name, plots for light and for dark pages."""
+    """Return all plots, maps and pictures by name, plots for light and for dark pages."""
     grid = store.grid
     rim = 0.5 * grid.cell_size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    ground = Ground.of(subject.gaussians, subject.up, (grid.centers[:, None] + rim).reshape(-1, 3))
+    ground = Ground.from_scene(subject.gaussians, subject.up, (grid.centers[:, None] + rim).reshape(-1, 3))
     shares = store.visible_counts / max(store.gaussians, 1)
     missing = np.full(len(grid), np.nan)
     missing[quality.cells] = np.maximum(1.0 - quality.weighted_recall[..., 0].mean(axis=1), LEAST_MISSING)
@@ -158,7 +158,7 @@ def _figures(
     progress("writing", 0, steps)
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, steps)
     for name, image in _worst_image(quality, store, subject.gaussians).items():
         figures[name] = Figure(f"{name}.png", png_of(image))
@@ -167,7 +167,7 @@ def _figures(
 
 
 def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict[str, NDArray[np.float32]]:
-    """The image that loses the most: of the full scene, of the set, and what differs."""
+    """Return the image with the largest loss: of the full scene, of the set, and their difference."""
     m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
     camera = quality.camera(int(m), int(v))
     held = np.zeros(store.gaussians, bool)

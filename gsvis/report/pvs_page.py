@@ -1,4 +1,4 @@
-"""The report on visible sets as one HTML page that needs nothing else: images inside, no script, no network."""
+"""The report on visible sets as one self-contained HTML page: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 
 from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
-from gsvis.report.html import Figure, described, figure, filled, table, tiles
+from gsvis.report.html import Figure, describe_run, figure, fill_template, table, tiles
 
-__all__ = ["format_target", "pvs_page", "spelled"]
+__all__ = ["format_target", "format_value", "pvs_page"]
 
-_WORST = 8  # cells listed
+_WORST = 8  # number of listed cells
 
 
 def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
-    Args:
+    quality: The measurements.
         quality: What was measured.
         document: The content of `report.json`.
         figures: Plots and maps by name.
     """
-    return filled(
+    return fill_template(
         "pvs_page.html",
         title=escape(document["scene"]["name"]),
         version=escape(document["gsvis"]),
@@ -35,12 +35,12 @@ def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
         classes=_classes(quality, figures),
         worst=_worst(quality, figures),
         store=_store(document["store"]),
-        how=described(document),
+        how=describe_run(document),
     )
 
 
-def spelled(value: float | None, unit: str) -> str:
-    """A figure with its unit: shares in percent, as many digits as tell good from very good."""
+def format_value(value: float | None, unit: str) -> str:
+    """Format a figure with its unit; shares in percent get more digits near 100%."""
     if value is None:
         return ""
     if unit == "share":
@@ -49,12 +49,12 @@ def spelled(value: float | None, unit: str) -> str:
 
 
 def format_target(target: float, unit: str) -> str:
-    """A target with its unit, in as few digits as it has."""
+    """Format a target with its unit, in as few digits as it has."""
     return f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
 
 
 def _target(measure: Measure, which: int) -> str:
-    """The target of a mean (0) or a worst value (1) and whether it is met; empty without one."""
+    """Return the target of a mean (0) or a worst value (1) and whether it is met; empty without one."""
     target = measure.targets[which]
     if target is None:
         return ""
@@ -67,7 +67,7 @@ def _lead(quality: Quality, document: dict[str, Any]) -> str:
     return (
         f"<p class='lead'>From one of the {store['grid']['cells']:,} cells of this scene"
         f" {store['visible_share']['mean']:.1%} of its {quality.gaussians:,} Gaussians can be seen on average."
-        f" Measured at {quality.eyes.shape[1]} fresh viewpoints, which building never looked from, in each of"
+        f" Measured at {quality.eyes.shape[1]} fresh viewpoints, which the build did not use, in each of"
         f" {len(quality):,} cells. They were drawn {escape(document['viewpoints_from'])}.</p>"
     )
 
@@ -75,39 +75,39 @@ def _lead(quality: Quality, document: dict[str, Any]) -> str:
 def _tiles(quality: Quality, store: dict[str, Any]) -> str:
     by_key = {each.key: each for each in quality.figures()}
     shown = [(f"{store['visible_share']['mean']:.1%}", "of the scene is visible from a cell, on average", "")]
-    for key, told in (
+    for key, label in (
         ("weighted_recall", "of the light at a fresh viewpoint is in the cell's set, on average"),
         ("psnr", "images from the set against the full scene, on average"),
         ("size_over_dense", "times the size of what many viewpoints see"),
     ):
         if key in by_key:
             measure = by_key[key]
-            shown.append((spelled(measure.mean, measure.unit), told, f"target: {_target(measure, 0)}"))
+            shown.append((format_value(measure.mean, measure.unit), label, f"target: {_target(measure, 0)}"))
     return tiles(shown)
 
 
 def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
     looked, growing = store["viewpoints"], store["cells_still_growing"]
     above = (
-        "The cells from above, colored by the share of the scene that each sees; of cells on top of each other the one"
-        " that sees the most. The lines are the scene itself from above: the more Gaussians, the stronger."
+        "The cells from above, colored by the share of the scene that each sees; of stacked cells the one that sees the"
+        " most. The lines are the scene itself from above: darker where there are more Gaussians."
     )
     shares = (
         f"Each cell's visible share, highest first: {store['visible_share']['min']:.1%} to"
         f" {store['visible_share']['max']:.1%}. All cells together see {store['ever_visible_share']:.1%}."
     )
     found = (
-        f"A cell is looked from until its set stops growing: {looked['min']} to {looked['max']} viewpoints,"
+        f"Viewpoints are added to a cell until its set stops growing: {looked['min']} to {looked['max']} viewpoints,"
         f" {looked['mean']:.1f} on average."
     )
-    last = "By how much the last viewpoint still enlarged each set, highest first."
+    last = "Growth of each set by its last viewpoint, highest first."
     if growing:
         last += f" {growing:,} cells had not stopped growing when the largest number of viewpoints was reached."
     return (
         figure(figures["map_visible"], "Map of the cells colored by visible share", above)
         + figure(figures["visible"], "Visible share of each cell, sorted", shares)
         + "<div class='pair'>"
-        + figure(figures["viewpoints"], "Viewpoints that cells were looked from", found)
+        + figure(figures["viewpoints"], "Viewpoints of the cells", found)
         + figure(figures["growth"], "Growth of each set by the last viewpoint, sorted", last)
         + "</div>"
     )
@@ -117,14 +117,14 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
     config, count = quality.config, quality.psnr[..., 0].size
     rows = []
     for each in quality.figures():
-        worst = f"{spelled(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
-        rows.append((each.told, spelled(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
+        worst = f"{format_value(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
+        rows.append((each.label, format_value(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
     good, least = (f"{1.0 - value:.1%}" for value in TARGETS["weighted_recall"] if value is not None)
     missed = (
         "Share of the light that the set misses, by measured cell and at each viewpoint; lower is better. The targets"
         f" are {good} on average and {least} in the worst cell."
     )
-    where = "Where the measured cells are, and what they miss; of cells on top of each other the one that misses most."
+    where = "The measured cells, and what they miss; of stacked cells the one that misses most."
     text = table(("figure", "mean", "target", "worst", "target"), rows)
     text += figure(figures["missing"], "Light that each measured set misses", missed)
     text += figure(figures["map_missing"], "Map of what the sets of measured cells miss", where)
@@ -133,8 +133,8 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
         f" {config.size} x {config.size} pixels around a viewpoint; a Gaussian is visible when one of its weights is at"
         f" least {quality.tau:.4g}. Each of the {count:,} images has {config.width} x {config.height} pixels and a"
         f" field of view of {config.fov:g}°; values are clipped to what a display shows, and equal images count as"
-        f" {PSNR_CAP:g} dB. The image from exactly what it shows is drawn from the Gaussians visible in that very"
-        " image: what the threshold alone costs."
+        f" {PSNR_CAP:g} dB. The ceiling image is drawn from exactly the Gaussians visible in that image: it shows"
+        " the loss by the threshold alone."
     )
     if config.dense:
         text += (
@@ -158,7 +158,7 @@ def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
                 f"{each.gaussians:,.0f}",
                 f"{each.bytes / 1e6:.2f}",
                 f"{each.saved / 1e6:.2f}" if each.least_class else "",
-                spelled(each.weighted_recall, "share"),
+                format_value(each.weighted_recall, "share"),
                 f"{each.psnr:.1f}",
                 f"{each.psnr_worst:.1f}",
                 f"{each.lost:.1f}" if each.least_class else "",
@@ -166,15 +166,15 @@ def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
             )
         )
     caption = (
-        "What is lost when the faintest classes of a set are not sent. Each point leaves out all Gaussians whose"
-        " largest weight seen from the cell lies below the value beside it."
+        "Loss of quality if the faintest classes of a set are not sent. Each point omits all Gaussians whose largest"
+        " weight seen from the cell lies below the value beside it."
     )
     header = ("sent for a cell", "Gaussians", "MB", "MB saved", "light kept", "PSNR", "worst", "dB lost", "dB per MB")
     return (
         figure(figures["classes"], "PSNR by megabytes sent", caption)
         + table(header, rows)
-        + f"<p>Averages over the measured cells, {quality.bytes_per_gaussian} bytes a Gaussian. Saved and lost are told"
-        " against the whole set.</p>"
+        + f"<p>Averages over the measured cells, {quality.bytes_per_gaussian} bytes a Gaussian. Savings and losses are"
+        " relative to the whole set.</p>"
     )
 
 
@@ -185,8 +185,8 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
         row = [
             f"cell {int(quality.cells[m])}",
             f"{x:.2f}, {y:.2f}, {z:.2f}",
-            spelled(float(quality.weighted_recall[m, :, 0].mean()), "share"),
-            spelled(float(quality.weighted_recall[m, :, 0].min()), "share"),
+            format_value(float(quality.weighted_recall[m, :, 0].mean()), "share"),
+            format_value(float(quality.weighted_recall[m, :, 0].min()), "share"),
             f"{quality.psnr[m, :, 0].mean():.1f}",
             f"{quality.psnr[m, :, 0].min():.1f}",
             f"{quality.ceiling[m].min():.1f}",
@@ -197,14 +197,14 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
     m, v = np.unravel_index(int(quality.psnr[..., 0].argmin()), quality.psnr.shape[:2])
     where = f"cell {int(quality.cells[m])}"
     pictures = (
-        ("worst_full", f"The image that loses the most, drawn from the full scene, in {where}."),
+        ("worst_full", f"The image with the largest loss, drawn from the full scene, in {where}."),
         ("worst_set", f"The same from the cell's set: {quality.psnr[m, v, 0]:.1f} dB."),
-        ("worst_difference", "What differs, brightened eight times."),
+        ("worst_difference", "The difference, brightened eight times."),
     )
     return (
         table(header, rows)
         + "<div class='three'>"
-        + "".join(figure(figures[name], told, told) for name, told in pictures)
+        + "".join(figure(figures[name], label, label) for name, label in pictures)
         + "</div>"
     )
 

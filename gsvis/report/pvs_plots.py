@@ -1,4 +1,4 @@
-"""The plots of a report on visible sets: what cells see, how it was found, what sets miss, what faint classes cost."""
+"""Draw the plots of a report on visible sets: what cells see, their viewpoints, what sets miss, the cost of classes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ __all__ = ["LEAST_MISSING", "draw_growth", "draw_missing", "draw_shares", "draw_
 F64 = NDArray[np.float64]
 
 LEAST_MISSING = 1e-6
-"""Shares of light below this are drawn as this: the axis is logarithmic."""
+"""Shares of light below this are drawn at this value, because the axis is logarithmic."""
 
 _PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 
 def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> None:
-    """Visible share of each cell, highest first, with the mean and what any cell sees.
+    """Draw the visible share of each cell, highest first, with the mean and what any cell sees.
 
     Args:
-        axes: Where to draw.
+        axes: Axes to draw on.
         theme: Colors.
         shares: (C,) visible shares of the scene.
         ever: Share that at least one cell sees.
@@ -42,13 +42,13 @@ def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> Non
 
 
 def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], growing: NDArray[np.bool_]) -> None:
-    """How many viewpoints cells were looked from, apart for those that had not stopped growing.
+    """Draw the number of viewpoints of the cells, separately for those that had not stopped growing.
 
     Args:
-        axes: Where to draw.
+        axes: Axes to draw on.
         theme: Colors.
-        viewpoints: (C,) of each cell.
-        growing: (C,) whether the last viewpoint still added more than building allows.
+        viewpoints: (C,) number of viewpoints of each cell.
+        growing: (C,) whether the last viewpoint still added more than the limit of the build.
     """
     low, high = int(viewpoints.min()), int(viewpoints.max())
     at = np.arange(low, high + 1)
@@ -63,12 +63,12 @@ def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], gro
     axes.grid(visible=False, axis="x")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
-    axes.set_xlabel("viewpoints that a cell was looked from")
+    axes.set_xlabel("viewpoints of a cell")
     axes.set_ylabel("cells")
 
 
 def draw_growth(axes: Axes, theme: Theme, growth: ArrayLike, limit: float | None) -> None:
-    """Share by which the last viewpoint made each set grow, highest first, with the limit of building."""
+    """Draw the growth of each set by its last viewpoint, highest first, with the limit of the build."""
     values = np.sort(np.asarray(growth, np.float64))[::-1]
     _draw_bars(axes, values, theme.gathered)
     top = max(float(values.max()), limit or 0.0, 1e-9)
@@ -81,7 +81,7 @@ def draw_growth(axes: Axes, theme: Theme, growth: ArrayLike, limit: float | None
 
 
 def draw_missing(axes: Axes, theme: Theme, quality: Quality) -> None:
-    """Share of light that each measured set misses, from fresh viewpoints and on average, worst cell first."""
+    """Draw the share of light that each measured set misses, at fresh viewpoints and on average, worst cell first."""
     missing = np.maximum(1.0 - quality.weighted_recall[..., 0], LEAST_MISSING)
     means = missing.mean(axis=1)
     order = np.argsort(-means, kind="stable")
@@ -107,7 +107,7 @@ def draw_missing(axes: Axes, theme: Theme, quality: Quality) -> None:
 
 
 def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
-    """PSNR by the megabytes that are sent for a cell, as faint classes are left out, with the ceiling."""
+    """Draw PSNR by the megabytes sent for a cell, as faint classes are dropped, with the ceiling."""
     trades = quality.trades()
     x = [each.bytes / 1e6 for each in trades]
     mean, worst = [each.psnr for each in trades], [each.psnr_worst for each in trades]
@@ -121,7 +121,7 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     if abs(ceiling - target) > 0.06 * max(top, ceiling):
         _level(axes, theme, target, f"target of the mean {target:g} dB", theme.published, left=True)
     for each, size in zip(trades, x, strict=True):
-        beyond = size < 0.3 * max(x)  # no room for words on its left
+        beyond = size < 0.3 * max(x)  # no room for text on its left
         axes.annotate(
             "whole set" if each.least_class == 0 else f"from {each.least_weight:.2g}",
             (size, each.psnr),
@@ -141,7 +141,7 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
 
 
 def _draw_bars(axes: Axes, values: F64, color: str) -> None:
-    """Bars without gaps, from the first to the last."""
+    """Draw bars without gaps, from the first to the last."""
     edges = np.arange(len(values) + 1) + 0.5
     axes.stairs(values, edges, fill=True, color=color, linewidth=0)
     axes.set_xlim(0.5, len(values) + 0.5)
@@ -152,7 +152,7 @@ def _draw_bars(axes: Axes, values: F64, color: str) -> None:
 def _level(
     axes: Axes, theme: Theme, value: float, text: str, color: str, *, above: bool = True, left: bool = False
 ) -> None:
-    """A dashed line across the plot with its meaning on it."""
+    """Draw a dashed line across the plot with its meaning on it."""
     axes.axhline(value, color=color, linewidth=1.6, dashes=(5, 2))
     axes.annotate(
         text,

@@ -1,4 +1,4 @@
-"""The report on simulated sessions on disk: `report.json`, plots and pictures as PNG, `report.html` with all inside."""
+"""Write the report on simulated sessions: `report.json`, plots and pictures as PNG, `report.html` with all inside."""
 
 from __future__ import annotations
 
@@ -8,22 +8,13 @@ from functools import partial
 from typing import Any
 
 from gsvis import _check
+from gsvis._extras import has
 from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.report.files import LAST, write_files
 from gsvis.report.html import Figure
 from gsvis.report.pictures import png_of
 from gsvis.report.session_page import session_page
-from gsvis.report.session_plots import (
-    draw_bandwidth,
-    draw_bytes,
-    draw_latency,
-    draw_psnr,
-    draw_score,
-    draw_shares,
-    draw_start,
-)
-from gsvis.report.theme import DARK, LIGHT, drawn
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.link import Link
 from gsvis.simulate.visits import Visit
@@ -35,15 +26,15 @@ _PLOTS = ("qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start")
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Visits one after the other over one link.
+    """Consecutive visits over one link.
 
     Attributes:
-        visits: In their order.
-        link: As it is at the beginning of the first.
+        visits: The visits, in order.
+        link: The link at the start of the first visit.
         command: The exact command that makes this report again.
-        version: Of gsvis.
+        version: Version of gsvis.
         parameters: All parameters by name.
-        seconds: How long each stage took, by its name.
+        seconds: Duration of each stage, by name.
     """
 
     visits: tuple[Visit, ...]
@@ -55,15 +46,15 @@ class Simulation:
 
     @property
     def title(self) -> str:
-        """The names of the scenes."""
+        """Names of the scenes."""
         return ", then ".join(dict.fromkeys(visit.title for visit in self.visits))
 
 
 def session_document(simulation: Simulation) -> dict[str, Any]:
-    """The content of `report.json`.
+    """Return the content of `report.json`.
 
     Args:
-        simulation: What was simulated.
+        simulation: The simulation.
     """
     link, config = simulation.link, simulation.visits[0].sessions[0].config
     end = config.seconds * len(simulation.visits)
@@ -99,15 +90,15 @@ def session_document(simulation: Simulation) -> dict[str, Any]:
 def write_session_report(
     folder: str | os.PathLike[str], simulation: Simulation, *, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Draw everything and write the folder, whole or not at all.
+    """Draw everything and write the folder, atomically.
 
     Args:
-        folder: Made if missing; files in it that are not of a report stay.
-        simulation: What was simulated.
+        folder: Created if missing; files in it that do not belong to a report are kept.
+        simulation: The simulation.
         progress: Called with stage "writing".
 
     Returns:
-        What was written as `report.json`.
+        The content of `report.json`.
 
     Raises:
         ValueError: If there is no visit.
@@ -128,12 +119,34 @@ def write_session_report(
         *folder.glob("shown_*_*_*.png"),
     ]:
         if stale.name not in kept:
-            stale.unlink(missing_ok=True)  # of an earlier report; it does not belong to this one
+            stale.unlink(missing_ok=True)  # belongs to an earlier report
     return document
 
 
 def _figures(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
-    """All plots and pictures by name, plots for light and for dark pages."""
+    """Return all plots and pictures by name; no plots where matplotlib is missing."""
+    figures = _plots(simulation, progress) if has("matplotlib") else {}
+    for v, visit in enumerate(simulation.visits):
+        names = ["", *(session.playback.name for session in visit.sessions)]
+        for t, name, image in visit.pictures:
+            key = f"shown_{v}_{round(1000 * t)}_{names.index(name)}"
+            figures[key] = Figure(f"{key}.png", png_of(image))
+    return figures
+
+
+def _plots(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
+    """Return all plots by name, for light and for dark pages."""
+    from gsvis.report.session_plots import (
+        draw_bandwidth,
+        draw_bytes,
+        draw_latency,
+        draw_psnr,
+        draw_score,
+        draw_shares,
+        draw_start,
+    )
+    from gsvis.report.theme import DARK, LIGHT, draw_png
+
     visits = [visit.sessions for visit in simulation.visits]
     trace = simulation.link.trace
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
@@ -148,11 +161,6 @@ def _figures(simulation: Simulation, progress: Progress) -> dict[str, Figure]:
     progress("writing", 0, len(plots))
     figures = {}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", drawn(draw, LIGHT, size), drawn(draw, DARK, size))
+        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, len(plots))
-    for v, visit in enumerate(simulation.visits):
-        names = ["", *(session.playback.name for session in visit.sessions)]
-        for t, name, image in visit.pictures:
-            key = f"shown_{v}_{round(1000 * t)}_{names.index(name)}"
-            figures[key] = Figure(f"{key}.png", png_of(image))
     return figures

@@ -1,4 +1,4 @@
-"""The report on simulated sessions as one HTML page that needs nothing else: images inside, no script, no network."""
+"""The report on simulated sessions as one self-contained HTML page: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from gsvis.abr.qoe import FIRST_FRAME_DB
-from gsvis.report.html import Figure, described, figure, filled, plain, table, tiles
-from gsvis.report.session_plots import PAPER_SENT
+from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.viewing import GOOD_DB
 
@@ -15,20 +14,23 @@ if TYPE_CHECKING:
     from gsvis.report.session_document import Simulation
     from gsvis.simulate.visits import Visit
 
-__all__ = ["content_remarks", "format_figures", "session_page"]
+__all__ = ["PAPER_SENT", "content_remarks", "format_figures", "session_page"]
+
+PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
+"""SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
 
 Rows = list[tuple[str, ...]]
 
 
 def session_page(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Args:
-        simulation: What was simulated.
+        simulation: The simulation.
         document: The content of `report.json`.
         figures: Plots and pictures by name.
     """
-    return filled(
+    return fill_template(
         "session_page.html",
         title=escape(simulation.title),
         version=escape(document["gsvis"]),
@@ -39,15 +41,15 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
         sent=_explain_sent(document, figures),
         figures=_tables(document),
         assumed=_explain_assumptions(document),
-        how=described(document),
+        how=describe_run(document),
     )
 
 
 def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows]:
-    """Header and rows of the table of a visit: a figure in each row, a system in each column; all text.
+    """Return header and rows of the table of a visit: one figure per row, one system per column; all text.
 
     Args:
-        systems: As the document has them.
+        systems: Systems, as in the document.
     """
 
     def cells(key: str, spell: Any) -> list[str]:
@@ -82,22 +84,22 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
 
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
-    """A sentence for each visit whose views do not all show something; text."""
-    told = []
+    """Return a sentence for each visit with views that show nothing; text."""
+    remarks = []
     for visit in document["visits"]:
         count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
         if some == 0:
-            told.append(
+            remarks.append(
                 f"The path sees nothing of {name} in any of {count:,} views: there is nothing to compare."
                 " Is the path in the frame of the scene?"
             )
         elif some < count:
-            told.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
-    return told
+            remarks.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
+    return remarks
 
 
 def _lead(document: dict[str, Any]) -> str:
-    remarks = "".join(f"<p class='lead'><strong>{escape(told)}</strong></p>" for told in content_remarks(document))
+    remarks = "".join(f"<p class='lead'><strong>{escape(remark)}</strong></p>" for remark in content_remarks(document))
     link, config, visits = document["link"], document["config"], document["visits"]
     first = visits[0]["systems"]
     others = " and ".join(escape(s["system"]) for s in first[1:])
@@ -121,13 +123,13 @@ def _tiles(document: dict[str, Any]) -> str:
         return "; ".join(f"{s['system']}: {_or_never(s['figures'][key], spell)}" for s in rest)
 
     shown = []
-    for key, told, spell in (
+    for key, label, spell in (
         ("seconds_to_first_image", f"to a first image of {FIRST_FRAME_DB:g} dB", lambda v: f"{v:.1f} s"),
         ("seconds_to_good_image", f"to an image of {GOOD_DB:g} dB", lambda v: f"{v:.1f} s"),
         ("latency", "from a pose to its image, on average", lambda v: f"{v:.3f} s"),
         ("score", "quality of experience of a step", lambda v: f"{v:.2f}"),
     ):
-        shown.append((_or_never(ours["figures"][key], spell), told, beside(key, spell)))
+        shown.append((_or_never(ours["figures"][key], spell), label, beside(key, spell)))
     return tiles(shown)
 
 
@@ -138,7 +140,7 @@ def _or_never(value: float | None, spell: Any) -> str:
 def _start(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
     step = document["config"]["tick"]
     caption = f"PSNR of what is shown against the full scene, measured every {1000 * step:.0f} ms."
-    text = figure(figures["start"], "PSNR in the first seconds", caption)
+    text = figure(figures.get("start"), "PSNR in the first seconds", caption)
     for v, visit in enumerate(simulation.visits):
         text += _pictures(v, visit, figures)
     return text
@@ -153,8 +155,8 @@ def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
             found = figures.get(f"shown_{v}_{round(1000 * t)}_{k}")
             if found is None:
                 continue
-            told = "The full scene." if not name else f"{name}: {_quality_at(visit, k - 1, t)}."
-            drawn += figure(found, told, escape(told))
+            label = "The full scene." if not name else f"{name}: {_quality_at(visit, k - 1, t)}."
+            drawn += figure(found, label, escape(label))
         text += f"<h3>{escape(visit.title)} after {t:g} s</h3><div class='pair'>{drawn}</div>"
     return text
 
@@ -180,10 +182,10 @@ def _session(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     latency = f"Time from a pose until it is shown at {qoe['shown_db']:g} dB (figure 11)."
     link = f"Rate of the link (figure 12): {escape(document['link']['trace'])}."
     return (
-        figure(figures["qoe"], "QoE over time", score)
-        + figure(figures["psnr"], "PSNR over time", psnr)
-        + figure(figures["latency"], "Latency over time", latency)
-        + figure(figures["bandwidth"], "Bandwidth over time", link)
+        figure(figures.get("qoe"), "QoE over time", score)
+        + figure(figures.get("psnr"), "PSNR over time", psnr)
+        + figure(figures.get("latency"), "Latency over time", latency)
+        + figure(figures.get("bandwidth"), "Bandwidth over time", link)
     )
 
 
@@ -196,8 +198,8 @@ def _explain_sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     nbytes = "Megabytes that have arrived (figure 14)."
     return (
         "<div class='pair'>"
-        + figure(figures["shares"], "Shares sent over time", shares)
-        + figure(figures["bytes"], "Megabytes over time", nbytes)
+        + figure(figures.get("shares"), "Shares sent over time", shares)
+        + figure(figures.get("bytes"), "Megabytes over time", nbytes)
         + "</div>"
     )
 
@@ -215,15 +217,15 @@ def _explain_assumptions(document: dict[str, Any]) -> str:
     config, link = document["config"], document["link"]
     text = (
         "<ul>"
-        f"<li>The link takes {1000 * link['round_trip']:g} ms there and back and loses nothing; time begins when the"
-        " client asks for the scene, on an open connection.</li>"
-        f"<li>The client says where it is every {1000 * config['tick']:g} ms and confirms what arrives. What has"
-        " arrived is drawn at once: time to decode and to draw is not counted.</li>"
+        f"<li>The link has a round trip of {1000 * link['round_trip']:g} ms and loses nothing; time begins when the"
+        " client requests the scene, on an open connection.</li>"
+        f"<li>The client sends its pose every {1000 * config['tick']:g} ms and confirms what arrives. Arrived data is"
+        " drawn at once: time to decode and to draw is not counted.</li>"
         f"<li>Images have {config['width']} x {config['height']} pixels and a field of view of {config['fov']:g}°, and"
         f" are compared every {1000 * config['tick']:g} ms for {config['fine']:g} s, then every {config['every']:g} s;"
         " each stands for the time until the next.</li>"
-        f"<li>A view counts where it shows something: where black is worse than {CONTENT_DB:g} dB against the full"
-        " scene. Elsewhere black would pass for an image, and curves have a gap.</li>"
+        f"<li>A view counts if it shows something: if black is worse than {CONTENT_DB:g} dB against the full scene."
+        " Otherwise black would pass for an image; curves have a gap there.</li>"
     )
     for visit in document["visits"]:
         name = escape(visit["scene"]["name"])

@@ -1,4 +1,4 @@
-"""The plots of a report on simulated sessions: figures 9 to 14 of the paper, and the first seconds on their own."""
+"""Draw the plots of a report on simulated sessions: figures 9 to 14 of the paper, and the first seconds alone."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.abr.traces import BYTES, BandwidthTrace
+from gsvis.report.session_page import PAPER_SENT
 from gsvis.report.theme import Theme
 from gsvis.simulate.viewing import GOOD_DB, Viewing
 
 __all__ = [
-    "PAPER_SENT",
     "draw_bandwidth",
     "draw_bytes",
     "draw_latency",
@@ -30,21 +30,18 @@ __all__ = [
 F64 = NDArray[np.float64]
 Visits = Sequence[Sequence[Viewing]]
 
-PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
-"""SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
-
 _PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 
 def draw_score(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """QoE of each step, all systems (figure 9)."""
+    """Draw the QoE of each step, all systems (figure 9)."""
     _over_time(axes, theme, visits, lambda session: session.score)
     axes.set_ylim(-5.3, 1.3)
     axes.set_ylabel("QoE of a step")
 
 
 def draw_psnr(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """PSNR of what is shown (figure 10)."""
+    """Draw PSNR of the shown images (figure 10)."""
     _over_time(axes, theme, visits, lambda session: session.psnr)
     scale = visits[0][0].config.qoe.psnr_scale
     axes.set_ylim(-0.02 * scale, 1.06 * scale)
@@ -52,7 +49,7 @@ def draw_psnr(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def draw_latency(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """Time from a pose until it is shown (figure 11)."""
+    """Draw the time from a pose until it is shown (figure 11)."""
     _over_time(axes, theme, visits, lambda session: session.latency)
     scale = visits[0][0].config.qoe.latency_scale
     axes.set_ylim(-0.03 * scale, 1.08 * scale)
@@ -60,7 +57,7 @@ def draw_latency(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def draw_bandwidth(axes: Axes, theme: Theme, visits: Visits, trace: BandwidthTrace) -> None:
-    """Rate of the link (figure 12), means over half seconds."""
+    """Draw the rate of the link (figure 12), means over half seconds."""
     end = visits[0][0].config.seconds * len(visits)
     edges = np.linspace(0.0, end, max(round(2 * end), 1) + 1)
     rates = [trace.bytes_between(a, b) / (b - a) / BYTES for a, b in pairwise(edges.tolist())]
@@ -74,16 +71,16 @@ def draw_bandwidth(axes: Axes, theme: Theme, visits: Visits, trace: BandwidthTra
 
 
 def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """PSNR in the first seconds of the first scene, with the two qualities that are asked for."""
+    """Draw PSNR in the first seconds of the first scene, with the two target qualities."""
     end = min(max(visits[0][0].config.fine, 1.0), visits[0][0].config.seconds)
     for session, (color, style) in zip(visits[0], _styles(theme), strict=False):
         seen = _with_content(session, session.psnr)
         times, values = np.append(session.times, session.config.seconds), np.append(seen, seen[-1])
         axes.step(times, values, where="post", color=color, linestyle=style, linewidth=2.0, label=session.playback.name)
-    for level, told in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
+    for level, label in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
         axes.axhline(level, color=theme.muted, linewidth=1.2, dashes=(5, 2))
         axes.annotate(
-            f"{told}, {level:g} dB", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-2, 3),
+            f"{label}, {level:g} dB", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-2, 3),
             textcoords="offset points", ha="right", va="bottom", color=theme.muted, fontsize=9,
         )  # fmt: skip
     axes.set_xlim(0.0, end)
@@ -94,7 +91,7 @@ def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """Shares of Gaussians and of SRBFs that the first system has brought (figure 13), beside the paper's."""
+    """Draw the shares of Gaussians and of SRBFs that the first system has sent (figure 13), beside the paper's."""
     terms = False
     for k, sessions in enumerate(visits):
         session = sessions[0]
@@ -112,13 +109,13 @@ def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
     if terms:
         marks += [(30.0, PAPER_SENT["terms"], "paper's SRBFs"), (0.0, PAPER_SENT["terms_first"], "")]
     end = visits[0][0].config.seconds
-    for x, y, told in marks:
+    for x, y, label in marks:
         if x > end + 1e-9:
             continue
         axes.plot([x], [y], marker="D", markersize=7, color=theme.published, clip_on=False, zorder=5, linestyle="none")
-        if told:
+        if label:
             axes.annotate(
-                f"{told} {y:.1%}", (x, y), xytext=(-9, 0), textcoords="offset points", ha="right", va="center",
+                f"{label} {y:.1%}", (x, y), xytext=(-9, 0), textcoords="offset points", ha="right", va="center",
                 color=theme.published, fontsize=9, fontweight="bold",
                 bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 0.5},
             )  # fmt: skip
@@ -131,7 +128,7 @@ def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """Megabytes that have arrived, all systems (figure 14), and what the link could have carried."""
+    """Draw the megabytes that have arrived, all systems (figure 14), and the capacity of the link."""
     top, start = 0.0, 0.0
     for k, sessions in enumerate(visits):
         for session, (color, style) in zip(sessions, _styles(theme), strict=False):
@@ -150,7 +147,7 @@ def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewing], F64]) -> None:
-    """A value of each step of all systems, scene after scene."""
+    """Draw a value of each step of all systems, scene after scene."""
     start = 0.0
     for k, sessions in enumerate(visits):
         for session, (color, style) in zip(sessions, _styles(theme), strict=False):
@@ -169,12 +166,12 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewin
 
 
 def _with_content(session: Viewing, values: F64) -> F64:
-    """(S,) values of the steps, NaN where there was nothing to see: a gap in the curve."""
+    """Return (S,) values of the steps, NaN if a view shows nothing: a gap in the curve."""
     return np.where(session.content, values, np.nan)
 
 
 def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:
-    """Where a new scene begins."""
+    """Mark the start of each new scene."""
     for k in range(1, len(visits)):
         at = k * visits[0][0].config.seconds
         axes.axvline(at, color=theme.ink, linewidth=1.0, dashes=(2, 2))
@@ -185,7 +182,7 @@ def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 
 def _styles(theme: Theme) -> list[tuple[str, Any]]:
-    """Color and line of each system."""
+    """Return color and line style of each system."""
     colors = (theme.gathered, theme.published, theme.traced, theme.muted)
     styles = ("-", (0, (4, 2)), (0, (1, 1)))
     return [(color, style) for style in styles for color in colors]

@@ -1,7 +1,7 @@
-"""Figure 15 of the paper: a function on the sphere and its fits by ever more terms, as spheres seen from three sides.
+"""Draw figure 15 of the paper: a function on the sphere and its fits by more and more terms, seen from three sides.
 
-Spheres are seen from outside, from a little above, z up; sides turn about z. Functions are taken as they come: one
-number for each unit vector, in the frame of the fit.
+Spheres are seen from outside, slightly from above, z up; they rotate about z. A function returns one number for each
+unit vector, in the frame of the fit.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color.sphere import SphereFit
-from gsvis.report.theme import LIGHT, Theme, drawn
+from gsvis.report.theme import LIGHT, Theme, draw_png
 
 __all__ = ["COUNTS", "SIDES", "draw_sphere_figure", "sphere_directions", "sphere_figure"]
 
 F64 = NDArray[np.float64]
 
 COUNTS = (2, 6, 10, 15, 20, 30)
-"""Terms of the paper's figure."""
+"""Numbers of terms in the paper's figure."""
 SIDES = (0.0, 120.0, 240.0)
-"""Degrees by which the sphere is turned about z, as in the paper's figure."""
+"""Degrees of rotation about z, as in the paper's figure."""
 
 _SIDE = 240  # pixels of a sphere
-_STEP, _ROW = 262, 254  # from one sphere to the next
+_STEP, _ROW = 262, 254  # pixels from one sphere to the next
 _HEIGHT = 20.0  # degrees of the eye above the equator
 _GAP = 46  # above the row of differences, for the errors
 
 
 def sphere_directions(side: float = 0.0, pixels: int = _SIDE) -> tuple[F64, F64]:
-    """What an eye far away sees of the unit sphere: how much of each pixel, and which point of it.
+    """Return what a distant eye sees of the unit sphere: the cover of each pixel, and its point on the sphere.
 
     Args:
-        side: Degrees by which the sphere is turned about z, counter-clockwise from above; at 0 the eye is at +x.
-        pixels: P, across.
+        side: Rotation of the sphere about z in degrees, counter-clockwise from above; at 0 the eye is at +x.
+        pixels: P, the width in pixels.
 
     Returns:
         cover: (P, P) in [0, 1].
@@ -67,12 +67,12 @@ def sphere_figure(
     title: str = "",
     theme: Theme = LIGHT,
 ) -> bytes:
-    """The figure as PNG bytes; see `draw_sphere_figure`."""
+    """Return the figure as PNG bytes; see `draw_sphere_figure`."""
 
     def draw(axes: Axes, theme: Theme) -> None:
         draw_sphere_figure(axes, theme, function, fit, errors=errors, counts=counts, title=title)
 
-    return drawn(draw, theme, (1.27 * (1 + len(counts)) + 0.75, 5.75))
+    return draw_png(draw, theme, (1.27 * (1 + len(counts)) + 0.75, 5.75))
 
 
 def draw_sphere_figure(
@@ -85,23 +85,23 @@ def draw_sphere_figure(
     counts: Sequence[int] = COUNTS,
     title: str = "",
 ) -> None:
-    """Truth and fits from three sides, the error beneath, and at the bottom what the fits lack on the first side.
+    """Draw truth and fits from three sides, errors below, and at the bottom the differences on the first side.
 
     Args:
-        axes: Where to draw; its limits and its frame go.
+        axes: Axes to draw on; its limits and its frame are removed.
         theme: Colors.
-        function: (R, 3) unit vectors to (R,) values: what was fitted.
+        function: Maps (R, 3) unit vectors to (R,) values; the fitted function.
         fit: Its fits.
-        errors: Mean squared error of each of `counts`; those over the fitted directions by default.
+        errors: Mean squared error of each of `counts`; over the fitted directions by default.
         counts: Numbers of terms, at most those of the fit.
         title: Name of the function.
 
     Raises:
-        ValueError: If a number of terms is not one of the fit, or the errors are not as many.
+        ValueError: If a number of terms exceeds the fit, or the number of errors does not match.
     """
-    told = [float(fit.errors[_count(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
-    if len(told) != len(counts):
-        raise ValueError(f"errors: expected {len(counts)}, one for each number of terms, got {len(told)}")
+    mean_errors = [float(fit.errors[_count(fit, k)]) for k in counts] if errors is None else [float(e) for e in errors]
+    if len(mean_errors) != len(counts):
+        raise ValueError(f"errors: expected {len(counts)}, one for each number of terms, got {len(mean_errors)}")
     values = np.stack([_values(function, fit, counts, sphere_directions(side)[1]) for side in SIDES])
     cover = sphere_directions()[0]
     low, high = (float(v) for v in np.quantile(values[:, 0][:, cover > 0.5], [0.001, 0.999]))
@@ -127,7 +127,7 @@ def draw_sphere_figure(
         axes.add_patch(Circle(center, 0.5 * _SIDE, fill=False, edgecolor=theme.muted, linewidth=0.5, clip_on=False))
     axes.imshow(canvas, interpolation="bilinear")
     axes.set_axis_off()
-    _label(axes, theme, counts, told)
+    _label(axes, theme, counts, mean_errors)
     if title:
         axes.set_title(title, color=theme.ink, fontsize=11, fontweight="bold", pad=22)
     for norm, name, place, label in (
@@ -142,7 +142,7 @@ def draw_sphere_figure(
 
 
 def _eye() -> F64:
-    """Toward the eye from the center of a sphere that is not turned."""
+    """Return the direction of the eye from the center of a sphere without rotation."""
     height = np.radians(_HEIGHT)
     return np.array([np.cos(height), 0.0, np.sin(height)])
 
@@ -154,7 +154,7 @@ def _count(fit: SphereFit, terms: int) -> int:
 
 
 def _values(function: Callable[[F64], ArrayLike], fit: SphereFit, counts: Sequence[int], points: F64) -> F64:
-    """(1 + counts, P, P) of the truth and the fits."""
+    """Return (1 + counts, P, P) values of the truth and the fits."""
     flat = points.reshape(-1, 3)
     truth = _check.floats("function", function(flat), (len(flat),), np.float64)
     fits = [fit.evaluate(flat, _count(fit, k)) for k in counts]
@@ -162,7 +162,7 @@ def _values(function: Callable[[F64], ArrayLike], fit: SphereFit, counts: Sequen
 
 
 def _spread(differences: F64) -> float:
-    """Differences of the scale: those of the middle of the columns, rounded, so that few terms are not all there is."""
+    """Return the range of the difference scale: that of the middle columns, rounded; few terms must not dominate."""
     typical = float(np.quantile(np.abs(differences), 0.9)) if differences.size else 0.0
     if not typical > 0.0:
         return 1.0

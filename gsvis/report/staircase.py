@@ -1,7 +1,8 @@
-"""The staircase test for a person: one HTML page with all pictures inside, and the reader of what it saves.
+"""The staircase test for a person: one HTML page with all pictures inside, and the reader of its saved result.
 
-The page runs the walk of `gsvis.color.Staircase` in the browser, over the rungs of its rule: which of two pictures
-differs from the reference, when one was drawn without the terms below epsilon? It needs no network and sends nothing.
+The page runs the walk of `gsvis.color.Staircase` in the browser, over the rungs of its rule. It asks which of two
+pictures differs from the reference, when one is drawn without the terms below epsilon. It needs no network and sends
+nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import parse_json
 from gsvis.files.limits import read_whole
 from gsvis.progress import Progress, silent
-from gsvis.report.html import filled, plain, table
+from gsvis.report.html import fill_template, plain, table
 
 __all__ = ["PERSON_RULE", "load_staircase_result", "write_staircase_page"]
 
@@ -41,11 +42,11 @@ PERSON_RULE = StaircaseRule(
     lowest=0.1 * 10.0 ** (-14 / 8),
     highest=0.1 * 10.0 ** (4 / 8),
 )
-"""For people, whose trials are dear: 19 rungs from 0.316 to 0.0018, eight a decade; about 50 trials.
+"""Rule for people, for whom trials are expensive: 19 rungs from 0.316 to 0.0018, eight per decade; about 50 trials.
 
-Simulated people who choose one of two, with logistic spreads of 0.1 to 0.4 in log epsilon: the estimate is right to 2%
-on average, its standard deviation 18% to 31%. Coarse first steps would save 5 trials, and send 7 runs of 1000 to the
-lowest rung by luck.
+Simulated people who choose one of two, with logistic spreads of 0.1 to 0.4 in log epsilon: the estimate has a bias of
+2% and a standard deviation of 18% to 31%. Coarse first steps would save 5 trials, but send 7 runs of 1000 to the lowest
+rung by luck.
 """
 
 _TYPICAL_TRIALS = 2.5  # per counted or discarded reversal, with a guess rate of one half
@@ -62,21 +63,21 @@ def write_staircase_page(
     about: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> int:
-    """Write the page, whole or not at all.
+    """Write the page, atomically.
 
-    Pictures are stored without loss as 8-bit WebP, equal ones once.
+    Pictures are stored as lossless 8-bit WebP, duplicates once.
 
     Args:
         path: The HTML file.
-        reference: (V, H, W, 3) images with all terms, 0 black to 1 white; clipped to that range, as a display does.
-        approximations: (V, E, H, W, 3) images with the terms that are active at each of the E `rule.rungs`, in their
-            order, which falls.
+        reference: (V, H, W, 3) images with all terms, 0 black to 1 white; clipped to that range, as on a display.
+        approximations: (V, E, H, W, 3) images with the terms active at each of the E `rule.rungs`, in their
+            descending order.
         rule: How epsilon moves.
-        title: The scene's name, text.
-        pixels_per_degree: At the distance that the page asks for; 67 is the default of `gsvis.render.metrics.flip`, so
-            that person and metric see alike.
-        about: Anything that is to be known of the pictures, for the page and the result: "gsvis" (its version),
-            "command", how the cameras were drawn; JSON values.
+        title: Name of the scene, text.
+        pixels_per_degree: Resolution at the distance that the page asks for; 67 is the default of
+            `gsvis.render.metrics.flip`, so that person and metric see the same.
+        about: Provenance of the pictures, for the page and the result: "gsvis" (its version), "command", how the
+            cameras were drawn; JSON values.
         progress: Called with stage "pictures".
 
     Returns:
@@ -128,15 +129,15 @@ def write_staircase_page(
 
 
 def load_staircase_result(path: str | os.PathLike[str]) -> EpsilonCalibration:
-    """What the page saved, or `EpsilonCalibration.as_dict()` written as JSON.
+    """Read the result of the page, or `EpsilonCalibration.as_dict()` written as JSON.
 
-    The trials are walked through again by the rule, and what is returned comes from them.
+    The trials are replayed by the rule, and the result comes from them.
 
     Args:
         path: The JSON file.
 
     Raises:
-        FormatError: If it is no such file, its trials are none that its rule gives, or its epsilon is not theirs.
+        FormatError: If the file has another format, its trials do not follow its rule, or its epsilon is not theirs.
         OSError: If it cannot be read.
     """
     document = _document(path)
@@ -192,7 +193,7 @@ def _is_trial(trial: Any) -> bool:
 def _encode(
     reference: NDArray[np.float32], approximations: NDArray[np.float32], pictures: dict[str, int], progress: Progress
 ) -> tuple[list[int], list[list[int]]]:
-    """Indices of the pictures of references (V,) and approximations (V, E); `pictures` takes what is new."""
+    """Return indices of the pictures of references (V,) and approximations (V, E); adds new ones to `pictures`."""
     first, rest = [], []
     total = len(reference) * (1 + approximations.shape[1])
     progress("pictures", 0, total)
@@ -228,7 +229,7 @@ def _page(
         " rests where 75% are right; the result is the geometric mean of the last turning points."
     )
     script = (files("gsvis.report") / "staircase.js").read_text(encoding="utf-8")
-    return filled(
+    return fill_template(
         "staircase.html",
         title=escape(title),
         version=escape(str(provenance.get("gsvis", ""))),

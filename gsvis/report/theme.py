@@ -1,6 +1,6 @@
-"""Colors and type of plots, once for light and once for dark pages, and how a figure becomes PNG bytes.
+"""Colors and fonts of plots, for light and for dark pages, and the conversion of a figure to PNG bytes.
 
-Figures are drawn on Agg canvases of their own: no screen is needed and the settings of matplotlib are put back.
+Figures use their own Agg canvases: no screen is needed, and the settings of matplotlib are restored.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-__all__ = ["DARK", "LIGHT", "Theme", "drawn"]
+__all__ = ["DARK", "LIGHT", "Theme", "draw_png"]
 
 _DPI = 220
 
@@ -49,8 +49,10 @@ LIGHT = Theme("#ffffff", "#1c2430", "#667080", "#e4e8ee", "#2463d6", "#d2600a", 
 DARK = Theme("#1a2029", "#e8ecf2", "#9aa5b4", "#2f3845", "#75a6ff", "#ff9d4d", "#ff7ac6", "#525d6c")
 
 
-def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple[float, float] = (5.2, 3.5)) -> bytes:
-    """A plot as PNG bytes.
+def draw_png(
+    draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple[float, float] = (5.2, 3.5)
+) -> bytes:
+    """Return a plot as PNG bytes.
 
     Args:
         draw: Draws on the axes it is given.
@@ -59,10 +61,10 @@ def drawn(draw: Callable[[Axes, Theme], None], theme: Theme = LIGHT, size: tuple
     """
     with rc_context(_style(theme)):
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)
         draw(figure.add_subplot(), theme)
         out = io.BytesIO()
-        figure.savefig(out, format="png", metadata={"Software": None})
+        canvas.print_png(out, metadata={"Software": None})  # the bytes of savefig, which draws twice
     return out.getvalue()
 
 

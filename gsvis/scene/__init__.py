@@ -1,4 +1,4 @@
-"""What the world is: Gaussians, cameras, navigable space and scenes with known visibility."""
+"""Describe a scene: Gaussians, cameras, navigable space, and procedural scenes with known visibility."""
 
 _MODULES = (
     "cameras",

@@ -1,14 +1,15 @@
-"""The voxel grid under navigable space: which voxels stop light, and which of the others a visitor would be in.
+"""Build the voxel grid under navigable space: which voxels stop light, and in which of the others a visitor can be.
 
 Frame and units are the scene's own. This module knows no camera.
 
-Rule. A voxel is free when an eye in it loses less than `max_alpha` to the Gaussians that overlap it, and nothing
-occupied lies within `clearance` voxels. A visitor has ground below and things around: the free voxels are cut down
-to those that stop light in at least half of the grid directions within 60 degrees of straight down, and in a share
-of all 26 grid directions, both averaged over five voxels. The share is the first of 0.7, 0.3, 0.1 at which the largest
-connected part still holds 5% of the box: rooms pass at 0.7, ground under the sky at 0.3. A lone object without ground
-is tried without that condition. Of what remains, the largest connected part is kept. A scene without floaters that
-fails at 0.7 is a lone object: it is looked at from outside, so its free space is what lies around it, at its height.
+Rule. A voxel is free if an eye in it loses less than `max_alpha` to the Gaussians that overlap it, and nothing occupied
+lies within `clearance` voxels. A visitor has ground below and things around. The free voxels are therefore reduced to
+those that stop light in at least half of the grid directions within 60 degrees of straight down, and in a share of all
+26 grid directions. Both are averaged over five voxels. The share is the first of 0.7, 0.3, 0.1 at which the largest
+connected part still holds 5% of the box: rooms pass at 0.7, ground under the sky at 0.3. If no share passes, the
+condition on the ground is dropped, for an object without ground. The largest connected part of what remains is kept. A
+scene without floaters that fails at 0.7 is a lone object. People view it from outside, so its free space is the space
+around it, at its height.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis.errors import SceneError
 from gsvis.scene._kernels.voxels import splat_depth
@@ -45,12 +45,12 @@ _CHUNK = 1 << 17
 
 @dataclass(frozen=True, eq=False)
 class Occupancy:
-    """A grid over a box of the scene.
+    """Store occupancy on a grid over a box of the scene.
 
     Args:
         origin: (3,) lowest corner of voxel (0, 0, 0).
         voxel_size: Side of a voxel, scene units.
-        depth: (X, Y, Z) optical depth that an eye in the voxel loses to the Gaussians there.
+        depth: (X, Y, Z) optical depth that the Gaussians in a voxel add for an eye in it.
         occupied: (X, Y, Z) voxels that stop light.
         clear: (X, Y, Z) voxels far enough from occupied ones.
     """
@@ -62,8 +62,10 @@ class Occupancy:
     clear: Mask
 
     @classmethod
-    def of(cls, seen: Gaussians, low: F64, high: F64, resolution: int, max_alpha: float, clearance: float) -> Occupancy:
-        """The grid over a box, `resolution` voxels along its longest side.
+    def from_gaussians(
+        cls, seen: Gaussians, low: F64, high: F64, resolution: int, max_alpha: float, clearance: float
+    ) -> Occupancy:
+        """Build the grid over a box, with `resolution` voxels along its longest side.
 
         Raises:
             SceneError: If no voxel is clear.
@@ -76,26 +78,28 @@ class Occupancy:
         clear = ~_dilate(occupied, clearance)
         if not clear.any():
             raise SceneError(
-                f"no navigable space: all {clear.size} voxels of {voxel_size:.3g} units are occupied or too close to"
-                " it; raise max_alpha or resolution, lower clearance, or give cameras"
+                f"no navigable space: all {clear.size} voxels of {voxel_size:.3g} units are occupied or too close to an"
+                " occupied one; raise max_alpha or resolution, lower clearance, or give cameras"
             )
         return cls(origin, voxel_size, depth, occupied, clear)
 
     def choose(self, up: F64, seeds: F64) -> tuple[Mask, str, bool]:
-        """The connected part or parts of the clear voxels by the first rule that leaves enough.
+        """Return the connected part or parts of the clear voxels, by the first rule that leaves enough.
 
         Args:
             up: (3,) unit up axis.
-            seeds: (S, 3) positions known to be navigable; may be none.
+            seeds: (S, 3) positions known to be navigable; may be empty.
 
         Returns:
             free: (X, Y, Z) the chosen voxels.
-            rule: What chose them, in words.
+            rule: Name of the rule that chose them.
             enclosed: Whether it was the first rule.
 
         Raises:
             SceneError: If most seeds lie away from clear voxels.
         """
+        from scipy import ndimage  # here: it takes long to import, and few need it
+
         below, around = _surroundings(self.depth, up)
         voxels = np.clip(np.floor((seeds - self.origin) / self.voxel_size), -9, 1 << 20).astype(np.int64)
         for min_below, min_around in RULES:
@@ -114,15 +118,17 @@ class Occupancy:
                 return part, rule, enclosed
         raise SceneError(
             f"no navigable space: fewer than half of the {len(seeds)} seeds lie within two voxels of free space;"
-            " do they share the scene's frame? otherwise raise max_alpha or lower clearance"
+            " check that they are in the scene's frame, or raise max_alpha or lower clearance"
         )
 
     def largest_part(self) -> Mask:
-        """The largest connected part of the clear voxels, by no further rule."""
+        """Return the largest connected part of the clear voxels; apply no other rule."""
+        from scipy import ndimage
+
         return _largest(ndimage.label(self.clear)[0])[0]
 
     def targets(self, seen: Gaussians) -> F64:
-        """(T, 3) centers inside the grid, drawn evenly by opacity times area; the same ones every time."""
+        """Return (T, 3) centers inside the grid, drawn by opacity times area; the same ones every time."""
         shape = np.array(self.depth.shape)
         place = (seen.means - self.origin) / self.voxel_size
         inside = np.flatnonzero(np.all((place >= 0) & (place < shape), axis=1))
@@ -136,7 +142,7 @@ class Occupancy:
 
 
 def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
-    """Corners of the box that holds the middle `coverage` of the centers on each axis, and the seeds; never empty."""
+    """Return the corners of a box with the middle `coverage` of the centers on each axis and the seeds; never empty."""
     low, high = seen.bounds(coverage)
     if len(seeds):
         low, high = np.minimum(low, seeds.min(axis=0)), np.maximum(high, seeds.max(axis=0))
@@ -147,10 +153,10 @@ def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
 
 
 def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[int, int, int]) -> Depth:
-    """(X, Y, Z) sum of -log(1 - alpha) over the Gaussians that reach a voxel.
+    """Return (X, Y, Z), the sum of -log(1 - alpha) over the Gaussians that reach each voxel.
 
-    A Gaussian is blurred by half a voxel, so that a thin disc between voxel centers is found; its alpha falls by the
-    share of a voxel's cross-section that it covers, so that many faint or tiny ones add up to what they stop together.
+    A Gaussian is blurred by half a voxel, so that a thin disc between voxel centers is found. Its alpha falls by the
+    share of a voxel's cross-section that it covers, so that many faint or tiny ones add up correctly.
     """
     depth = np.zeros(shape, np.float32)
     for start in range(0, len(seen), _CHUNK):
@@ -173,7 +179,9 @@ def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple
 
 
 def _dilate(mask: Mask, radius: float) -> Mask:
-    """The mask with everything within `radius` voxels of it, between centers."""
+    """Return the mask, grown by `radius` voxels (between centers)."""
+    from scipy import ndimage
+
     reach = int(radius)
     if reach < 1 or not mask.any():
         return mask
@@ -183,7 +191,7 @@ def _dilate(mask: Mask, radius: float) -> Mask:
 
 
 def _sweeps(depth: Depth) -> Iterator[tuple[NDArray[np.int64], Depth]]:
-    """For each of the 26 grid directions, the optical depth beyond each voxel up to the edge of the grid."""
+    """Yield for each of the 26 grid directions the optical depth beyond each voxel, up to the edge of the grid."""
     for step in itertools.product((-1, 0, 1), repeat=3):
         if not any(step):
             continue
@@ -204,7 +212,7 @@ def _sweeps(depth: Depth) -> Iterator[tuple[NDArray[np.int64], Depth]]:
 
 
 def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
-    """(X, Y, Z) share of directions that stop half the light: of those within 60 degrees of down, and of all 26."""
+    """Return (X, Y, Z) shares of directions that stop half the light: within 60 degrees of down, and of all 26."""
     below, around = np.zeros(depth.shape, np.uint8), np.zeros(depth.shape, np.uint8)
     downward = 0
     for step, total in _sweeps(depth):
@@ -217,6 +225,8 @@ def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
 
 
 def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
+    from scipy import ndimage
+
     shares = counts.astype(np.float32)
     shares /= of
     return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)
@@ -229,7 +239,7 @@ def _largest(labels: NDArray[np.int32]) -> tuple[Mask, int]:
 
 
 def _labels_near(labels: NDArray[np.int32], voxels: NDArray[np.int64]) -> list[set[int]]:
-    """Labels within two voxels of each of the given voxels."""
+    """Return the labels within two voxels of each of the given voxels."""
     found = []
     for voxel in voxels:
         start, stop = np.maximum(voxel - 2, 0), np.maximum(voxel + 3, 0)

@@ -1,6 +1,6 @@
-"""The search behind `retarget`: where in navigable space, how turned and how large a walk fits.
+"""Search for `retarget`: where in navigable space a walk fits, with which heading and at which size.
 
-A walk is screened by some of its poses and then checked by all of them. Scene frame and units; knows no rule of scale.
+A walk is first screened by a few of its poses, then checked by all. Scene frame and units; knows no rule of scale.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _TIE = 1e-9  # of the walk's size: the first of poses that are equal but for rou
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What a placement has to satisfy, and how many are tried.
+    """Conditions on a placement, and how many placements to try.
 
     Attributes:
-        navigable: Where eyes may be.
-        enough: Share of the positions that is to lie inside.
-        placements: Voxels tried for the middle of the walk.
-        choices: Placements with enough inside among which the one that looks at the scene most often is taken.
+        navigable: Allowed viewpoints.
+        enough: Required share of positions inside.
+        placements: Number of voxels to try for the middle of the walk.
+        choices: Number of placements with enough inside to compare; the one that faces the scene most often wins.
     """
 
     navigable: NavigableSpace
@@ -48,7 +48,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A placement: its share of positions inside, the share of poses that look at the scene, its transform."""
+    """A placement: its share of positions inside, its share of poses that face the scene, and its transform."""
 
     share: float
     look: float
@@ -57,14 +57,14 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk about its middle: (T, 3) offsets in its own unit with the scene's up, under each heading's rotation.
+    """A walk about its middle, for each of Y headings.
 
     Attributes:
         offsets: (T, 3) positions from the middle, recorded axes.
         rotations: (Y, 3, 3) scene from recorded axes, one for each heading.
         middle: (3,) recorded position that goes to the placement.
-        probes: (P,) indices of the poses that screen placements.
-        forwards: (P, 3) their directions of view, recorded axes.
+        probes: (P,) indices of the poses used for screening.
+        forwards: (P, 3) view directions of those poses, recorded axes.
     """
 
     offsets: F64
@@ -74,19 +74,19 @@ class Walk:
     forwards: F64
 
     @classmethod
-    def of(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> Walk:
+    def from_path(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> Walk:
         up = path.upright
         mean = path.positions.mean(axis=0)
         spread = path.positions - mean
         heights = spread @ up
-        # The pose nearest to the mean, on the ground plan; its height is the usual one, whatever that pose's is.
+        # Take the pose nearest to the mean on the ground plane. Its height is the usual height, not that of the pose.
         flat = spread - heights[:, None] * up
         far = np.linalg.norm(flat, axis=1)
         size = float(np.linalg.norm(spread, axis=1).max())
         middle = path.positions[(far <= far.min() + _TIE * size).argmax()]
         middle = middle + (np.median(path.positions @ up) - middle @ up) * up
         ahead = flat[(far >= far.max() - _TIE * size).argmax()]
-        if np.linalg.norm(ahead) <= 1e-9 * (1.0 + np.abs(path.positions).max()):  # it never leaves its place
+        if np.linalg.norm(ahead) <= 1e-9 * (1.0 + np.abs(path.positions).max()):  # the walk stays in place
             ahead = path.forwards[0] - (path.forwards[0] @ up) * up
             if np.linalg.norm(ahead) < 1e-6:
                 ahead = np.eye(3)[np.abs(up).argmin()] - up[np.abs(up).argmin()] * up
@@ -102,7 +102,7 @@ class Walk:
         return cls(path.positions - middle, scene @ yawed @ recorded.T, middle, probes, path.forwards[probes])
 
     def scales(self, navigable: NavigableSpace) -> Iterator[float]:
-        """From one at which the walk spans the grid down to one at which it fits into a voxel."""
+        """Yield scales, from one at which the walk spans the grid down to one at which it fits into a voxel."""
         size = float(np.linalg.norm(self.offsets, axis=1).max())
         if size <= 1e-12:
             yield 1.0
@@ -114,19 +114,19 @@ class Walk:
         yield scale
 
     def similarity(self, scale: float, yaw: int, place: F64) -> Similarity:
-        """The transform that takes the middle of the walk to a place of the scene."""
+        """Return the transform that takes the middle of the walk to a place in the scene."""
         rotation = self.rotations[yaw]
         return Similarity.from_rotation(scale, rotation, place - scale * rotation @ self.middle)
 
 
 @dataclass(frozen=True, eq=False)
 class Floors:
-    """What M places stand on.
+    """Floors below M places.
 
     Attributes:
-        heights: (M,) how far straight below each the first occupied voxel is; infinite without one.
-        levels: (M,) how high that lies along the scene's up.
-        voxel_size: Side of a voxel.
+        heights: (M,) distance straight down to the first occupied voxel; infinite if there is none.
+        levels: (M,) position of that voxel along the scene's up axis.
+        voxel_size: Side of a voxel, scene units.
     """
 
     heights: F64
@@ -139,7 +139,7 @@ class Floors:
         return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
 
     def at_height(self, stand: float | None, scale: float) -> Mask | None:
-        """(M,) which places are at eye height over the main floor; None where nobody has to stand."""
+        """Return (M,) which places are at eye height over the main floor; None if no eye height is required."""
         if stand is None:
             return None
         height = stand * scale
@@ -148,15 +148,15 @@ class Floors:
         if len(levels) == 0:
             return np.zeros(len(self.levels), bool)
         held = np.searchsorted(levels, levels + 2.0 * slack, side="right") - np.arange(len(levels))
-        main = levels[held.argmax()] + slack  # the middle of the band that most places stand on
+        main = levels[held.argmax()] + slack  # the middle of the band with the most places
         fits = np.abs(self.heights - height) <= max(_TOLERANCE * height, self.voxel_size)
         return np.asarray(fits & (np.abs(self.levels - main) <= slack))
 
 
 def best_placement(walk: Walk, search: Search, scale: float, places: F64, standing: Mask | None) -> Found | None:
-    """Of the first `choices` placements with `enough` inside the one that looks at the scene most often.
+    """Return the placement that faces the scene most often, among the first `choices` with `enough` inside.
 
-    If none has enough inside it is the one with the most; None if there is no placement at all.
+    If no placement has enough inside, return the one with the most. Return None if there is no placement.
     """
     if standing is not None:
         places = places[standing]
@@ -189,7 +189,7 @@ def best_placement(walk: Walk, search: Search, scale: float, places: F64, standi
 def _head(
     walk: Walk, navigable: NavigableSpace, scale: float, place: F64, headings: NDArray[np.intp], enough: float
 ) -> Found | None:
-    """Of the headings with enough inside at a place the one that looks at the scene most often; None without any."""
+    """Return the heading that faces the scene most often, of those with enough inside at a place; or None."""
     best = None
     for yaw in headings.tolist():
         share = _share(walk, navigable, scale, yaw, place)
@@ -207,7 +207,7 @@ def _share(walk: Walk, navigable: NavigableSpace, scale: float, yaw: int, place:
 
 
 def free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
-    """(M,) how far in its unit direction each point has the first occupied voxel; infinite without one."""
+    """Return (M,) the distance to the first occupied voxel in each unit direction; infinite if there is none."""
     shape = np.array(navigable.free.shape)
     found = np.full(len(points), np.inf)
     going = np.arange(len(points))
@@ -225,12 +225,12 @@ def free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
 
 
 def probe_indices(count: int) -> NDArray[np.int64]:
-    """Indices of up to 64 of so many poses, evenly spread."""
+    """Return up to 64 evenly spaced pose indices."""
     return np.unique(np.linspace(0, count - 1, _PROBES).round().astype(np.int64))
 
 
 def _frame(up: F64, ahead: F64) -> F64:
-    """(3, 3) right-handed axes as columns: ahead (made level), to its left, up."""
+    """Return (3, 3) right-handed axes as columns: ahead (made level), left, up."""
     ahead = ahead - (ahead @ up) * up
     ahead = ahead / np.linalg.norm(ahead)
     return np.stack([ahead, np.cross(up, ahead), up], axis=1)

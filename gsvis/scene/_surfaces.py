@@ -1,13 +1,13 @@
-"""Opaque surfaces made of flat Gaussians, and what they certainly hide: rectangles with holes, and spheres.
+"""Build opaque surfaces from flat Gaussians, and decide what they certainly hide: rectangles with holes, and spheres.
 
-A surface is a lattice of thin discs of opacity 0.995 that overlap so much that hardly any light passes: less than
-1/2550 on straight lines through a rectangle more than a lattice step off its rim, less than 1/500 through a sphere.
-Each verdict is geometry alone, a segment from eye to center against the surface, with margins for soft rims and for
-the reach of the Gaussian looked at. Frame and units are the scene's own; color is no matter here.
+A surface is a lattice of overlapping thin discs with opacity 0.995. Hardly any light passes: less than 1/2550 on
+straight lines through a rectangle more than a lattice step off its rim, less than 1/500 through a sphere. Each verdict
+is geometry alone: a segment from eye to center against the surface, with margins for soft rims and for the extent of
+the target Gaussian. Frame and units are the scene's own; color plays no part.
 
-On a flat sheet a line to one disc's center meets all its neighbors at nearly the same depth; whichever way the order
-of their depths falls, about half of them come first, and the disc keeps some 6% of the light. On a sphere, seen from
-outside, all of the neighbors' planes come first: hence smaller discs there, so that the disc keeps 1%.
+On a flat sheet, a line to one disc's center meets all neighbors at nearly the same depth. Whatever the order of these
+depths, about half of the neighbors come first, and the disc keeps some 6% of the light. On a sphere seen from outside,
+all planes of the neighbors come first. Spheres therefore use smaller discs, so that a disc keeps 1%.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ OFFSETS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.4])[
     :, None
 ]  # standard deviations off a center, to look past a rim
 CLEAR = 1.2  # lattice steps off a rim from which a sheet no longer dims enough to matter
-# Least optical depth at so many lattice steps inside a rim; the true one is 4.3 on the rim and 7.7 a step inside.
+# Least optical depth by lattice steps inside a rim; the true depth is 4.3 on the rim and 7.7 one step inside.
 RIM_STEPS, RIM_DEPTHS = (-1.5, -1.0, 0.0, 1.0), (0.0, 0.3, 3.4, 7.0)
 SPENT = 6.0  # optical depth behind which everything is hidden: 0.6 of what 1/255 allows
 GRAZING = 0.08  # least cosine between a line and a normal for a verdict of visible
@@ -43,13 +43,13 @@ GRAZING_SPHERE = 0.12
 
 
 def _largest_sigma(covars: F64) -> F64:
-    """(M,) at least the largest standard deviation, and for a disc at most 1.2 times it."""
+    """Return (M,) upper bounds of the largest standard deviation; for a disc at most 1.2 times it."""
     return np.asarray(np.einsum("mij,mij->m", covars, covars) ** 0.25)
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Discs of one surface: (M, 3) means, (M, 4) quats with the normal as third axis, (M, 3) scales, (M, 3) normals."""
+    """Discs of one surface: (M, 3) means, (M, 4) quats (third axis is the normal), (M, 3) scales, (M, 3) normals."""
 
     means: F64
     quats: F64
@@ -59,15 +59,15 @@ class Patch:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A rectangle across one axis, with rectangular holes.
+    """A rectangle perpendicular to one axis, with rectangular holes.
 
     Args:
         axis: 0, 1 or 2, the normal.
         at: Position on that axis.
-        low: Lowest corner on the two other axes, in order.
+        low: Lowest corner on the other two axes, in order.
         high: Highest corner.
-        holes: (low, high) corner pairs; moved to the lattice by `snapped`.
-        step: Lattice step wished for; the two real ones divide the sides.
+        holes: (low, high) pairs of corners; `snapped` has them on the lattice.
+        step: Requested lattice step; the actual two divide the sides.
     """
 
     axis: int
@@ -79,7 +79,7 @@ class Sheet:
 
     @property
     def across(self) -> list[int]:
-        """The two axes in the sheet."""
+        """The two axes in the plane of the sheet."""
         return [i for i in range(3) if i != self.axis]
 
     @property
@@ -89,12 +89,12 @@ class Sheet:
 
     @property
     def steps(self) -> F64:
-        """(2,) real lattice steps."""
+        """(2,) actual lattice steps."""
         return np.asarray(np.subtract(self.high, self.low) / self.cells)
 
     @property
     def snapped(self) -> list[tuple[F64, F64]]:
-        """Holes with their rims moved to the nearest lattice lines."""
+        """The holes with their rims moved to the nearest lattice lines."""
         low, steps = np.array(self.low), self.steps
         return [
             (low + np.round((a - low) / steps) * steps, low + np.round((b - low) / steps) * steps)
@@ -102,7 +102,7 @@ class Sheet:
         ]
 
     def patch(self) -> Patch:
-        """Its discs, one in the middle of each cell that is not in a hole."""
+        """Return the discs, one in the middle of each cell that is not in a hole."""
         u, v = (a + (np.arange(n) + 0.5) * s for a, n, s in zip(self.low, self.cells, self.steps, strict=True))
         flat = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         for low, high in self.snapped:
@@ -121,20 +121,20 @@ class Sheet:
         )
 
     def depth_inside(self, flat: F64) -> F64:
-        """(M,) distance from the nearest rim of (M, 2) points of the plane, negative off the sheet."""
+        """Return (M,) distances from the nearest rim of (M, 2) points of the plane, negative off the sheet."""
         depth = np.minimum(flat - self.low, self.high - flat).min(axis=1)
         for low, high in self.snapped:
             depth = np.minimum(depth, np.maximum(low - flat, flat - high).max(axis=1))
         return np.asarray(depth)
 
     def verdict(self, eye: F64, means: F64, covars: F64) -> tuple[F64, Mask]:
-        """The least optical depth before each of (M, 3) centers seen from `eye`, and whether it certainly is none.
+        """Return the least optical depth before each of (M, 3) centers seen from `eye`, and whether it is certainly 0.
 
-        The depth is (K, M): on lines that pass the center at each of the K `OFFSETS`, toward the nearest rim.
+        The depth is (K, M): on lines that pass the center at each of the K `OFFSETS`, on the side of the nearest rim.
 
         Args:
             eye: (3,) viewpoint.
-            means: (M, 3) centers of Gaussians that are not its own.
+            means: (M, 3) centers of Gaussians of other surfaces.
             covars: (M, 3, 3) their covariances.
         """
         step, axis = float(self.steps.max()), self.axis
@@ -154,24 +154,24 @@ class Sheet:
         return dims, clear
 
     def own_verdict(self, eye: F64, patch: Patch) -> tuple[F64, Mask]:
-        """The same for its own discs: none hides another unless the line grazes the sheet."""
+        """Return the verdict for its own discs: none hides another unless the line grazes the sheet."""
         ray = patch.means - eye
         return np.zeros((len(OFFSETS), len(ray))), np.abs(ray[:, self.axis]) >= GRAZING * np.linalg.norm(ray, axis=1)
 
     def distance(self, points: F64) -> F64:
-        """(M,) distance of (M, 3) points, exact off the holes and at most the true one near them."""
+        """Return (M,) distances of (M, 3) points: exact off the holes, a lower bound near them."""
         depth = np.minimum(self.depth_inside(points[:, self.across]), 0.0)
         return np.asarray(np.hypot(points[:, self.axis] - self.at, depth))
 
 
 @dataclass(frozen=True)
 class Shell:
-    """A sphere.
+    """A spherical surface.
 
     Args:
-        center: Middle.
-        radius: > 0; at least 8 lattice steps, or the step is made smaller.
-        step: Lattice step wished for.
+        center: Center, scene units.
+        radius: > 0; the step shrinks if this is below 8 lattice steps.
+        step: Requested lattice step.
     """
 
     center: Triple
@@ -185,11 +185,11 @@ class Shell:
 
     @property
     def real_step(self) -> float:
-        """Root of the area of a disc's cell."""
+        """The root of the area of a disc's cell."""
         return float(np.sqrt(4.0 * np.pi * self.radius**2 / self.count))
 
     def patch(self) -> Patch:
-        """Its discs on a Fibonacci lattice."""
+        """Return the discs on a Fibonacci lattice."""
         n = self.count
         z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
         turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(n)
@@ -203,12 +203,12 @@ class Shell:
 
     @property
     def soft(self) -> float:
-        """How far, at most, its discs reach out of the sphere."""
+        """The largest distance that its discs reach out of the sphere."""
         reach = REACH * SPHERE_WIDTH * self.real_step
         return 0.5 * reach**2 / self.radius + 4.0 * THICKNESS * self.real_step
 
     def verdict(self, eye: F64, means: F64, covars: F64) -> tuple[F64, Mask]:
-        """See `Sheet.verdict`."""
+        """Return the verdict for other Gaussians; see `Sheet.verdict`."""
         start, ray = eye - self.center, means - eye
         end = np.linalg.norm(means - self.center, axis=1)
         radial = (means - self.center) / np.maximum(end, 1e-12)[:, None]
@@ -224,18 +224,18 @@ class Shell:
         return SPENT * hides, outside & (nearest >= self.radius + self.soft)
 
     def own_verdict(self, eye: F64, patch: Patch) -> tuple[F64, Mask]:
-        """The same for its own discs: from outside the near half hides the far half."""
+        """Return the verdict for its own discs: from outside the near half hides the far half."""
         ray = patch.means - eye
         cosine = np.einsum("ij,ij->i", ray, patch.normals) / np.linalg.norm(ray, axis=1)
         if np.linalg.norm(eye - self.center) < self.radius:
             return np.zeros((len(OFFSETS), len(ray))), cosine >= GRAZING_SPHERE
-        # A tail of length x sticks out above the sphere, so it is seen from up to 2 x / radius behind the horizon.
+        # A tail of length x sticks out above the sphere, so it is visible up to 2 x / radius behind the horizon.
         tail = OFFSETS * SPHERE_WIDTH * self.real_step * (2.0 / self.radius + 1.0 / np.linalg.norm(ray, axis=1))
         hides = np.arcsin(np.clip(cosine, -1.0, 1.0)) >= GRAZING_SPHERE + tail
         return SPENT * hides, cosine <= -GRAZING_SPHERE
 
     def distance(self, points: F64) -> F64:
-        """(M,) distance of (M, 3) points."""
+        """Return (M,) distances of (M, 3) points."""
         return np.asarray(np.abs(np.linalg.norm(points - np.array(self.center), axis=1) - self.radius))
 
 

@@ -1,7 +1,7 @@
-"""Pinhole cameras: viewpoint, direction, intrinsics and image size.
+"""Pinhole cameras: poses, intrinsics and image size.
 
-OpenCV axes (+x right, +y down, +z forward), `viewmats` take world to camera, `Ks` are in pixels, pixel centers
-lie at +0.5. A field of view is only ever an argument. This module knows no scene and no file.
+OpenCV axes (+x right, +y down, +z forward). `viewmats` map world to camera, `Ks` are in pixels, pixel centers lie at
++0.5. A field of view is only ever an argument. This module knows no scene and no file.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 
 
 def intrinsics(width: int, height: int, fov: float) -> F64:
-    """(3, 3) pinhole matrix with square pixels and a centerd principal point.
+    """Return the (3, 3) pinhole matrix with square pixels and a centered principal point.
 
     Args:
         width: Pixels.
@@ -44,14 +44,14 @@ def intrinsics(width: int, height: int, fov: float) -> F64:
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Cameras:
-    """C pinhole cameras of one image size, validated and read-only.
+    """Store C pinhole cameras of one image size, validated and read-only.
 
     Args:
         viewmats: (C, 4, 4) camera from world, rigid.
         Ks: (C, 3, 3) intrinsics in pixels, focal lengths > 0, last row 0 0 1.
         width: Image width in pixels.
         height: Image height in pixels.
-        names: C names, such as image files; optional.
+        names: C names, such as those of image files; optional.
 
     Raises:
         ValueError: If a shape is wrong, a pose is not rigid, or intrinsics are not invertible.
@@ -82,9 +82,7 @@ class Cameras:
         if not np.allclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
             raise ValueError("viewmats: expected a last row of 0 0 0 1, got another; are the matrices transposed?")
         if len(ks) and (min(ks[:, 0, 0].min(), ks[:, 1, 1].min()) <= 0 or not np.allclose(ks[:, 2], [0.0, 0.0, 1.0])):
-            raise ValueError(
-                "Ks: expected focal lengths > 0 and a last row of 0 0 1, got a matrix that has neither or one"
-            )
+            raise ValueError("Ks: expected focal lengths > 0 and a last row of 0 0 1, got a matrix without one or both")
         names = tuple(names) if names is not None else tuple(f"{i:05d}" for i in range(len(poses)))
         if len(names) != len(poses):
             raise ValueError(f"names: expected {len(poses)} names, one for each camera, got {len(names)}")
@@ -107,12 +105,12 @@ class Cameras:
         height: int = 192,
         fov: float = 60.0,
     ) -> Cameras:
-        """Cameras at `eyes` that look at `targets` with `up` upwards in the image.
+        """Return cameras at `eyes` that look at `targets`, with `up` upward in the image.
 
         Args:
             eyes: (C, 3) viewpoints, world frame.
-            targets: (C, 3) or (3,) points to look at.
-            up: (3,) world direction; where it is parallel to the view another is taken.
+            targets: (C, 3) or (3,) points to look at, world frame.
+            up: (3,) world direction; replaced by another where it is parallel to the view.
             width: Pixels.
             height: Pixels.
             fov: Horizontal field of view, degrees.
@@ -156,11 +154,11 @@ class Cameras:
         height: int = 192,
         fov: float = 60.0,
     ) -> Cameras:
-        """`count` cameras evenly spaced on a circle around `center`, all looking at it.
+        """Return `count` cameras evenly spaced on a circle around `center`, all looking at it.
 
         Args:
             center: (3,) world point.
-            radius: Distance from it, scene units, > 0.
+            radius: Radius of the circle, scene units, > 0.
             count: Number of cameras.
             up: (3,) axis of the circle.
             elevation: Degrees above the plane through `center`, in (-90, 90).
@@ -184,14 +182,14 @@ class Cameras:
 
     @classmethod
     def cubemap(cls, viewpoints: ArrayLike, size: int) -> Cameras:
-        """Six square cameras of 90 degrees around each viewpoint: +x, -x, +y, -y, +z, -z of the world.
+        """Return six square cameras of 90 degrees around each viewpoint: +x, -x, +y, -y, +z, -z of the world.
 
         Args:
-            viewpoints: (V, 3) positions.
-            size: Pixels along a side of each face.
+            viewpoints: (V, 3) positions, world frame.
+            size: Side of each face in pixels.
 
         Returns:
-            6 V cameras, the six faces of a viewpoint one after the other.
+            6 V cameras; the six faces of a viewpoint are consecutive.
 
         Examples:
             >>> around = Cameras.cubemap([[0, 0, 0], [1, 0, 0]], size=32)
@@ -215,7 +213,7 @@ class Cameras:
         return len(self.viewmats)
 
     def __getitem__(self, index: Any) -> Cameras:
-        """The cameras at a slice, a mask, an index array, or one integer (one camera)."""
+        """Select cameras by a slice, a mask, an index array, or one integer (one camera)."""
         where = np.arange(len(self))[index].reshape(-1)
         return Cameras(
             self.viewmats[where], self.Ks[where], self.width, self.height, tuple(self.names[int(i)] for i in where)
@@ -226,27 +224,27 @@ class Cameras:
 
     @property
     def viewpoints(self) -> F64:
-        """(C, 3) positions in the world."""
+        """(C, 3) positions, world frame."""
         return np.asarray(-np.einsum("cji,cj->ci", self.viewmats[:, :3, :3], self.viewmats[:, :3, 3]))
 
     @property
     def forwards(self) -> F64:
-        """(C, 3) unit directions of view in the world."""
+        """(C, 3) unit view directions, world frame."""
         return np.asarray(self.viewmats[:, 2, :3])
 
-    def resized(self, width: int, height: int) -> Cameras:
-        """The same views sampled with another number of pixels."""
+    def resize(self, width: int, height: int) -> Cameras:
+        """Return the same views at another resolution."""
         _check.positive_int("width", width)
         _check.positive_int("height", height)
         factor = np.array([width / self.width, height / self.height, 1.0])
         return Cameras(self.viewmats, self.Ks * factor[None, :, None], width, height, self.names)
 
     def rays(self) -> tuple[F64, F64]:
-        """Rays through all pixel centers.
+        """Return rays through all pixel centers.
 
         Returns:
             rays_o: (C * height * width, 3) origins, world frame.
-            rays_d: (C * height * width, 3) unit directions, row by row, camera by camera.
+            rays_d: (C * height * width, 3) unit directions; camera by camera, row by row.
         """
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)])

@@ -1,4 +1,4 @@
-"""What a scene is, as one short string: files that were made from a scene name it by its content, not by its path."""
+"""Hash a scene by content, so that files made from it name it independently of its path."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def scene_hash(g: Gaussians) -> str:
-    """SHA-256 over the number of Gaussians and all their arrays, in their order, as 64 hexadecimal digits.
+    """Return the SHA-256 of the number of Gaussians and all their arrays, in order, as 64 hexadecimal digits.
 
-    Equal for equal arrays whatever file they came from; a permutation, a change of the last bit, or another SH degree
-    gives another hash.
+    Equal arrays give equal hashes, whatever file they came from. A permutation, a change of one bit, or another SH
+    degree gives another hash.
 
     Args:
         g: The scene.
@@ -32,10 +32,10 @@ def scene_hash(g: Gaussians) -> str:
 
 
 def space_hash(space: NavigableSpace) -> str:
-    """SHA-256 over the grid of a navigable space and its free voxels, as 64 hexadecimal digits.
+    """Return the SHA-256 of a navigable space's grid and free voxels, as 64 hexadecimal digits.
 
     Args:
-        space: Where eyes may be; what stops light in it, targets and the up axis do not count.
+        space: The navigable space; occupied voxels, targets and the up axis do not change the hash.
     """
     digest = hashlib.sha256(np.packbits(space.free).tobytes())
     digest.update(np.concatenate([space.origin, [space.voxel_size], space.free.shape]).astype("<f8").tobytes())

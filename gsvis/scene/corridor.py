@@ -1,6 +1,6 @@
-"""The part of a navigable space that lies along a recorded walk: where eyes are when people follow that walk.
+"""Cut a navigable space to the part along a recorded walk.
 
-Scene frame and units. Knows nothing of what can be seen.
+Scene frame and units. This module knows nothing about visibility.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from gsvis import _check
 from gsvis.scene.navigable import NavigableSpace
@@ -23,25 +22,27 @@ _MOST_POINTS = 4_000_000
 
 
 def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None = None) -> NavigableSpace:
-    """The free voxels of a space that lie along a walk.
+    """Return the free voxels of a space along a walk.
 
     Args:
-        space: Where eyes may be in the scene.
-        positions: (T, 3) the walk, in the space's frame; between two of them it goes straight.
+        space: Allowed viewpoints in the scene.
+        positions: (T, 3) the walk, in the space's frame; straight between two positions.
         margin: Distance from the walk, scene units, within which voxels are kept; None means 3 voxels.
 
     Returns:
         The same grid with fewer free voxels.
 
     Raises:
-        ValueError: If the margin is not a finite number > 0, or less than half of the positions lie within it of a
-            free voxel: the walk is of another frame, or of another scene.
+        ValueError: If the margin is not a finite number > 0, or if fewer than half of the positions lie within it of a
+            free voxel: the walk is in another frame or belongs to another scene.
 
     Examples:
         >>> room = NavigableSpace.from_box((0, 0, 0), (4, 4, 4), 16)
         >>> corridor(room, [[0.5, 2, 2], [3.5, 2, 2]], margin=0.5).volume < 0.2 * room.volume
         True
     """
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
     points = _check.floats("positions", positions, ("T", 3), np.float64)
     if len(points) == 0:
         raise ValueError("positions: expected at least one, got none")
@@ -66,14 +67,14 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
 
 
 def _voxels(space: NavigableSpace, points: F64) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The voxel of each point, and whether it lies on the grid."""
+    """Return the voxel of each point, and whether it lies on the grid."""
     shape = np.array(space.free.shape)
     voxels = np.floor(np.clip((points - space.origin) / space.voxel_size, -1.0, shape)).astype(np.int64)
     return voxels, np.all((voxels >= 0) & (voxels < shape), axis=1)
 
 
 def _fill_in(points: F64, step: float) -> F64:
-    """The points with others between them, so that no step is longer than `step`, as far as memory goes."""
+    """Return the points with others in between, so that no step exceeds `step`, as far as memory allows."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     step = max(step, float(lengths.sum()) / _MOST_POINTS)
     counts = np.maximum(np.ceil(lengths / step).astype(np.int64), 1)

@@ -1,4 +1,4 @@
-"""The scene: a frozen set of 3D Gaussians with activated values.
+"""Store a scene: a frozen set of 3D Gaussians with activated values.
 
 Frame and units are the scene's own (any handedness-preserving world frame). Quaternions are wxyz, scales are
 standard deviations, opacities lie in [0, 1]. This module knows no file format, no camera and no renderer.
@@ -28,10 +28,10 @@ _TURN = "pass (1, 0, 0, 0) for no rotation"
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Gaussians:
-    """N 3D Gaussians, validated, read-only, activated.
+    """Store N 3D Gaussians, validated, read-only, activated.
 
-    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterward. Torch tensors are
-    taken from any device; those that require a gradient are copied.
+    Contiguous float32 arrays are used without a copy: do not write to them afterward. Torch tensors are accepted
+    from any device; those that require a gradient are copied.
 
     Args:
         means: (N, 3) centers, scene units.
@@ -42,7 +42,7 @@ class Gaussians:
         shN: (N, K-1, 3) higher SH coefficients, K in {1, 4, 9, 16}; None means degree 0.
 
     Raises:
-        ValueError: If a shape, a length or a value is out of its range; the message names the argument.
+        ValueError: If a shape, a length or a value is out of range; the message names the argument.
 
     Examples:
         >>> ball = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 2]], [0.5], [[[0, 0, 0]]])
@@ -92,13 +92,13 @@ class Gaussians:
 
     @classmethod
     def empty(cls, sh_degree: int = 0) -> Gaussians:
-        """A scene of no Gaussians."""
+        """Return a scene without Gaussians."""
         z = np.zeros
         return cls(z((0, 3)), z((0, 4)), z((0, 3)), z(0), z((0, 1, 3)), z((0, (sh_degree + 1) ** 2 - 1, 3)))
 
     @classmethod
     def concatenate(cls, parts: list[Gaussians]) -> Gaussians:
-        """One scene of several; lower SH degrees are padded with zeros up to the highest.
+        """Return one scene with the Gaussians of several; lower SH degrees are padded with zeros.
 
         Raises:
             ValueError: If `parts` is empty.
@@ -114,7 +114,7 @@ class Gaussians:
         return len(self.means)
 
     def __getitem__(self, index: Any) -> Gaussians:
-        """The Gaussians at a slice, a boolean mask, an index array, or one integer (a scene of one)."""
+        """Select Gaussians by a slice, a boolean mask, an index array, or one integer (a scene of one)."""
         if isinstance(index, int | np.integer):
             index = np.asarray([index])
         if isinstance(index, tuple) or np.ndim(index) > 1:
@@ -131,7 +131,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """0 to 3."""
+        """Degree of the SH coefficients, 0 to 3."""
         return sh_degree_of(1 + self.shN.shape[1])
 
     @property
@@ -140,9 +140,9 @@ class Gaussians:
         return sum(int(getattr(self, name).nbytes) for name in _NAMES)
 
     def bounds(self, coverage: float = 0.98) -> F64:
-        """Axis-aligned box that holds the middle `coverage` of the centers on each axis.
+        """Return an axis-aligned box with the middle `coverage` of the centers on each axis.
 
-        Trained scenes have floaters thousands of scene sizes away, so the extreme centers say nothing.
+        Trained scenes have floaters thousands of scene sizes away, so the extreme centers are of no use.
 
         Args:
             coverage: Share of the centers kept on each axis, in (0, 1]; 1 gives the exact box.
@@ -161,16 +161,16 @@ class Gaussians:
         return np.asarray(np.quantile(self.means.astype(np.float64), [tail, 1.0 - tail], axis=0))
 
     def rotations(self) -> F64:
-        """(N, 3, 3) rotation matrices, world from Gaussian; columns are the principal axes."""
+        """Return (N, 3, 3) rotation matrices, world from Gaussian; columns are the principal axes."""
         return rotations_from_quats(self.quats)
 
     def covars(self) -> F64:
-        """(N, 3, 3) covariances R diag(scales^2) R^T, scene units squared."""
+        """Return (N, 3, 3) covariances R diag(scales^2) R^T, scene units squared."""
         half = self.rotations() * self.scales.astype(np.float64)[:, None, :]
         return np.asarray(half @ np.swapaxes(half, 1, 2))
 
     def transform(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0), scale: float = 1.0) -> Gaussians:
-        """The same scene in another frame: x -> scale * R x + t; view-dependent color turns with it.
+        """Return the same scene in another frame: x -> scale * R x + t; view-dependent color is rotated too.
 
         Args:
             rotation: (3, 3) rotation, new frame from old frame.
@@ -181,7 +181,7 @@ class Gaussians:
             A new scene of the same length and order.
 
         Raises:
-            ValueError: If `rotation` is no rotation or `scale` is not positive.
+            ValueError: If `rotation` is not a rotation or `scale` is not positive.
         """
         r = _check.floats("rotation", rotation, (3, 3), np.float64)
         t = _check.floats("translation", translation, (3,), np.float64)
@@ -214,14 +214,14 @@ def _normalize(quats: F32) -> F32:
 
 
 def _quat_product(left: F64, right: F64) -> F64:
-    """Hamilton product of one quaternion (4,) with many (N, 4), wxyz."""
+    """Return the Hamilton products of one quaternion (4,) with many (N, 4), wxyz."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return np.asarray(right @ matrix.T)
 
 
 def rotations_from_quats(quats: NDArray[np.floating[Any]]) -> F64:
-    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions wxyz."""
+    """Return (N, 3, 3) rotation matrices of (N, 4) unit quaternions wxyz."""
     w, x, y, z = quats.astype(np.float64).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -232,7 +232,7 @@ def rotations_from_quats(quats: NDArray[np.floating[Any]]) -> F64:
 
 
 def quats_from_rotations(rotations: NDArray[np.floating[Any]]) -> F64:
-    """(N, 4) unit quaternions wxyz, w >= 0, of (N, 3, 3) rotation matrices.
+    """Return (N, 4) unit quaternions wxyz, w >= 0, of (N, 3, 3) rotation matrices.
 
     References:
         Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", JGCD 2000.

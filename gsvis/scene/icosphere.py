@@ -1,7 +1,8 @@
-"""The icosahedron and its subdivisions: unit vertices, outward triangles, and the 80 faces of direction sets.
+"""Subdivide the icosahedron: unit vertices, outward triangles, and the 80 faces of direction sets.
 
-Vertices (0, ±1, ±phi) and cyclic permutations, scaled to length 1; each subdivision cuts every face in four at its
-edge midpoints, pushed to the unit sphere. The order of vertices and faces is part of the file formats: never change it.
+Vertices are (0, ±1, ±phi) and cyclic permutations, scaled to length 1. Each subdivision splits every face into four at
+its edge midpoints, which move to the unit sphere. The order of vertices and faces is part of the file formats: never
+change it.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ from gsvis import _check
 __all__ = ["NUM_FACES", "face_directions", "face_shares", "icosphere"]
 
 NUM_FACES = 80
-"""Faces of the once-subdivided icosahedron."""
+"""Number of faces of the once-subdivided icosahedron."""
 
 
 @lru_cache(maxsize=8)
 def icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Unit sphere of 20 * 4^subdivisions triangles.
+    """Return a unit sphere of 20 * 4^subdivisions triangles.
 
     Args:
         subdivisions: 0 gives the icosahedron, 1 the 80 faces of the direction sets.
 
     Returns:
-        vertices: (V, 3) unit vectors, read-only; those of a coarser sphere come first.
+        vertices: (V, 3) unit vectors, read-only; the vertices of a coarser sphere come first.
         faces: (F, 3) int64, counter-clockwise seen from outside, read-only; the four parts of face f are 4f..4f+3.
 
     Raises:
@@ -69,10 +70,10 @@ def _subdivide(
 
 
 def face_directions(rays_per_face: int = 1) -> NDArray[np.float64]:
-    """Directions spread over each of the 80 faces of the once-subdivided icosahedron.
+    """Return directions spread over each of the 80 faces of the once-subdivided icosahedron.
 
     Args:
-        rays_per_face: 1, 4, 16 or 64: the centers of the face cut in that many parts.
+        rays_per_face: 1, 4, 16 or 64: the face is split into that many parts, one direction through the center of each.
 
     Returns:
         (80, rays_per_face, 3) unit vectors.
@@ -86,7 +87,7 @@ def face_directions(rays_per_face: int = 1) -> NDArray[np.float64]:
 
 
 def face_shares(rays_per_face: int = 1) -> NDArray[np.float64]:
-    """(80, rays_per_face) shares of the sphere of the parts whose centers `face_directions` gives; they sum to 1.
+    """Return (80, rays_per_face) shares of the sphere, one for each part of `face_directions`; they sum to 1.
 
     Raises:
         ValueError: If `rays_per_face` is not 1, 4, 16 or 64.
@@ -101,7 +102,7 @@ def face_shares(rays_per_face: int = 1) -> NDArray[np.float64]:
 
 
 def _corners(rays_per_face: int) -> NDArray[np.float64]:
-    """(80 * rays_per_face, 3, 3) unit corners, the parts of a face behind each other."""
+    """Return (80 * rays_per_face, 3, 3) unit corners; the parts of a face are consecutive."""
     if rays_per_face not in (1, 4, 16, 64):
         raise ValueError(f"rays_per_face: expected 1, 4, 16 or 64, got {rays_per_face!r}")
     vertices, faces = icosphere(1 + (1, 4, 16, 64).index(rays_per_face))

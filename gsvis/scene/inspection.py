@@ -1,7 +1,7 @@
-"""What a scene is like and what looks wrong with it: counts, bounds, the likely up axis, quantiles, problems.
+"""Inspect a scene: counts, bounds, the likely up axis, quantiles, problems.
 
-Frame and units are the scene's own. Everything here is an estimate from the Gaussians alone; this module knows no
-file and no renderer. Nothing random: the same scene gives the same report.
+Frame and units are the scene's own. Everything here is an estimate from the Gaussians alone. This module knows no
+file and no renderer. It is deterministic: the same scene gives the same report.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ F64 = NDArray[np.float64]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 MIN_ALPHA = 1.0 / 255.0  # docs/conventions.md
-FLOATER_EXTENT = 5.0  # times the robust box, about its middle
+FLOATER_EXTENT = 5.0  # in sizes of the robust box, about its middle
 _QUANTILES = {"min": 0.0, "p1": 0.01, "p10": 0.1, "p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
 _ALIGNED = np.cos(np.radians(20.0))
-# How common each up axis is among published scenes, as log odds: COLMAP gives -y, viewers +y, scanners and CAD +z.
+# Log odds of each up axis among published scenes: COLMAP gives -y, viewers +y, scanners and CAD +z.
 _PRIOR = {"+x": -0.3, "-x": -0.3, "+y": 0.15, "-y": 0.3, "+z": 0.15, "-z": -0.3}
 
 
 @dataclass(frozen=True)
 class SceneReport:
-    """What `inspect_scene` found. Lengths are in scene units, shares are of all Gaussians, in [0, 1].
+    """Results of `inspect_scene`. Lengths are in scene units, shares are of all Gaussians, in [0, 1].
 
     Args:
         count: Number of Gaussians.
         sh_degree: 0 to 3.
         bytes_in_memory: Bytes of the arrays.
-        bounds: Lowest and highest corner of the box of all centers; empty for a scene of none.
+        bounds: Lowest and highest corner of the box of all centers; empty for an empty scene.
         robust_bounds: The same for the middle 98% of the centers on each axis.
         up: Likely up axis, such as "+z".
         up_confidence: In (0, 1].
         opacities: Quantiles of the opacities by name.
         scales: Quantiles of the largest standard deviation of each Gaussian by name.
-        invisible_share: Opacity below 1/255.
-        opaque_share: Opacity of at least one half.
-        floaters: Centers outside 5 times the robust box.
-        farthest: Distance of the farthest center from the middle of the robust box, in its diagonals.
-        duplicates: Gaussians whose place, shape and opacity equal an earlier one's.
-        needle_share: Largest scale more than 10 times the middle one.
-        disc_share: No needle, and smallest scale less than a tenth of the middle one.
-        giant_share: Largest scale more than a tenth of the robust box's longest side.
-        problems: What looks wrong, a sentence each; empty when nothing does.
+        invisible_share: Share with an opacity below 1/255.
+        opaque_share: Share with an opacity of at least one half.
+        floaters: Number of centers outside 5 times the robust box.
+        farthest: Distance of the farthest center from the middle of the robust box, in diagonals of the box.
+        duplicates: Number of Gaussians whose place, shape and opacity equal an earlier one's.
+        needle_share: Share with a largest scale more than 10 times the middle one.
+        disc_share: Share, without needles, with a smallest scale less than a tenth of the middle one.
+        giant_share: Share with a largest scale more than a tenth of the robust box's longest side.
+        problems: Likely problems, one sentence each; empty if there are none.
     """
 
     count: int
@@ -73,19 +73,19 @@ class SceneReport:
     problems: list[str]
 
     def as_dict(self) -> dict[str, Any]:
-        """The report as plain numbers, strings and lists, ready for JSON."""
+        """Return the report as plain numbers, strings and lists, ready for JSON."""
         return asdict(self)
 
 
 def inspect_scene(g: Gaussians, *, up: str | None = None) -> SceneReport:
-    """Count, measure and judge a scene.
+    """Count, measure and check a scene.
 
     Args:
         g: The scene; may be empty.
         up: The up axis where it is known, such as "+z"; None guesses.
 
     Returns:
-        The report; its `problems` name what a user should look at first.
+        The report; `problems` lists what to check first.
     """
     up, confidence = guess_up(g) if up is None else (up, 1.0)
     if len(g) == 0:
@@ -129,7 +129,7 @@ def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
 
 
 def _count_duplicates(g: Gaussians) -> int:
-    """How many Gaussians repeat an earlier one bit for bit, by a 64-bit hash of place, shape and opacity."""
+    """Count the Gaussians that repeat an earlier one bit for bit, by a 64-bit hash of place, shape and opacity."""
     mixed = np.zeros(len(g), np.uint64)
     for column in (*g.means.T, *g.scales.T, *g.quats.T, g.opacities):
         mixed ^= np.ascontiguousarray(column).view(np.uint32)
@@ -139,7 +139,7 @@ def _count_duplicates(g: Gaussians) -> int:
 
 
 def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
-    """What looks wrong, most telling first."""
+    """Yield likely problems, the most important first."""
     low, high = np.array(r.robust_bounds)
     longest = float((high - low).max())
     if r.floaters:
@@ -162,11 +162,11 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
         unit = "meters are unlikely; millimeters or map units?" if longest > 1000.0 else "meters are unlikely"
         yield f"the scene is {longest:.3g} units long: {unit}"
     if r.up_confidence < 0.6:
-        yield f"the up axis is uncertain ({r.up} with a confidence of {r.up_confidence:.0%}); look before relying on it"
+        yield f"the up axis is uncertain ({r.up} with a confidence of {r.up_confidence:.0%}); verify it"
 
 
 def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[str]:
-    """Values that hint at a wrong activation on the way in."""
+    """Yield values that suggest a wrong activation on import."""
     many = r.count >= 100
     if many and r.opacities["min"] == r.opacities["max"]:
         yield f"all opacities equal {r.opacities['min']:.3g}"
@@ -192,10 +192,10 @@ def _some(count: int, many: str = "lie", one: str = "lies") -> str:
 
 
 def axis_vector(axis: str) -> F64:
-    """(3,) unit vector of an axis such as "+z" or "-y".
+    """Return the (3,) unit vector of an axis such as "+z" or "-y".
 
     Raises:
-        ValueError: If it names no axis.
+        ValueError: If it is not the name of an axis.
     """
     if axis not in AXES:
         raise ValueError(f"axis: expected one of {', '.join(map(repr, AXES))}, got {axis!r}")
@@ -205,18 +205,18 @@ def axis_vector(axis: str) -> F64:
 
 
 def guess_up(g: Gaussians) -> tuple[str, float]:
-    """The likely up axis of a scene.
+    """Guess the up axis of a scene.
 
-    Sums log odds for each signed axis from what trained scenes have in common. Captured surroundings are flat: the
-    shortest side of the robust box is up; a lone object, known by its box without floaters, stands: its longest side
-    is up. Thin Gaussians lie on floors and tables. Mass sits low. Objects are put on the origin's plane.
-    On top of it all lies a mild prior, which says -y where there is no evidence.
+    Sums log odds for each signed axis from properties that trained scenes share. Captured surroundings are flat: the
+    shortest side of the robust box is up. A lone object, recognized by a box without floaters, is tall: its longest
+    side is up. Thin Gaussians lie on floors and tables. Mass sits low. Objects stand on the plane through the origin. A
+    mild prior favors -y where there is no evidence.
 
     Args:
         g: The scene.
 
     Returns:
-        The axis, such as "+z" or "-y", and a confidence in (0, 1], the share of its odds among the six axes.
+        The axis, such as "+z" or "-y", and a confidence in (0, 1]: its share of the odds of the six axes.
     """
     odds = dict(_PRIOR)
     robust = g.bounds(0.98) if len(g) else np.zeros((2, 3))
@@ -235,13 +235,13 @@ def guess_up(g: Gaussians) -> tuple[str, float]:
 
 
 def _areas(g: Gaussians, cap: float) -> F64:
-    """(N,) opacity times the product of the two larger scales, which are cut at `cap`."""
+    """Return (N,) opacity times the product of the two larger scales, which are clipped at `cap`."""
     scales = np.minimum(np.sort(g.scales.astype(np.float64), axis=1), cap)
     return np.asarray(g.opacities * scales[:, 1] * scales[:, 2], np.float64)
 
 
 def _low_mass(kept: Gaussians, robust: F64) -> F64:
-    """(3,) how far the opaque area crowds toward the low end of each axis; negative for the high end; in [-2, 2]."""
+    """Return (3,) how much opaque area lies at the low end of each axis, in [-2, 2]; negative for the high end."""
     extent = robust[1] - robust[0]
     weights = _areas(kept, 0.05 * float(extent.max()))
     weights /= weights.sum()
@@ -256,7 +256,7 @@ def _low_mass(kept: Gaussians, robust: F64) -> F64:
 
 
 def _flat_normals(kept: Gaussians) -> F64:
-    """(3,) half the log of the area with its normal within 20 degrees of each axis over the mean of the three; >= 0."""
+    """Return (3,) half the log of the area with its normal within 20 degrees of each axis over the mean; >= 0."""
     scales = np.sort(kept.scales.astype(np.float64), axis=1)
     areas = _areas(kept, float(np.quantile(scales[:, 2], 0.99))) * (1.0 - scales[:, 0] / scales[:, 1]) ** 2
     normals = np.take_along_axis(kept.rotations(), kept.scales.argmin(axis=1)[:, None, None], axis=2)[:, :, 0]
@@ -267,13 +267,13 @@ def _flat_normals(kept: Gaussians) -> F64:
 
 
 def has_no_floaters(g: Gaussians) -> bool:
-    """Whether the exact box is at most 1.5 times the robust one on every axis: a lone object or a cropped scene."""
+    """Return whether the exact box is at most 1.5 times the robust one on every axis: a lone object or a crop."""
     exact, robust = np.subtract(*g.bounds(1.0)[::-1]), np.subtract(*g.bounds(0.98)[::-1])
     return bool(np.all(exact <= 1.5 * robust))
 
 
 def _proportions(g: Gaussians) -> F64:
-    """(3,) log odds from the shape of the box: surroundings are flat, a lone object is tall."""
+    """Return (3,) log odds from the shape of the box: surroundings are flat, a lone object is tall."""
     middle = np.subtract(*g.bounds(0.9)[::-1])
     odds = np.zeros(3)
     order = np.argsort(middle)
@@ -285,7 +285,7 @@ def _proportions(g: Gaussians) -> F64:
 
 
 def _on_origin_plane(g: Gaussians, robust: F64) -> F64:
-    """(3,) +1 where a clean scene stands on the plane through the origin with the low end of that axis, -1 the high."""
+    """Return (3,) +1 if the low end of a clean scene lies on the origin's plane on that axis, -1 if the high end."""
     exact = g.bounds(1.0)
     extent = robust[1] - robust[0]
     at = -robust[0] / extent

@@ -1,7 +1,7 @@
-"""Quality levels that share Gaussians: one union, and from which level to which each of its Gaussians stands.
+"""Store quality levels that share Gaussians: one union, and the first and last level of each of its Gaussians.
 
-Levels run from low to high. What stands in two neighbors is the same in both, so an upgrade sends only the rest. This
-module knows no file, no camera and no training.
+Levels run from low to high. A Gaussian that belongs to two neighboring levels is the same in both, so an upgrade sends
+only the rest. This module knows no file, no camera and no training.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ I64 = NDArray[np.int64]
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Levels:
-    """N Gaussians of all levels together, each a member of the levels first to last.
+    """Store N Gaussians of all levels together; each belongs to the levels first to last.
 
     Args:
         union: N Gaussians, each once.
-        first: (N,) the lowest level that has it, 0 is the lowest of all.
-        last: (N,) the highest level that has it, >= first.
+        first: (N,) lowest level with this Gaussian; 0 is the lowest of all.
+        last: (N,) highest level with this Gaussian, >= first.
         names: L names, lowest first.
 
     Raises:
@@ -70,7 +70,7 @@ class Levels:
 
     @classmethod
     def single(cls, gaussians: Gaussians, name: str = "high") -> Levels:
-        """A scene without levels, as one level."""
+        """Return a scene without levels as one level."""
         none = np.zeros(len(gaussians), np.uint8)
         return cls(gaussians, none, none, (name,))
 
@@ -84,38 +84,38 @@ class Levels:
         return f"Levels({sizes} of {len(self.union):,}" + (f"; reuse {reuse})" if reuse else ")")
 
     def member(self, level: int) -> NDArray[np.bool_]:
-        """(N,) whether a Gaussian of the union belongs to a level."""
+        """Return (N,) whether each Gaussian of the union belongs to a level."""
         if not 0 <= level < len(self.names):
             raise ValueError(f"level: expected 0 to {len(self.names) - 1}, got {level!r}")
         return np.asarray((self.first <= level) & (level <= self.last))
 
     def level(self, level: int) -> Gaussians:
-        """The Gaussians of a level, in the order of the union."""
+        """Return the Gaussians of a level, in the order of the union."""
         return self.union[self.member(level)]
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Gaussians of each level."""
+        """Number of Gaussians of each level."""
         return tuple(int(self.member(k).sum()) for k in range(len(self)))
 
     @property
     def reuse(self) -> tuple[float, ...]:
-        """Share of each level but the last that stands in the next: L - 1 values in [0, 1]."""
+        """Share of each level but the last that belongs to the next too: L - 1 values in [0, 1]."""
         return tuple(float((self.member(k) & self.member(k + 1)).sum() / self.counts[k]) for k in range(len(self) - 1))
 
     @property
     def overhead(self) -> float:
-        """What going up level by level sends beyond the highest alone, as a share of that."""
+        """What an upgrade through all levels sends beyond the highest alone, as a share of the highest."""
         return len(self.union) / self.counts[-1] - 1.0
 
 
 def union_of(scene: Gaussians | Levels) -> Gaussians:
-    """The Gaussians that ids are of."""
+    """Return the Gaussians that ids index: the union of levels, or the scene itself."""
     return scene.union if isinstance(scene, Levels) else scene
 
 
 def as_levels(scene: Gaussians | Levels) -> Levels:
-    """A scene without levels is one level.
+    """Return levels; a scene without levels becomes one level.
 
     Raises:
         ValueError: If it is empty.
@@ -124,14 +124,14 @@ def as_levels(scene: Gaussians | Levels) -> Levels:
 
 
 def level_scenes(levels: Levels) -> Iterator[tuple[Gaussians, I64]]:
-    """Each level as a scene of its own, lowest first, and the (n,) rising ids of its Gaussians in the union."""
+    """Yield each level as a scene, lowest first, with the (n,) ascending ids of its Gaussians in the union."""
     for k in range(len(levels)):
         ids = np.flatnonzero(levels.member(k))
         yield (levels.union if len(ids) == len(levels.union) else levels.union[ids]), ids
 
 
 def levels_record(scene: Gaussians | Levels) -> dict[str, Any] | None:
-    """Names, counts and a hash of who belongs where, as JSON keeps them; None for a scene or a single level."""
+    """Return names, counts and a hash of the memberships for JSON; None for a scene or a single level."""
     if not isinstance(scene, Levels) or len(scene) == 1:
         return None
     membership = hashlib.sha256(b"gsvis levels 1\n" + scene.first.tobytes() + scene.last.tobytes()).hexdigest()

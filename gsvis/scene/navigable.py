@@ -1,9 +1,9 @@
-"""Navigable space: where a visitor's eye can be; free of opacity, inside robust bounds, connected.
+"""Find navigable space, the voxels where a visitor's eye can be: free of opacity, inside robust bounds, connected.
 
-A voxel grid in the scene's own frame and units. Built from the Gaussians alone, or from a box; samples viewpoints
-and cameras for everything that needs views and has none. Knows no file and no renderer.
+A voxel grid in the scene's own frame and units, built from the Gaussians alone or from a box. It samples viewpoints and
+cameras for code that needs views. Knows no file and no renderer.
 
-Which voxels count is decided in `_occupancy.py`; its opening lines state the rule.
+`_occupancy.py` decides which voxels count; its first lines state the rule.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_RESOLUTION = 384
-_TRIES = 16  # targets drawn for a camera
+_TRIES = 16  # targets tried for a camera
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NavigableSpace:
-    """Voxels in which an eye may be, with what is needed to point cameras at content.
+    """Store the voxels where an eye may be, and what is needed to point cameras at content.
 
     Args:
         origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
@@ -39,8 +39,8 @@ class NavigableSpace:
         free: (X, Y, Z) navigable voxels.
         up: (3,) unit up axis of cameras.
         occupied: (X, Y, Z) voxels that stop light; none by default.
-        targets: (T, 3) points worth looking at; with none, cameras look at points of the box.
-        rule: Which rule chose the voxels, for reports.
+        targets: (T, 3) points worth looking at; if empty, cameras look at points of the box.
+        rule: Name of the rule that chose the voxels, for reports.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -93,17 +93,17 @@ class NavigableSpace:
         up: ArrayLike | str | None = None,
         seeds: ArrayLike | None = None,
     ) -> NavigableSpace:
-        """The navigable space of a scene, by the rule at the top of this module.
+        """Find the navigable space of a scene, by the rule at the top of this module.
 
         Args:
             g: The scene.
             resolution: Voxels along the longest side of the box, 8 to 384.
-            max_alpha: Share of light, in (0, 1), from which on a voxel counts as occupied.
-            clearance: Distance to keep from occupied voxels, in voxels, between centers.
-            coverage: Share of the centers inside the box on each axis; what lies beyond is ignored.
+            max_alpha: Share of lost light, in (0, 1), above which a voxel counts as occupied.
+            clearance: Required distance from occupied voxels, in voxels, between centers.
+            coverage: Share of the centers inside the box on each axis; the rest is ignored.
             up: (3,) direction or an axis such as "+z"; guessed by default.
-            seeds: (S, 3) positions known to be navigable, such as captured cameras. The box is widened to hold
-                them, and the connected parts that hold them are kept instead of the largest.
+            seeds: (S, 3) positions known to be navigable, such as captured cameras. The box grows to hold them. The
+                connected parts that hold them are kept instead of the largest part.
 
         Raises:
             ValueError: If an argument is out of range.
@@ -124,11 +124,11 @@ class NavigableSpace:
         axis = axis_vector(guess_up(g)[0]) if up is None else axis_vector(up) if isinstance(up, str) else up
         axis = _check.unit_vectors("up", np.reshape(np.asarray(axis, np.float64), (1, -1)))[0]
         low, high = robust_box(seen, coverage, points)
-        space = Occupancy.of(seen, low, high, resolution, max_alpha, clearance)
+        space = Occupancy.from_gaussians(seen, low, high, resolution, max_alpha, clearance)
         free, rule, enclosed = space.choose(axis, points)
         if not enclosed and not len(points) and has_no_floaters(seen):
             margin = 0.5 * float((high - low).max()) * (1.0 - np.abs(axis))
-            space = Occupancy.of(seen, low - margin, high + margin, resolution, max_alpha, clearance)
+            space = Occupancy.from_gaussians(seen, low - margin, high + margin, resolution, max_alpha, clearance)
             free, rule = space.largest_part(), "free, around a lone object"
         return cls(space.origin, space.voxel_size, free, axis, space.occupied, space.targets(seen), rule)
 
@@ -136,12 +136,12 @@ class NavigableSpace:
     def from_box(
         cls, low: ArrayLike, high: ArrayLike, resolution: int = 32, *, up: ArrayLike = (0.0, 0.0, 1.0)
     ) -> NavigableSpace:
-        """Everything inside a box; the grid is fitted to its longest side.
+        """Return everything inside a box; the grid is fitted to its longest side.
 
         Args:
             low: (3,) lowest corner.
             high: (3,) highest corner, above `low` on every axis.
-            resolution: Voxels along the longest side; the others are rounded down, to at least one.
+            resolution: Voxels along the longest side; the other sides are rounded down, to at least one voxel.
             up: (3,) up direction.
 
         Raises:
@@ -168,12 +168,12 @@ class NavigableSpace:
         return float(np.count_nonzero(self.free)) * self.voxel_size**3
 
     def contains(self, points: ArrayLike) -> Mask:
-        """(M,) whether each of the (M, 3) points lies in a navigable voxel."""
+        """Return (M,) whether each of the (M, 3) points lies in a navigable voxel."""
         array = _check.floats("points", points, ("M", 3), np.float64)
         return self._look_up(self.free, array)
 
     def sample_viewpoints(self, count: int, rng: np.random.Generator) -> F64:
-        """(count, 3) positions uniform in the navigable space.
+        """Return (count, 3) positions, uniform in the navigable space.
 
         Args:
             count: Number of viewpoints.
@@ -182,16 +182,16 @@ class NavigableSpace:
         _check.positive_int("count", count, at_least=0)
         flat = np.flatnonzero(self.free)
         voxels = np.stack(np.unravel_index(flat[rng.integers(len(flat), size=count)], self.free.shape), axis=1)
-        # Kept off the faces of the voxel, so that rounding never puts a viewpoint into the next one.
+        # Keep off the faces of the voxel, so that rounding never puts a viewpoint into the next one.
         return np.asarray(self.origin + self.voxel_size * (voxels + 0.001 + 0.998 * rng.random((count, 3))))
 
     def sample_cameras(
         self, count: int, rng: np.random.Generator, *, width: int = 256, height: int = 192, fov: float = 60.0
     ) -> Cameras:
-        """Cameras as a visitor would hold them: anywhere in the space, upright, looking at something.
+        """Sample cameras as a visitor would hold them: anywhere in the space, upright, looking at something.
 
-        Each looks toward a random target within 45 degrees of the horizon whose line of sight stays free for at
-        least 5% of the grid's longest side. Where 16 draws find none, it takes the draw with the longest free line.
+        Each looks at a random target within 45 degrees of the horizon whose line of sight stays free for at least 5% of
+        the grid's longest side. If 16 draws find none, the draw with the longest free line is used.
 
         Args:
             count: Number of cameras.
@@ -206,10 +206,10 @@ class NavigableSpace:
     def cameras_at(
         self, eyes: ArrayLike, rng: np.random.Generator, *, width: int = 256, height: int = 192, fov: float = 60.0
     ) -> Cameras:
-        """One camera at each of some eyes, directed as `sample_cameras` does.
+        """Return one camera at each given eye, directed as in `sample_cameras`.
 
         Args:
-            eyes: (C, 3) viewpoints.
+            eyes: (C, 3) viewpoints, scene frame.
             rng: Source of randomness.
             width: Pixels.
             height: Pixels.
@@ -231,7 +231,7 @@ class NavigableSpace:
         good = level & (runs >= 0.05 * float(shape.max()) * self.voxel_size)
         best = np.where(good.any(axis=1), good.argmax(axis=1), np.where(level, runs, runs - 1e9).argmax(axis=1))
         chosen = directions[np.arange(count), best]
-        chosen[~np.any(chosen, axis=1)] = np.eye(3)[np.abs(self.up).argmin()]  # an eye on all its targets
+        chosen[~np.any(chosen, axis=1)] = np.eye(3)[np.abs(self.up).argmin()]  # the eye coincides with all its targets
         return Cameras.look_at(eyes, eyes + self.voxel_size * chosen, up=self.up, width=width, height=height, fov=fov)
 
     def _look_up(self, grid: Mask, points: F64) -> Mask:
@@ -244,7 +244,7 @@ class NavigableSpace:
         return result
 
     def _free_runs(self, starts: F64, directions: F64, lengths: F64) -> F64:
-        """(M,) how far each line goes, at most its length, before it enters an occupied voxel."""
+        """Return (M,) distances along each line, at most its length, before it enters an occupied voxel."""
         runs = lengths.copy()
         going = np.arange(len(starts))
         t = 0.0

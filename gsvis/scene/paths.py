@@ -1,7 +1,7 @@
-"""Head-pose paths: where a head was and how it was turned, over time.
+"""Store head-pose paths: position and orientation of a head over time.
 
-Times in seconds from 0; positions in the frame and units of whoever made the path; orientations are world from camera
-in OpenCV axes (+x right, +y down, +z forward), wxyz. Replays at any time; knows no file and no scene.
+Times are seconds from 0. Positions keep the frame and units of the recording. Orientations are world from camera in
+OpenCV axes (+x right, +y down, +z forward), wxyz. A path replays at any time; it knows no file and no scene.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _MOST_SAMPLES = 10_000_000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HeadPath:
-    """A head that moves: T poses with their times.
+    """Store a moving head: T poses with their times.
 
     Args:
         times: (T,) seconds, from 0, strictly rising; T >= 1.
         positions: (T, 3) midpoint between the eyes, world frame.
-        quats: (T, 4) wxyz, world from camera, OpenCV axes. Any length but 0, either sign: they are kept at unit
-            length, each on the side of the one before.
-        up: (3,) direction against gravity in the same frame; None where it is not known.
-        meters_per_unit: Size of one unit of `positions`; None where it is not known.
+        quats: (T, 4) wxyz, world from camera, OpenCV axes. Any length but 0, either sign: they are normalized, and each
+            sign is chosen nearest to the previous one.
+        up: (3,) direction against gravity in the same frame; None if unknown.
+        meters_per_unit: Size of one unit of `positions`; None if unknown.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -79,7 +79,7 @@ class HeadPath:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first pose to the last."""
+        """Time from the first pose to the last, seconds."""
         return float(self.times[-1])
 
     @property
@@ -89,7 +89,7 @@ class HeadPath:
 
     @property
     def forwards(self) -> F64:
-        """(T, 3) unit directions of view."""
+        """(T, 3) unit view directions."""
         return np.ascontiguousarray(rotations_from_quats(self.quats)[:, :, 2])
 
     @property
@@ -99,20 +99,20 @@ class HeadPath:
 
     @property
     def upright(self) -> F64:
-        """(3,) `up` where it is known, else the mean direction out of the top of the head."""
+        """(3,) `up` if it is known, else the mean direction out of the top of the head."""
         if self.up is not None:
             return self.up
         mean = self.head_ups.mean(axis=0)
-        if np.linalg.norm(mean) < 1e-6:  # a head that turns over: no side is up
+        if np.linalg.norm(mean) < 1e-6:  # the head turns over: no direction is up
             mean = self.head_ups[0]
         return np.asarray(mean / np.linalg.norm(mean))
 
     def speed(self) -> F64:
-        """(T - 1,) units a second from each pose to the next."""
+        """Return (T - 1,) speeds between consecutive poses, units per second."""
         return np.asarray(np.linalg.norm(np.diff(self.positions, axis=0), axis=1) / np.diff(self.times))
 
     def at(self, times: ArrayLike) -> tuple[F64, F64]:
-        """Position and orientation at any time: straight lines between poses, and turns at constant speed (slerp).
+        """Interpolate position and orientation at any time: linear in position, slerp in orientation.
 
         Args:
             times: Seconds, one or (S,). Before the start and after the end the head stands still.
@@ -134,10 +134,10 @@ class HeadPath:
         return (positions[0], quats[0]) if single else (positions, quats)
 
     def resample(self, rate_hz: float | None = None, *, times: ArrayLike | None = None) -> HeadPath:
-        """The same motion sampled at a steady rate, or at given times.
+        """Return the same motion sampled at a steady rate, or at given times.
 
         Args:
-            rate_hz: Poses a second, from time 0 to the last that still lies inside.
+            rate_hz: Poses per second, from time 0 to the last sample inside the path.
             times: (S,) seconds within the path, strictly rising, instead of a rate; the first becomes time 0.
 
         Raises:
@@ -158,14 +158,14 @@ class HeadPath:
         return replace(self, times=wanted - wanted[:1], positions=positions, quats=quats)
 
     def cut(self, start: float = 0.0, stop: float = np.inf) -> HeadPath:
-        """The part from `start` to `stop` seconds, with poses interpolated at both ends; it begins at time 0.
+        """Return the part from `start` to `stop` seconds, with interpolated poses at both ends; it begins at time 0.
 
         Args:
             start: Seconds, inside the path.
-            stop: Seconds, after `start`; what lies beyond the end is left out.
+            stop: Seconds, after `start`; clipped to the end of the path.
 
         Raises:
-            ValueError: If nothing lies between the two.
+            ValueError: If no time lies between the two.
         """
         if not 0.0 <= start < min(stop, self.duration):
             raise ValueError(
@@ -177,7 +177,7 @@ class HeadPath:
         return self.resample(times=np.concatenate([[start], between, [stop]]))
 
     def transform(self, similarity: Similarity) -> HeadPath:
-        """The path in the frame that a similarity transform leads to."""
+        """Return the path in the target frame of a similarity transform."""
         return HeadPath(
             self.times,
             similarity.apply(self.positions),
@@ -187,7 +187,7 @@ class HeadPath:
         )
 
     def cameras(self, width: int = 256, height: int = 192, fov: float = 90.0) -> Cameras:
-        """One camera for each pose, looking the way the head faces; named by its time.
+        """Return one camera for each pose, in the view direction of the head, named by its time.
 
         Args:
             width: Pixels.
@@ -215,7 +215,7 @@ def _check_rising(name: str, times: F64) -> None:
 
 
 def _continuous(quats: F64) -> F64:
-    """Unit quaternions, each with the sign that puts it on the side of the one before; the first has w >= 0."""
+    """Return unit quaternions, each with the sign nearest to the previous one; the first has w >= 0."""
     quats = quats / np.maximum(np.abs(quats).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     norms = np.linalg.norm(quats, axis=1)
     if norms.min() <= 0:
@@ -227,7 +227,7 @@ def _continuous(quats: F64) -> F64:
 
 
 def _slerp(a: F64, b: F64, part: F64) -> F64:
-    """(S, 4) unit quaternions on the shorter arc from a (S, 4) to b (S, 4); part (S, 1) of the way."""
+    """Return (S, 4) unit quaternions on the shorter arc from a (S, 4) to b (S, 4), at the share `part` (S, 1)."""
     dot = np.sum(a * b, axis=1, keepdims=True)
     b, dot = np.where(dot < 0, -b, b), np.clip(np.abs(dot), 0.0, 1.0)
     angle = np.arctan2(np.linalg.norm(b - dot * a, axis=1, keepdims=True), dot)

@@ -1,4 +1,4 @@
-"""A cloud of colored points: what a reconstruction leaves behind and training starts from.
+"""Store a cloud of colored points: the result of a reconstruction and the start of training.
 
 World frame and units are the scene's own; colors are sRGB as displayed, 0 black, 1 white. This module knows no file.
 """
@@ -20,16 +20,16 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class PointCloud:
-    """N colored points, validated, read-only.
+    """Store N colored points, validated, read-only.
 
-    Contiguous float32 arrays are taken as they are, not copied: do not write to them afterward.
+    Contiguous float32 arrays are used without a copy: do not write to them afterward.
 
     Args:
         means: (N, 3) positions, scene units.
         colors: (N, 3) sRGB, 0 black to 1 white; None makes every point mid-gray.
 
     Raises:
-        ValueError: If a shape, a length or a value is out of its range; the message names the argument.
+        ValueError: If a shape, a length or a value is out of range; the message names the argument.
 
     Examples:
         >>> cloud = PointCloud([[0, 0, 0], [1, 2, 3]], [[1, 0, 0], [0, 0, 1]])
@@ -55,7 +55,7 @@ class PointCloud:
         return len(self.means)
 
     def __getitem__(self, index: Any) -> PointCloud:
-        """The points at a slice, a boolean mask, an index array, or one integer (a cloud of one)."""
+        """Select points by a slice, a boolean mask, an index array, or one integer (a cloud of one)."""
         where = np.arange(len(self))[index].reshape(-1)
         return PointCloud(self.means[where], self.colors[where])
 

@@ -1,8 +1,9 @@
-"""Scenes made by rule: occluder scenes whose visibility is known in closed form, and random ones for tests.
+"""Generate scenes: occluder scenes with visibility known in closed form, and random scenes for tests.
 
-Occluder scenes are built of opaque surfaces (`_surfaces.py`) in meters, z up, and come with viewpoints and, for
-each, the Gaussians that certainly are visible and certainly hidden (docs/conventions.md: largest weight at least, or
-below, 1/255). What lies in the margins (soft rims, grazing lines, corners) is in neither. Everything is deterministic.
+Occluder scenes consist of opaque surfaces (`_surfaces.py`) in meters, z up. Each comes with viewpoints and, for each
+viewpoint, the Gaussians that are certainly visible and certainly hidden (docs/conventions.md: largest weight at least,
+or below, 1/255). Gaussians in the margins (soft rims, grazing lines, corners) are in neither set. Everything is
+deterministic.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis import _check
 from gsvis.scene._surfaces import OFFSETS, OPACITY, SPENT, Patch, Sheet, Shell, Surface
@@ -36,7 +36,7 @@ Mask = NDArray[np.bool_]
 Triple = tuple[float, float, float]
 
 UP = (0.0, 0.0, 1.0)
-FINE = 0.4  # lattice step of what stands in the way, relative to the rest: the finer a rim, the less is undecided
+FINE = 0.4  # lattice step of occluders, relative to the rest: a finer rim leaves fewer Gaussians undecided
 _WARM, _COOL, _CLAY, _MOSS, _SAND, _SLATE, _PLUM = (
     (0.78, 0.62, 0.46),
     (0.50, 0.62, 0.76),
@@ -50,16 +50,16 @@ _WARM, _COOL, _CLAY, _MOSS, _SAND, _SLATE, _PLUM = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OccluderScene:
-    """A scene with what can be seen from where.
+    """A scene with known visibility from some viewpoints.
 
     Args:
         gaussians: The N Gaussians.
         viewpoints: (V, 3) eyes.
         visible: (V, N) certainly visible: the largest weight on a line from the eye is at least 1/255.
         hidden: (V, N) certainly hidden: it is below 1/255 on every line.
-        navigable: Where an eye may be.
+        navigable: Allowed viewpoints.
         up: (3,) up axis.
-        name: Its name in `BUILTIN_SCENES`.
+        name: Name in `BUILTIN_SCENES`.
     """
 
     gaussians: Gaussians
@@ -84,10 +84,10 @@ Painted = tuple[Surface, Triple]
 
 
 def wall_with_hole(count: int = 20_000, *, sh_degree: int = 2) -> OccluderScene:
-    """A free-standing wall, 6 x 4, with a square hole of 1.6; behind it a backdrop and three balls.
+    """Build a free-standing wall, 6 x 4, with a square hole of 1.6; behind it are a backdrop and three balls.
 
     Args:
-        count: About how many Gaussians, at least 1000.
+        count: Approximate number of Gaussians, at least 1000.
         sh_degree: 0 to 3.
     """
 
@@ -107,10 +107,10 @@ def wall_with_hole(count: int = 20_000, *, sh_degree: int = 2) -> OccluderScene:
 
 
 def box_in_room(count: int = 20_000, *, sh_degree: int = 2) -> OccluderScene:
-    """A closed box hung in the middle of a closed room of 6 x 5 x 3.
+    """Build a closed box in the middle of a closed room of 6 x 5 x 3.
 
     Args:
-        count: About how many Gaussians, at least 1000.
+        count: Approximate number of Gaussians, at least 1000.
         sh_degree: 0 to 3.
     """
 
@@ -123,17 +123,17 @@ def box_in_room(count: int = 20_000, *, sh_degree: int = 2) -> OccluderScene:
 
 
 def two_rooms(count: int = 40_000, *, sh_degree: int = 3) -> OccluderScene:
-    """Two rooms of 4 x 4 x 3 joined by a door 1 wide and 2.1 high, with a ball in each.
+    """Build two rooms of 4 x 4 x 3, joined by a door 1 wide and 2.1 high, with a ball in each.
 
     Args:
-        count: About how many Gaussians, at least 1000.
+        count: Approximate number of Gaussians, at least 1000.
         sh_degree: 0 to 3.
     """
 
     def surfaces(step: float) -> list[Painted]:
         over = (
             2.0 * FINE * step
-        )  # the partition goes on behind floor, walls and ceiling, so that no seam lets light through
+        )  # the partition extends behind floor, walls and ceiling, so that no seam lets light through
         door = ((1.5, -over), (2.5, 2.1))
         return [
             *_box((0.0, 0.0, 0.0), (8.0, 4.0, 3.0), step, (_WARM, _COOL, _SLATE, _SAND)),
@@ -147,12 +147,12 @@ def two_rooms(count: int = 40_000, *, sh_degree: int = 3) -> OccluderScene:
 
 
 def nested_shells(count: int = 20_000, *, sh_degree: int = 3) -> OccluderScene:
-    """Three concentric closed spheres of radius 1, 2 and 3; eyes between them, at the middle, and outside.
+    """Build three concentric closed spheres of radius 1, 2 and 3, with eyes between them, at the center, and outside.
 
     The navigable space lies between the outer two.
 
     Args:
-        count: About how many Gaussians, at least 1000.
+        count: Approximate number of Gaussians, at least 1000.
         sh_degree: 0 to 3.
     """
 
@@ -169,27 +169,27 @@ BUILTIN_SCENES: dict[str, Callable[..., OccluderScene]] = {
     "two_rooms": two_rooms,
     "nested_shells": nested_shells,
 }
-"""The occluder scenes by name; on the command line `builtin:two_rooms` and so on."""
+"""Occluder scenes by name; on the command line `builtin:two_rooms` and so on."""
 
 
 def builtin_scene(name: str) -> OccluderScene:
-    """The occluder scene of that name, at its default size.
+    """Return the occluder scene with that name, at its default size.
 
     Raises:
-        ValueError: If there is none of that name.
+        ValueError: If no scene has that name.
     """
     return BUILTIN_SCENES[_check.one_of("name", name, tuple(BUILTIN_SCENES))]()
 
 
 def random_scene(rng: np.random.Generator, n: int, sh_degree: int = 0, kind: str = "blob") -> Gaussians:
-    """Random Gaussians around the origin, a few units wide, for tests and benchmarks.
+    """Return random Gaussians around the origin, a few units wide, for tests and benchmarks.
 
     Args:
         rng: Source of randomness.
         n: Number of Gaussians.
         sh_degree: 0 to 3.
-        kind: "blob" (all shapes), "discs" (flat as paper), "needles" (50 times as long as wide), "nested" (about few
-            common centers, sizes over two decades), "coincident" (every center four times, every tenth Gaussian twice).
+        kind: "blob" (all shapes), "discs" (nearly flat), "needles" (50 times as long as wide), "nested" (shared
+            centers, sizes over two decades), "coincident" (every center four times, every tenth Gaussian twice).
 
     Raises:
         ValueError: If an argument is out of range.
@@ -224,7 +224,7 @@ def random_scene(rng: np.random.Generator, n: int, sh_degree: int = 0, kind: str
 
 
 def _box(low: Triple, high: Triple, step: float, colors: Sequence[Triple]) -> list[Painted]:
-    """Six sheets; colors of the x walls, the y walls, the floor and the ceiling."""
+    """Return six sheets; `colors` are those of the x walls, the y walls, the floor and the ceiling."""
     painted: list[Painted] = []
     for axis in range(3):
         a, b = (i for i in range(3) if i != axis)
@@ -242,10 +242,10 @@ def _scene(
     eyes: list[Triple],
     box: tuple[Triple, Triple],
 ) -> OccluderScene:
-    """Choose the lattice step for about `count` Gaussians, build, judge and wrap; the first eye is navigable."""
+    """Choose the lattice step for about `count` Gaussians and build the scene; the first eye is navigable."""
     _check.positive_int("count", count, at_least=1000)
     step = 0.1
-    for _ in range(4):  # small balls keep their own step, so the count is no exact power of it
+    for _ in range(4):  # small balls keep their own step, so the count is not an exact power of it
         built = sum(len(surface.patch().means) for surface, _ in surfaces(step))
         step *= float(np.sqrt(built / count))
     painted = surfaces(step)
@@ -258,7 +258,7 @@ def _scene(
 
 
 def _dress(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussians:
-    """Gaussians of the patches with a soft checker pattern and colors that drift with the direction of view."""
+    """Return the Gaussians of the patches, with a soft checker pattern and colors that vary with the view direction."""
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
     means = np.concatenate([patch.means for patch in patches])
@@ -282,12 +282,12 @@ def _dress(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussi
 
 
 def _judge(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F64) -> tuple[Mask, Mask]:
-    """(V, N) certainly visible and certainly hidden: every surface has its say on every Gaussian."""
+    """Return (V, N) certainly visible and certainly hidden; every surface is tested against every Gaussian."""
     means, covars = g.means.astype(np.float64), g.covars()
     starts = np.cumsum([0, *(len(patch.means) for patch in patches)])
     visible, hidden = np.ones((len(eyes), len(g)), bool), np.zeros((len(eyes), len(g)), bool)
     for v, eye in enumerate(eyes):
-        depth = np.repeat(0.5 * OFFSETS**2, len(g), axis=1)  # off its center a Gaussian is fainter
+        depth = np.repeat(0.5 * OFFSETS**2, len(g), axis=1)  # a Gaussian is fainter off its center
         for i, surface in enumerate(surfaces):
             own = slice(int(starts[i]), int(starts[i + 1]))
             dims, clear = surface.verdict(eye, means, covars)
@@ -299,7 +299,9 @@ def _judge(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F6
 
 
 def _space(g: Gaussians, surfaces: list[Surface], box: tuple[Triple, Triple], home: F64) -> NavigableSpace:
-    """The part of the box that lies away from all surfaces and is connected with `home`."""
+    """Return the part of the box that lies away from all surfaces and is connected to `home`."""
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
     grid = NavigableSpace.from_box(*box, 80)
     centers = grid.origin + grid.voxel_size * (np.indices(grid.free.shape).reshape(3, -1).T + 0.5)
     away = np.min([surface.distance(centers) for surface in surfaces], axis=0).reshape(grid.free.shape)

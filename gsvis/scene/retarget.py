@@ -1,16 +1,16 @@
-"""Bringing a recorded walk into the navigable space of another scene, by one similarity transform that is stated.
+"""Bring a recorded walk into the navigable space of another scene, by one similarity transform.
 
-The walk is stood upright, turned, scaled and moved, all of it alike, so that its poses lie in navigable space. Scale:
+The walk is set upright, rotated, scaled and moved as a whole, so that its poses lie in navigable space. Scale:
 
-1. the one that is given;
-2. else, where the sizes of both are known in meters, the natural one;
+1. the given scale, if any;
+2. else the natural scale, if the sizes of both are known in meters;
 3. else about the largest at which a share `enough` of the positions is inside.
 
-With 2 and 3, and a recording in meters, people stand: the middle of the walk is put at eye height above what lies below
-it, on the story with the most room, not on roofs. Placements are tried in an order drawn from the seed; of the first
-few with `enough` inside, the place and heading are taken with which the walk looks at the scene most often, not into
-the void around it (with 3, also at scales somewhat below the largest). If none has enough, it is the one with the most.
-What the recording's own frame was (its origin, its heading, with rule 3 its unit) has no influence.
+With 2 and 3, and a recording in meters, people stand: the middle of the walk is put at eye height above the floor below
+it, on the story with the most room, not on roofs. Placements are tried in an order drawn from the seed. Among the first
+few with `enough` inside, the place and heading win with which the walk faces the scene most often (with 3, also at
+scales somewhat below the largest). If none has enough inside, the one with the most wins. The recording's own frame
+(origin, heading, with rule 3 also the unit) has no influence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gsvis import _check
 from gsvis.scene._placement import Floors, Found, Search, Walk, best_placement, free_ahead, probe_indices
@@ -37,20 +36,21 @@ _UPRIGHT = np.cos(np.radians(1.0))
 
 @dataclass(frozen=True)
 class RetargetConfig:
-    """How a walk is brought into a scene.
+    """How to bring a walk into a scene.
 
     Attributes:
-        scale: Scene units for one unit of the walk; None finds it by the rule of this module.
-        meters_per_unit: Size of a scene unit; None where it is not known.
-        eye_height: Meters at which people carry their eyes; None lets a walk float.
-        enough: Share of the positions, in (0, 1], that is to lie inside.
-        yaws: Headings tried.
-        placements: Voxels tried for the middle of the walk.
-        choices: Placements with enough inside among which the one that looks at the scene most often is taken.
-        shrink: Smallest share of the largest scale that rule 3 may take for the sake of looking; 1 takes the largest.
+        scale: Scene units per unit of the walk; None finds it by the rule of this module.
+        meters_per_unit: Size of a scene unit; None if unknown.
+        eye_height: Eye height of people in meters; None lets a walk float.
+        enough: Required share of positions inside, in (0, 1].
+        yaws: Number of headings to try.
+        placements: Number of voxels to try for the middle of the walk.
+        choices: Number of placements with enough inside to compare; the one that faces the scene most often wins.
+        shrink: Smallest share of the largest scale that rule 3 may use to face the scene more often; 1 keeps the
+            largest.
         project: Move positions that still lie outside into the nearest navigable voxel.
-        keep: Leave a walk alone that is upright and inside as it is.
-        seed: Of the order in which placements are tried: another seed, another place.
+        keep: Leave a walk unchanged that is already upright and inside.
+        seed: Seed of the order in which placements are tried; another seed gives another place.
     """
 
     scale: float | None = None
@@ -80,16 +80,16 @@ class RetargetConfig:
 
 @dataclass(frozen=True, eq=False)
 class RetargetedPath:
-    """A walk in its new scene, and how it got there.
+    """A walk in its new scene, and its transform.
 
     Attributes:
         path: The walk, in the scene's frame and units.
-        similarity: Takes the recorded frame to the scene's.
-        inside: Share of the positions in navigable space, before any was moved.
-        looking: Share of the poses that have something of the scene straight ahead, of up to 64 along the walk.
-        moved: Number of positions that were moved into the nearest navigable voxel; 0 unless that was asked for.
-        farthest_move: Longest of these moves, scene units.
-        rule: Which rule chose the scale and the place.
+        similarity: Transform from the recorded frame to the scene's.
+        inside: Share of the positions in navigable space, before any move.
+        looking: Share of poses with part of the scene straight ahead, over up to 64 poses along the walk.
+        moved: Number of positions moved into the nearest navigable voxel; 0 without `project`.
+        farthest_move: Length of the longest such move, scene units.
+        rule: Name of the rule that chose the scale and the place.
     """
 
     path: HeadPath
@@ -101,7 +101,7 @@ class RetargetedPath:
     rule: str
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; without the poses."""
+        """Return plain numbers, strings and lists, ready for JSON; without the poses."""
         return {
             "similarity": self.similarity.as_dict(),
             "poses": len(self.path),
@@ -120,12 +120,12 @@ def retarget(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig |
 
     Args:
         path: The walk, in any frame and unit.
-        navigable: Where eyes may be in the scene.
+        navigable: Allowed viewpoints in the scene.
         config: Scale, search and seed; None means `RetargetConfig()`.
 
     Returns:
-        The walk in the scene's frame, its transform, and the share of positions inside. With the scale fixed (rules 1
-        and 2) that share can be below `enough`; with rule 3 it cannot.
+        The walk in the scene's frame, its transform, and the share of positions inside. With a fixed scale (rules 1 and
+        2) this share can be below `enough`; with rule 3 it cannot.
     """
     config = config or RetargetConfig()
     if config.keep and config.scale in (None, 1.0) and float(path.upright @ navigable.up) >= _UPRIGHT:
@@ -158,15 +158,15 @@ def _finish(
 
 
 def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -> tuple[Similarity, str]:
-    walk = Walk.of(path, navigable, config.yaws)
+    walk = Walk.from_path(path, navigable, config.yaws)
     search = Search(navigable, config.enough, config.placements, config.choices)
     voxels = np.flatnonzero(navigable.free)
     order = np.random.default_rng(config.seed).permutation(len(voxels))[: 8 * config.placements]
     cells = np.stack(np.unravel_index(voxels[order], navigable.free.shape), axis=1)
     places = navigable.origin + navigable.voxel_size * (cells + 0.5)
-    scale, told = config.scale, "given scale"
+    scale, rule = config.scale, "given scale"
     if scale is None and config.meters_per_unit is not None and path.meters_per_unit is not None:
-        scale, told = path.meters_per_unit / config.meters_per_unit, "natural scale"
+        scale, rule = path.meters_per_unit / config.meters_per_unit, "natural scale"
     stand = None  # eye height in units of the walk
     if config.eye_height is not None and path.meters_per_unit is not None and config.scale is None:
         stand = config.eye_height / path.meters_per_unit
@@ -175,28 +175,28 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
         standing = floors.at_height(stand, scale) if floors is not None else None
         found = best_placement(walk, search, scale, places, standing)
         if found is not None and stand is not None:
-            told += f", standing with the eyes at {config.eye_height:g} m"
+            rule += f", standing with the eyes at {config.eye_height:g} m"
         elif stand is not None:
-            told += f", floating: no place {config.eye_height:g} m above a floor"
+            rule += f", floating: no place {config.eye_height:g} m above a floor"
         found = found or best_placement(walk, search, scale, places, None)
         assert found is not None
-        return found.similarity, told
+        return found.similarity, rule
     for height in (stand, None) if stand is not None else (None,):
         found = _largest(walk, search, config.shrink, places, floors, height)
         if found is not None:
             break
     assert found is not None  # a walk within one voxel is always inside
-    told = f"largest scale with {config.enough:g} of the positions inside, or {config.shrink:g} of it to see more"
+    rule = f"largest scale with {config.enough:g} of the positions inside, or {config.shrink:g} of it to see more"
     if stand is None:
-        return found.similarity, told
+        return found.similarity, rule
     standing_as = f"standing as if {config.eye_height:g} m above what lies below"
-    return found.similarity, f"{told}, {'floating: no floor' if height is None else standing_as}"
+    return found.similarity, f"{rule}, {'floating: no floor' if height is None else standing_as}"
 
 
 def _largest(
     walk: Walk, search: Search, shrink: float, places: F64, floors: Floors | None, stand: float | None
 ) -> Found | None:
-    """About the largest scale with `enough` inside; None if there is none at that eye height."""
+    """Return a placement at about the largest scale with `enough` inside; None if there is none at that eye height."""
     best, largest = None, 0.0
     for scale in walk.scales(search.navigable):
         if best is not None and (best.look == 1.0 or scale < shrink * largest):
@@ -209,7 +209,9 @@ def _largest(
 
 
 def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
-    """(M, 3) the points moved into the navigable voxel nearest to the one they lie in (or nearest to on the grid)."""
+    """Return (M, 3) points moved into the navigable voxel nearest to their own (or to their nearest on the grid)."""
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
     shape = np.array(navigable.free.shape)
     cells = np.clip(np.floor((points - navigable.origin) / navigable.voxel_size), 0, shape - 1).astype(np.int64)
     nearest = ndimage.distance_transform_edt(~navigable.free, return_distances=False, return_indices=True)

@@ -1,7 +1,7 @@
-"""The real spherical harmonics of 3DGS, degrees 0 to 3: values, and how coefficients turn with the scene.
+"""Evaluate and rotate the real spherical harmonics of 3DGS, degrees 0 to 3.
 
-Directions are unit vectors from the eye to the Gaussian, in the scene's frame, as in 3DGS. This module knows
-no Gaussians and no cameras: it is the meaning of the numbers in `sh0` and `shN`.
+Directions are unit vectors from the eye to the Gaussian, in the scene's frame, as in 3DGS. This module knows no
+Gaussians and no cameras. It defines the meaning of the numbers in `sh0` and `shN`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SH_C3 = (
 
 
 def sh_degree_of(num_coefficients: int) -> int:
-    """Degree of a set of 1, 4, 9 or 16 coefficients.
+    """Return the degree of a set of 1, 4, 9 or 16 coefficients.
 
     Raises:
         ValueError: For any other number.
@@ -42,7 +42,7 @@ def sh_degree_of(num_coefficients: int) -> int:
 
 
 def sh_basis(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
-    """Values of the real spherical harmonics in the order and with the signs of 3DGS.
+    """Evaluate the real spherical harmonics, in the order and with the signs of 3DGS.
 
     Args:
         directions: (D, 3) unit vectors, eye to Gaussian, scene frame.
@@ -90,10 +90,11 @@ def sh_basis(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
 
 
 def rotation_of_sh(rotation: ArrayLike, degree: int) -> NDArray[np.float64]:
-    """Matrix that turns SH coefficients with the scene.
+    """Return the matrix that rotates SH coefficients with the scene.
 
-    If `f(d) = sh_basis(d) @ c` is a color, then `sh_basis(d) @ (M @ c) == f(R^T d)`: the turned scene shows
-    in direction `R d` what the old one showed in direction `d`.
+    If `f(d) = sh_basis(d) @ c` is a color, then `sh_basis(d) @ (M @ c) == f(R^T d)`: the rotated scene shows in
+    direction
+    `R d` what the original shows in direction `d`.
 
     Args:
         rotation: (3, 3) rotation R, new frame from old frame.
@@ -118,7 +119,7 @@ def rotation_of_sh(rotation: ArrayLike, degree: int) -> NDArray[np.float64]:
     rho = np.sqrt(1.0 - z * z)
     directions = np.stack([rho * np.cos(golden * i), rho * np.sin(golden * i), z], axis=1)
     matrix, *_ = np.linalg.lstsq(sh_basis(directions, degree), sh_basis(directions @ r, degree), rcond=None)
-    for band in range(degree + 1):  # what lies off the blocks is rounding
+    for band in range(degree + 1):  # entries off the blocks are rounding errors
         rows = slice(band * band, (band + 1) ** 2)
         matrix[rows, : rows.start] = 0.0
         matrix[rows, rows.stop :] = 0.0

@@ -1,6 +1,7 @@
-"""A similarity transform: one scale, one rotation, one translation; how a recorded path is moved into a scene.
+"""Similarity transforms: one scale, one rotation, one translation.
 
-Takes points of one frame to another, `x -> scale * R(quat) x + translation`. Angles and ratios of lengths stay.
+A transform maps points of one frame to another: `x -> scale * R(quat) x + translation`. It keeps angles and ratios of
+lengths.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ def _still() -> F64:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Similarity:
-    """Points x of one frame lie at `scale * R(quat) x + translation` in another.
+    """Map points x of one frame to `scale * R(quat) x + translation` in another.
 
     Args:
-        scale: Units of the new frame for one of the old, > 0.
-        quat: (4,) wxyz rotation; scaled to unit length.
-        translation: (3,) in the new frame.
+        scale: New units per old unit, > 0.
+        quat: (4,) wxyz rotation, new frame from old frame; normalized.
+        translation: (3,) in the new frame and its units.
 
     Raises:
         ValueError: If the scale is not a finite number > 0, or the quaternion is zero.
@@ -61,14 +62,14 @@ class Similarity:
 
     @classmethod
     def from_rotation(cls, scale: float, rotation: ArrayLike, translation: ArrayLike) -> Similarity:
-        """The similarity with a rotation given as a (3, 3) matrix."""
+        """Return the similarity with a rotation given as a (3, 3) matrix."""
         matrix = _check.floats("rotation", rotation, (3, 3), np.float64)
         shift = _check.floats("translation", translation, (3,), np.float64)
         return cls(scale, quats_from_rotations(matrix[None])[0], shift)
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Similarity:
-        """The inverse of `as_dict`."""
+        """Return the similarity of a mapping from `as_dict`."""
         return cls(float(value["scale"]), np.array(value["quat"]), np.array(value["translation"]))
 
     def __repr__(self) -> str:
@@ -81,20 +82,20 @@ class Similarity:
         return np.asarray(rotations_from_quats(self.quat[None])[0])
 
     def apply(self, points: ArrayLike) -> F64:
-        """(M, 3) where the (M, 3) points of the old frame lie in the new one."""
+        """Return (M, 3) points in the new frame, from (M, 3) points in the old one."""
         array = _check.floats("points", points, ("M", 3), np.float64)
         return np.asarray(self.scale * array @ self.rotation.T + self.translation)
 
     def rotate(self, quats: ArrayLike) -> F64:
-        """(M, 4) orientations wxyz, old frame from body, taken to new frame from body."""
+        """Return (M, 4) orientations wxyz, new frame from body, from those of the old frame."""
         array = _check.floats("quats", quats, ("M", 4), np.float64)
         return quats_from_rotations(self.rotation @ rotations_from_quats(array))
 
     def inverse(self) -> Similarity:
-        """The way back."""
+        """Return the inverse transform."""
         back = self.quat * np.array([1.0, -1.0, -1.0, -1.0])
         return Similarity(1.0 / self.scale, back, -(self.rotation.T @ self.translation) / self.scale)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, ready for JSON."""
+        """Return plain numbers and lists, ready for JSON."""
         return {"scale": self.scale, "quat": self.quat.tolist(), "translation": self.translation.tolist()}

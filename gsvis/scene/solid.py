@@ -1,4 +1,4 @@
-"""Where a scene is solid: eyes inside a Gaussian that hides what is behind it see nothing that matters. Scene frame."""
+"""Test where a scene is solid: eyes inside a Gaussian that hides what is behind it. Scene frame."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["BURIED", "buried"]
 F64 = NDArray[np.float64]
 
 BURIED = 0.5
-"""Alpha at the eye from which it stands inside something solid and sees nothing that matters."""
+"""Alpha at the eye above which the eye counts as inside something solid."""
 
 
 def buried(g: Gaussians, points: F64) -> NDArray[np.bool_]:
-    """Which points (P, 3) lie inside a Gaussian whose alpha there is at least a half: eyes that see only its inside."""
+    """Return which points (P, 3) lie inside a Gaussian with an alpha of at least a half there."""
     solid = np.flatnonzero(g.opacities >= BURIED)
     if len(points) == 0 or len(solid) == 0:
         return np.zeros(len(points), bool)

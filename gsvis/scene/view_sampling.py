@@ -1,4 +1,4 @@
-"""Where views are taken when nobody gives cameras: at random in navigable space, outside of what is solid."""
+"""Choose views when no cameras are given: at random in navigable space, outside of what is solid."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from gsvis.scene.solid import buried
 
 __all__ = ["ViewSampling"]
 
-_TRIES = 32  # times that viewpoints are drawn until enough lie outside of everything solid
+_TRIES = 32  # draws of viewpoints until enough lie outside of everything solid
 
 
 @dataclass(frozen=True)
 class ViewSampling:
-    """Cameras drawn at random in navigable space, none of them inside something solid.
+    """Draw cameras at random in navigable space, none inside something solid.
 
     Args:
-        count: How many.
+        count: Number of cameras.
         width: Pixels.
         height: Pixels.
         fov: Horizontal field of view, degrees.
-        seed: Of the random numbers.
-        stream: Which of the seed's independent streams: views of different streams have nothing in common.
+        seed: Seed of the random numbers.
+        stream: Index of one of the seed's independent random streams.
 
     Raises:
         ValueError: If a value is out of range.
@@ -49,14 +49,14 @@ class ViewSampling:
             raise ValueError(f"fov: expected degrees in [1, 179], got {self.fov!r}")
 
     def cameras(self, g: Gaussians | Levels, navigable: NavigableSpace) -> Cameras:
-        """The cameras.
+        """Draw the cameras.
 
         Args:
             g: The scene, or levels: eyes lie outside of what is solid in any of them.
-            navigable: Where eyes may be.
+            navigable: Allowed viewpoints.
 
         Raises:
-            SceneError: If too few viewpoints lie outside of something solid.
+            SceneError: If too few viewpoints lie outside of everything solid.
         """
         rng, union = np.random.default_rng([self.seed, self.stream]), union_of(g)
         eyes = np.zeros((0, 3))
@@ -66,6 +66,6 @@ class ViewSampling:
             if len(eyes) >= self.count:
                 return navigable.cameras_at(eyes[: self.count], rng, width=self.width, height=self.height, fov=self.fov)
         raise SceneError(
-            f"of {self.count * _TRIES:,} viewpoints drawn in navigable space {len(eyes):,} lie outside of something"
-            " solid: there is nowhere to look from"
+            f"of {self.count * _TRIES:,} viewpoints drawn in navigable space, {len(eyes):,} lie outside of everything"
+            " solid; give cameras, or another navigable space"
         )

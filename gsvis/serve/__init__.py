@@ -4,18 +4,8 @@
         client = fetch(url, FieldOfView.from_degrees(90, 70), path.at, seconds=5.0)
     gaussians, colors = client.receiver.scene()
 
-Needs the extra 'serve'. docs/serving.md tells how to operate it.
+docs/serving.md tells how to operate it.
 """
-
-try:
-    import prometheus_client  # noqa: F401
-    import starlette  # noqa: F401
-    import uvicorn  # noqa: F401
-    import websockets  # noqa: F401
-except ImportError as error:
-    from gsvis.errors import BackendError
-
-    raise BackendError(f"serving needs {error.name}: pip install 'gsvis[serve]'") from error
 
 from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.client import ClientConfig, StreamClient, fetch

@@ -60,11 +60,11 @@ class Door:
         self._said = -_QUIET_S
 
     def open(self) -> None:
-        """Begin to accept."""
+        """Start to accept connections."""
         self._accepting = asyncio.create_task(self._accept())
 
     def close(self) -> None:
-        """Accept nobody else."""
+        """Stop accepting connections."""
         if self._accepting is not None:
             self._accepting.cancel()
 
@@ -92,7 +92,7 @@ class Door:
             self._listener.close()
 
     def _make_do(self, error: OSError) -> None:
-        """Say that a connection could not be accepted, and make room if that was the reason."""
+        """Log that a connection could not be accepted, and make room if that was the reason."""
         name = errno.errorcode.get(error.errno or 0, "other")
         self._means.metrics.accept_failures.add(of=name)
         now = self._means.clock.now()

@@ -173,7 +173,7 @@ class Guard(asyncio.Protocol):
     # from the transport
 
     def connection_made(self, transport: Any) -> None:
-        """The connection stands; with TLS, after the handshake."""
+        """Handle a new connection; with TLS, after the handshake."""
         self._transport = transport
         if self.is_cut:
             transport.abort()
@@ -182,7 +182,7 @@ class Guard(asyncio.Protocol):
         self._inner.connection_made(Wire(transport, self))
 
     def data_received(self, data: bytes) -> None:
-        """Bytes of the peer."""
+        """Handle bytes of the peer."""
         if self.is_cut or (self.phase is Phase.ENDING and not self._is_upgraded):
             return
         if self._is_upgraded:
@@ -195,18 +195,18 @@ class Guard(asyncio.Protocol):
             self._transport.pause_reading()  # until the answer is out
 
     def eof_received(self) -> bool | None:
-        """The peer says no more; whoever has not asked by now never will."""
+        """Return the peer says no more; whoever has not asked by now never will."""
         return None
 
     def pause_writing(self) -> None:
-        """The socket has no room."""
+        """Stop writing: the socket buffer is full."""
         if self._inner is not None:
             self._inner.pause_writing()
         if self._room is None:
             self._watch_room()
 
     def resume_writing(self) -> None:
-        """The socket has room again."""
+        """Resume writing: the socket buffer has room again."""
         if self._room is not None:
             self._room.cancel()
             self._room = None
@@ -214,7 +214,7 @@ class Guard(asyncio.Protocol):
             self._inner.resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The connection has ended."""
+        """Handle the end of the connection."""
         self.end()
         inner, self._inner, self._transport = self._inner, None, None  # in a cycle a quarter megabyte of TLS would stay
         if inner is not None:
@@ -223,7 +223,7 @@ class Guard(asyncio.Protocol):
     # from the server
 
     def answered(self) -> None:
-        """The answer to a request is out, or waits in the buffer of the socket."""
+        """Handle an answer that has been sent or is in the socket buffer."""
         if self._is_over or self.phase is not Phase.ANSWERING:
             return
         self._enter(Phase.IDLE)
@@ -237,30 +237,30 @@ class Guard(asyncio.Protocol):
             self._take_request()
 
     def upgrade(self, protocol: Any) -> None:
-        """The connection is a WebSocket from now on."""
+        """Switch the connection to a WebSocket."""
         self._inner, self._is_upgraded = protocol, True
         if self.phase is Phase.ANSWERING:
             self._enter(Phase.GREETING)
 
     def stream(self) -> None:
-        """A viewer: does not give way to others."""
+        """Mark the connection as a viewer, which does not make room for others."""
         if self.phase is Phase.GREETING:
             self._enter(Phase.STREAMING)
 
     def close(self) -> None:
-        """End the connection once all has been sent, at the latest after `stall_s`."""
+        """End the connection when everything is sent, at most `stall_s` later."""
         self.finish()
         if self._transport is not None and not self._transport.is_closing():  # a second close of TLS cannot be aborted
             self._transport.close()
 
     def finish(self) -> None:
-        """The last has been said; the other side has `stall_s` to take it and to agree."""
+        """Finish writing; the other side has `stall_s` to read the rest and to close."""
         if not self._is_over and self.phase is not Phase.ENDING:
             self._left = self.unsent
             self._enter(Phase.ENDING, self._limits.stall_s)
 
     def cut(self, reason: str = "", level: int = logging.WARNING) -> None:
-        """End the connection now and forget what waits to be sent, in the kernel, too.
+        """Abort the connection now and discard unsent bytes, in the kernel too.
 
         Args:
             reason: For the log and the metrics; "" logs and counts nothing.
@@ -281,7 +281,7 @@ class Guard(asyncio.Protocol):
                 self._sock.shutdown(socket.SHUT_RDWR)
 
     def shut_down(self) -> None:
-        """The server stops: say so. Never raises, so that the next one hears it as well."""
+        """Announce the shutdown. Never raises, so that the next connection gets the message too."""
         if self._inner is None or self.phase is Phase.ENDING:
             if self._inner is None:
                 self.cut()
@@ -387,7 +387,7 @@ class Guard(asyncio.Protocol):
             self.cut("pings and does not read")
 
     def _refuse(self, refusal: Refusal) -> None:
-        """Answer without bothering anybody else, and read no more than the other side still sends."""
+        """Write the refusal directly, and read no more than what the other side is sending."""
         self._metrics.refused.add(of=str(refusal.status))
         self._log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
         body = f"{refusal.line}\n".encode()

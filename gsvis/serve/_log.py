@@ -22,7 +22,7 @@ _LONGEST = 300
 
 
 def line_of(event: str, **facts: object) -> str:
-    """One line of text.
+    """Return one line of text.
 
     Examples:
         >>> line_of("closed", client=3, reason="no answer", seconds=1.23456)

@@ -61,7 +61,7 @@ class Socket(WebSocketsSansIOProtocol):
                 error.__traceback__ = None  # its frames do so, too
 
     def _refuse_handshake(self) -> None:
-        """Answer a request that the WebSocket parser does not take; the guard should have done so before."""
+        """Answer a request that the WebSocket parser rejects; the guard should have done so before."""
         self.handshake_complete = self.close_sent = True
         answer = b"".join(self.conn.data_to_send())
         self.transport.write(answer or b"HTTP/1.1 400 Bad Request\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")

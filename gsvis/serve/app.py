@@ -97,7 +97,7 @@ class _App:
         self.seats, self.proxies = Seats(config.limits), Proxies(config.proxies)
 
     async def stream(self, socket: WebSocket) -> None:
-        """One client, from its request to its end."""
+        """Serve one client, from its request to its end."""
         number, peer = next(self.numbers), self.place(socket)
         name = socket.path_params.get("name") or next(iter(self.scenes))
         if not self.admits(socket):
@@ -118,7 +118,7 @@ class _App:
         return None
 
     async def serve(self, socket: WebSocket, served: ServedScene, number: int, owner: str) -> None:
-        """A client that may say HELLO; it has a seat from then on."""
+        """Serve a client that may send HELLO; it holds a seat from then on."""
         guard = socket.scope.get("extensions", {}).get(GUARD)
 
         def seat() -> str:
@@ -139,13 +139,13 @@ class _App:
     async def deny(
         self, socket: WebSocket, number: int, reason: str, line: str, status: int, why: str | None = None
     ) -> None:
-        """No stream: an answer of HTTP."""
+        """Refuse a stream with an HTTP answer."""
         self.metrics.refused.add(of=reason)
         self.log("refused", logging.WARNING, client=number, peer=self.place(socket), reason=reason, why=why)
         await socket.send_denial_response(PlainTextResponse(line, status))
 
     async def turn_away(self, socket: WebSocket, number: int, reason: str, line: str, fault: str) -> None:
-        """No stream: a word of the protocol."""
+        """Refuse a stream with an error of the protocol."""
         self.metrics.refused.add(of=reason)
         self.log("refused", logging.WARNING, client=number, peer=self.place(socket), reason=reason)
         try:
@@ -155,7 +155,7 @@ class _App:
             pass  # it has gone already
 
     async def index(self, request: Request) -> Response:
-        """The scenes; addresses are relative, since a proxy may serve them under a prefix."""
+        """Return the scenes; addresses are relative, since a proxy may serve them under a prefix."""
         if not self.admits(request):
             return self.unauthorized(request)
         rows = [
@@ -171,19 +171,19 @@ class _App:
         return JSONResponse({"format": "gsvis-server", "version": 1, "scenes": rows})
 
     async def health(self, request: Request) -> Response:
-        """200 while a scene is served."""
+        """Answer 200 while a scene is served."""
         ready = sum(not served.fault for served in self.scenes.values())
         status = {"status": "ok" if ready else "no scene", "scenes": ready, "refused": len(self.scenes) - ready}
         return JSONResponse(status, 200 if ready else 503, {"cache-control": "no-store"})
 
     async def counts(self, request: Request) -> Response:
-        """For Prometheus."""
+        """Answer with metrics for Prometheus."""
         if not self.admits(request):
             return self.unauthorized(request)
         return Response(self.metrics.text(), media_type=CONTENT_TYPE)
 
     async def file(self, request: Request) -> Response:
-        """A file of a package."""
+        """Return a file of a package."""
         if not self.admits(request):
             return self.unauthorized(request)
         served = self.scenes.get(request.path_params["name"])
@@ -204,7 +204,7 @@ class _App:
         return response
 
     def unread(self, served: ServedScene, error: OSError) -> Response:
-        """503 where the server is short of something for a moment, 500 where a file cannot be read."""
+        """Answer 503 if the server is short of a resource for a moment, 500 if a file cannot be read."""
         self.log("failed", logging.ERROR, scene=served.name, why=f"{type(error).__name__}: {error}")
         if error.errno in _SHORT_OF:
             return PlainTextResponse("the server is busy; try again later\n", 503, {"retry-after": "1"})
@@ -212,7 +212,7 @@ class _App:
         return PlainTextResponse("this file cannot be read on the server\n", 500)
 
     def admits(self, asked: HTTPConnection) -> bool:
-        """Whether the request shows the token."""
+        """Return whether the request shows the token."""
         token = self.config.token
         if token is None:
             return True
@@ -222,17 +222,17 @@ class _App:
         return hmac.compare_digest(shown.strip().encode("utf-8", "replace"), token.encode())
 
     def address(self, asked: HTTPConnection) -> str:
-        """The address of a client: of its socket, or what trusted proxies say."""
+        """Return the address of a client: of its socket, or what trusted proxies say."""
         forwarded = asked.headers.getlist("x-forwarded-for")
         return self.proxies.client_of(asked.client.host if asked.client else "-", forwarded)
 
     def place(self, asked: HTTPConnection) -> str:
-        """The same, for the log."""
+        """Return the same, for the log."""
         address = self.address(asked)
         return f"{address}:{asked.client.port}" if asked.client and asked.client.host == address else address
 
     def unauthorized(self, request: Request) -> Response:
-        """401."""
+        """Answer 401."""
         self.metrics.refused.add(of="token")
         self.log("refused", logging.WARNING, peer=self.place(request), reason="token")
         return PlainTextResponse("a token is needed\n", 401, {"www-authenticate": "Bearer"})
@@ -275,7 +275,7 @@ class _Peer:
 
 
 def _same_origin(socket: WebSocket, allowed: tuple[str, ...]) -> bool:
-    """Whether a page may open this: programs send no Origin, a page sends that of its own address."""
+    """Return whether a page may open this: programs send no Origin, a page sends that of its own address."""
     origin = socket.headers.get("origin")
     if origin is None or "*" in allowed or origin in allowed:
         return True
@@ -354,7 +354,7 @@ def build_app(
     pace: Pace | None = None,
     clock: Clock | None = None,
 ) -> Starlette:
-    """The application.
+    """Return the application.
 
     Args:
         scenes: As `open_scenes` gives them; `/stream` without a name is the first.

@@ -114,7 +114,7 @@ class StreamClient:
     async def run(
         self, pose: Pose, *, seconds: float = np.inf, on_batch: Callable[[Received], None] | None = None
     ) -> None:
-        """Stream for a while; whatever breaks is tried again.
+        """Stream for some time; reconnect after every failure.
 
         Args:
             pose: Where the viewer is.
@@ -170,7 +170,7 @@ class StreamClient:
             wait = min(2.0 * wait, self.config.longest_wait_s)
 
     async def _stream(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
-        """One connection, to its end."""
+        """Run one connection to its end."""
         config = self.config
         options: dict[str, Any] = {} if config.tls is None else {"ssl": config.tls}
         if config.token is not None:
@@ -208,7 +208,7 @@ class StreamClient:
                 await asyncio.gather(*beside, return_exceptions=True)
 
     def _received(self, welcome: bytes) -> Receiver:
-        """A receiver of a scene, if there is memory for it."""
+        """Return a receiver of a scene, if there is memory for it."""
         try:
             return Receiver(welcome, most_bytes=self.config.scene_bytes)
         except ProtocolError as error:
@@ -231,7 +231,7 @@ class StreamClient:
             await self._clock.within(_LEAVE_S, socket.send(Bye().to_bytes()))
 
     async def _tell(self, socket: ClientConnection, pose: Pose) -> None:
-        """Say where the viewer is, at a steady pace."""
+        """Send the viewer's pose at a steady rate."""
         start, step = time.monotonic(), 1.0 / self.config.poses_per_s
         for k in itertools.count():
             now = time.monotonic() - self._began
@@ -243,7 +243,7 @@ class StreamClient:
 
 
 async def _next(socket: ClientConnection) -> bytes:
-    """A message of the server.
+    """Return a message of the server.
 
     Raises:
         ProtocolError: If the server says why it ends the connection, or sends text.
@@ -277,7 +277,7 @@ def fetch(
     receiver: Receiver | None = None,
     clock: Clock | None = None,
 ) -> StreamClient:
-    """Stream for a while, from a program without an event loop.
+    """Stream for some time, from a program without an event loop.
 
     Args:
         url: Of the stream.

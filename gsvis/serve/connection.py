@@ -46,7 +46,7 @@ class Peer(Protocol):
     """The socket of a client."""
 
     async def receive(self) -> bytes:
-        """The next message; raises `GoneError`, or ProtocolError for text."""
+        """Return the next message; raises `GoneError`, or ProtocolError for text."""
         ...
 
     async def send(self, data: bytes) -> None:
@@ -54,7 +54,7 @@ class Peer(Protocol):
         ...
 
     async def close(self, reason: str) -> None:
-        """Say farewell."""
+        """Send the farewell."""
         ...
 
     def abort(self) -> None:
@@ -100,7 +100,7 @@ class PoseClock:
         self._ms, self._turns, self._arrived = 0, 0, 0.0
 
     def at(self, arrived: float, time_ms: int) -> float:
-        """Server's seconds at which a pose was taken, never later than it arrived.
+        """Return the server's seconds at which a pose was taken, never later than its arrival.
 
         Args:
             arrived: Server's seconds.
@@ -155,11 +155,11 @@ class Connection:
         return self._setting.clock.now() - self._alive
 
     def give_way(self) -> None:
-        """End: another viewer has its seat."""
+        """End the connection, because another viewer takes its seat."""
         self._seat_gone.set()
 
     async def run(self) -> None:
-        """All of it; raises nothing but cancellation."""
+        """Run the whole connection; raises only on cancellation."""
         began, fault = self._setting.measure(), None
         loops: list[asyncio.Task[None]] = []
         try:
@@ -183,7 +183,7 @@ class Connection:
             await self._farewell(fault)
 
     async def _greet(self) -> None:
-        """HELLO in, WELCOME out."""
+        """Read HELLO and send WELCOME."""
         limits, clock = self._setting.limits, self._setting.clock
         try:
             data = await clock.within(limits.handshake_s, self._peer.receive())
@@ -209,7 +209,7 @@ class Connection:
         )
 
     async def _listen(self) -> None:
-        """Hear the client until it goes."""
+        """Read messages of the client until it leaves."""
         clock, metrics = self._setting.clock, self._setting.metrics
         while True:
             data = await self._peer.receive()
@@ -234,7 +234,7 @@ class Connection:
                 self._ring()
 
     async def _leave_seat(self) -> None:
-        """End once another viewer has the seat."""
+        """End the connection when another viewer takes the seat."""
         await self._seat_gone.wait()
         why = f"silent for {self.silent_s:.0f} s, and another viewer of this address needs the seat; come back"
         raise ProtocolError(why, FAULTS["late"])
@@ -258,7 +258,7 @@ class Connection:
                 await asyncio.sleep(0)  # the others, too, have something to send
 
     def _idle_for(self, now: float) -> float:
-        """Seconds until it is time for a batch, if nothing happens before; 0 for now."""
+        """Return the seconds until the next batch is due, if nothing happens before; 0 for now."""
         session, tick = self._session, self._setting.limits.tick_s
         if not self._has_pose or (session.done and not self._fresh):
             return _ROUND
@@ -272,7 +272,7 @@ class Connection:
         return self._setting.pace.stretched(self._setting.config.piece)
 
     def _plan(self) -> tuple[Message | None, float]:
-        """The next batch, and how long it took; perhaps in another thread."""
+        """Return the next batch, and how long it took; perhaps in another thread."""
         session, began = self._session, self._setting.measure()
         budget = min(session.room(self._piece_s), float(self._setting.limits.batch_bytes))
         message = session.next_message(began, budget)
@@ -302,7 +302,7 @@ class Connection:
                 raise ProtocolError(f"{type(said).__name__}: {error}") from error
 
     def _look_after(self) -> None:
-        """End what is silent or does not read; come back when that may next be so."""
+        """Raise if the client is silent or does not read; set an alarm for the next check."""
         limits, now = self._setting.limits, self._setting.clock.now()
         if now - self._alive >= limits.idle_s - _SLACK:
             raise ProtocolError(f"no message within {limits.idle_s:g} s; closing", FAULTS["late"])
@@ -323,7 +323,7 @@ class Connection:
         return work() if executor is None else await asyncio.get_running_loop().run_in_executor(executor, work)
 
     async def _wait(self, seconds: float) -> None:
-        """Until the bell rings, at most so long."""
+        """Wait until the bell rings, for a limited time."""
         loop = asyncio.get_running_loop()
         self._bell = loop.create_future()
         timer = loop.call_later(seconds, self._ring)

@@ -85,7 +85,7 @@ class Viewer(Protocol):
         ...
 
     def give_way(self) -> None:
-        """Its seat has gone to another."""
+        """Give up the seat to another viewer."""
         ...
 
 
@@ -142,7 +142,7 @@ class Seats:
         return "address-full" if full else ""
 
     def _silent(self, owner: str) -> Viewer | None:
-        """The one that has been silent for longest, if that is long enough."""
+        """Return the one that has been silent for longest, if that is long enough."""
         found = max(self._by_owner.get(owner, []), key=lambda viewer: viewer.silent_s, default=None)
         return found if found is not None and found.silent_s > _SILENT_S else None
 
@@ -165,7 +165,7 @@ class RateBucket:
         self._left, self._time = self._burst, -np.inf
 
     def take(self, t: float) -> bool:
-        """Whether an event at time t, in seconds that do not fall, is within the rate; it counts if so."""
+        """Return whether an event at time t, in seconds that do not fall, is within the rate; it counts if so."""
         self._left = min(self._burst, self._left + (t - self._time) * self._rate)
         self._time = t
         if self._left < 1.0:
@@ -197,9 +197,9 @@ class Pace:
         self._late = 0.0
 
     def observe(self, late: float) -> None:
-        """Something was done so many seconds later than it was due."""
+        """Record that something ran so many seconds late."""
         self._late += self._WEIGHT * (late - self._late)
 
     def stretched(self, piece: float) -> float:
-        """Seconds of its link that a client's next batch should take, where `piece` is what it should be."""
+        """Return the seconds of its link that a client's next batch should take, where `piece` is the target."""
         return min(piece + 4.0 * self._late, self._MOST * piece)

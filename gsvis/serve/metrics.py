@@ -114,7 +114,7 @@ class Metrics:
         closed: Clients that went or were sent away, by reason.
         refused: Requests that were turned away before they became clients, by reason; those that no application
             saw by their HTTP status.
-        cut: Connections that were cut, by reason; a viewer that is told why counts in `closed`.
+        cut: Connections that were cut, by reason; a viewer that gets the reason counts in `closed`.
         accept_failures: Connections that could not be accepted, by the name of the error.
         sent_bytes: Bytes of batches.
         batches: Batches.

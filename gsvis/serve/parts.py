@@ -29,7 +29,7 @@ _FOREVER = "public, max-age=31536000, immutable"
 
 
 def byte_range(header: str, size: int) -> tuple[int, int] | None:
-    """First byte and the one after the last that a Range header asks for.
+    """Return the first byte and the byte after the last that a Range header requests.
 
     Args:
         header: Its value.
@@ -58,7 +58,7 @@ def byte_range(header: str, size: int) -> tuple[int, int] | None:
 
 
 def read_part(package: Path, name: str) -> bytes:
-    """A part, checked against its name.
+    """Return a part, checked against its name.
 
     Args:
         package: The folder.
@@ -86,7 +86,7 @@ def _read(path: Path, most: int) -> bytes:
 
 
 async def respond(request: Request, package: Path, name: str, *, private: bool) -> Response:
-    """Answer a GET or HEAD for a file of a package.
+    """Answer a GET or HEAD request for a file of a package.
 
     Args:
         request: The request.

@@ -56,7 +56,7 @@ class ServedScene:
         return self.opened
 
     def within(self, position: ArrayLike) -> NDArray[np.float64]:
-        """A position, moved to the border of what can be computed with: a hundred times the size of the scene."""
+        """Return a position clamped to a hundred times the size of the scene, where arithmetic is still accurate."""
         return np.clip(np.asarray(position, np.float64), *self._bounds)
 
     @cached_property

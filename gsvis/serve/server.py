@@ -1,4 +1,4 @@
-"""A server: an application bound to an address, run until it is told to stop, here or in a thread of its own."""
+"""A server: an application bound to an address, run until it is asked to stop, here or in a thread of its own."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class Server:
             watching.cancel()
 
     def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """What asyncio would log by itself, without a limit."""
+        """Log what asyncio would log by itself, in one bounded line."""
         error = context.get("exception")
         why = context.get("message", "") + (f": {type(error).__name__}: {error}" if error is not None else "")
         self._log("failed", logging.ERROR, why=why)
@@ -194,7 +194,7 @@ class _Uvicorn(uvicorn.Server):
         self._clock, self._log, self._make_door = clock, log, door
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to accept."""
+        """Start to accept connections."""
         self._door = self._make_door(self._plain, self.config.ssl)
         self._door.open()
         self.started = True

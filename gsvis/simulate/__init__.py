@@ -1,11 +1,11 @@
-"""What a viewer sees while a scene arrives: deliveries over recorded links along recorded paths, in discrete time.
+"""Simulate what a viewer sees while a scene arrives: deliveries over recorded links along recorded paths.
 
-    stage = Stage(scene.contents)                                          # one for a scene
+    stage = Stage(scene.contents)                                          # one per scene
     link = Link(load_trace("trace.csv"), round_trip=0.04)
     playback = play(Adaptive(scene, config.view), link, path, stage.size)  # when what arrives
     session, = watch(stage, [playback], path, config)                      # PSNR, latency, QoE
 
-The adaptive stream and the baselines stand behind one small interface, `Delivery`. Names are imported when first used.
+The adaptive stream and the baselines share one small interface, `Delivery`. Names are imported on first use.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Two ways to deliver a scene that know nothing of the viewer: the file as a whole, and records along a Morton curve.
+"""Two deliveries that know nothing of the viewer: the whole file, and records along a Morton curve.
 
-Both fill the link from the start and wait for nothing, neither for poses nor for acknowledgements, which is the best
-that they can do. Sizes are measured, not assumed: the caller states them.
+Both fill the link from the start and wait neither for poses nor for acknowledgements, which is the best that they can
+do. Sizes are measured, not assumed: the caller states them.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ __all__ = ["MortonProgressive", "WholeFile", "morton_order"]
 
 I64 = NDArray[np.int64]
 
-_CHUNK = 1 << 14  # bytes of a parcel: what a download is cut into
+_CHUNK = 1 << 14  # bytes of a parcel of a download
 
 
 class _Unaware:
-    """A list of parcels that goes out as it is."""
+    """Send a fixed list of parcels."""
 
     name: str
     exact: bool
@@ -34,13 +34,13 @@ class _Unaware:
         self._parcels, self._sent = parcels, 0
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """Nothing follows from it."""
+        """Ignore the pose."""
 
     def on_ack(self, t: float, sequence: int) -> None:
-        """Nothing follows from it."""
+        """Ignore the acknowledgement."""
 
     def next(self, t: float) -> Parcel | None:
-        """The next parcel, at any time."""
+        """Return the next parcel, at any time."""
         if self._sent == len(self._parcels):
             return None
         self._sent += 1
@@ -48,14 +48,14 @@ class _Unaware:
 
 
 class WholeFile(_Unaware):
-    """One file of the scene, as SOG is loaded: nothing to show until all of it has come, and then all.
+    """One file of the scene, loaded like SOG: nothing is shown until all of it has arrived.
 
-    What is shown then is the full scene itself, as if the file had lost nothing of it.
+    The client then shows the full scene itself, as if the file were lossless.
 
     Args:
-        contents: The package, whose ids the last parcel names.
+        contents: The package; the last parcel names its ids.
         nbytes: Measured size of the file.
-        measured: How the size was found, for reports.
+        measured: How the size was measured, for reports.
     """
 
     name, exact = "whole file", True
@@ -71,21 +71,20 @@ class WholeFile(_Unaware):
         super().__init__(parcels)
 
     def describe(self) -> dict[str, Any]:
-        """Size and where it comes from."""
+        """Return the size and its source."""
         return {"bytes": self.nbytes, "measured": self.measured}
 
 
 class MortonProgressive(_Unaware):
-    """The records of the highest level along a Morton curve, each with all its terms, shown as they come.
+    """Records of the highest level along a Morton curve, each with all its terms, shown as they arrive.
 
-    With the sizes of the package's own records it differs from what gsvis serves in nothing but the order and the
-    selection of the bytes.
+    With the sizes of the package's own records it differs from gsvis only in the order and the selection of the bytes.
 
     Args:
         contents: The package.
         gaussian_bytes: Bytes of a Gaussian with its base color.
-        term_bytes: Bytes of a term; None: of the package's records.
-        measured: How the sizes were found, for reports.
+        term_bytes: Bytes of a term; None means those of the package's records.
+        measured: How the sizes were measured, for reports.
     """
 
     name, exact = "Morton order", False
@@ -118,12 +117,12 @@ class MortonProgressive(_Unaware):
         super().__init__(parcels)
 
     def describe(self) -> dict[str, Any]:
-        """Size and where it comes from."""
+        """Return the sizes and their source."""
         return {"bytes": self.nbytes, "measured": self.measured}
 
 
 def morton_order(means: ArrayLike) -> I64:
-    """(N,) the order of centers (N, 3) along a Morton curve over the box of the middle 98% of them."""
+    """Return (N,) the order of centers (N, 3) along a Morton curve over the box of the middle 98% of them."""
     points = _check.floats("means", means, ("N", 3))
     if len(points) == 0:
         return np.zeros(0, np.int64)
@@ -133,7 +132,7 @@ def morton_order(means: ArrayLike) -> I64:
 
 
 def _terms_of(contents: Contents, ids: I64) -> I64:
-    """Ids of all terms of these Gaussians, in their order."""
+    """Return the ids of all terms of these Gaussians, in their order."""
     counts = contents.term_counts[ids].astype(np.int64)
     starts = contents.term_offsets[ids]
     total = int(counts.sum())

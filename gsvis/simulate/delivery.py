@@ -1,8 +1,8 @@
-"""How a scene reaches a client: one small interface, behind which stand the adaptive stream and the baselines.
+"""Deliver a scene to a client: one small interface for the adaptive stream and the baselines.
 
 A delivery is the server's side for one client. Poses and acknowledgements go in, parcels come out; time, in seconds, is
 an argument. Whatever bytes a parcel has, it names what the client can draw from then on by ids of the package, so that
-all systems are drawn, and judged, alike.
+all systems are rendered and judged in the same way.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ __all__ = ["Adaptive", "Delivery", "Parcel"]
 
 @dataclass(frozen=True, eq=False)
 class Parcel:
-    """What goes to the client at once; it counts when its last byte has arrived.
+    """A unit of delivery; it counts when its last byte has arrived.
 
     Attributes:
-        sequence: Its number, which the acknowledgement gives back.
+        sequence: Its number, repeated in the acknowledgement.
         nbytes: Bytes on the wire.
         gaussians: Ids of Gaussians that can be drawn from then on.
         terms: Ids of terms.
-        dropped: Ids of Gaussians that are shown no more.
+        dropped: Ids of Gaussians that are no longer shown.
     """
 
     sequence: int
@@ -40,41 +40,41 @@ class Parcel:
 
 
 class Delivery(Protocol):
-    """What a system has to be able to do.
+    """Interface of a delivery.
 
     Attributes:
-        name: What reports call it.
-        exact: Whether what it shows is the full scene itself once all of it is there; if not, it is the records.
+        name: Name for reports.
+        exact: Whether the complete delivery shows the full scene itself; otherwise it shows the records.
     """
 
     name: str
     exact: bool
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """The client is here, says a message that arrives at time t."""
+        """Take the pose of the client, in a message that arrives at time t."""
         ...
 
     def on_ack(self, t: float, sequence: int) -> None:
-        """The client has received everything up to this parcel, says a message that arrives at time t."""
+        """Take the acknowledgement of everything up to this parcel, in a message that arrives at time t."""
         ...
 
     def next(self, t: float) -> Parcel | None:
-        """What to send now; None to wait for a pose or an acknowledgement."""
+        """Return what to send now; None to wait for a pose or an acknowledgement."""
         ...
 
     def describe(self) -> dict[str, Any]:
-        """Facts for reports, ready for JSON."""
+        """Return facts for reports, ready for JSON."""
         ...
 
 
 class Adaptive:
-    """What gsvis serves: the session of `gsvis.stream`, with the bytes of its messages.
+    """The adaptive stream of gsvis: the session of `gsvis.stream`, with the bytes of its messages.
 
     Args:
-        scene: What all clients share.
-        view: What the client shows.
+        scene: State that all clients share.
+        view: Field of view of the client.
         config: How the scheduler decides; None means `AbrConfig()`.
-        name: What reports call it.
+        name: Name for reports.
 
     Attributes:
         session: The session.
@@ -95,15 +95,15 @@ class Adaptive:
         self._greeted = False
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """See `Delivery`."""
+        """Take a pose; see `Delivery`."""
         self.session.on_pose(t, position, quat)
 
     def on_ack(self, t: float, sequence: int) -> None:
-        """See `Delivery`."""
+        """Take an acknowledgement; see `Delivery`."""
         self.session.on_ack(t, sequence)
 
     def next(self, t: float) -> Parcel | None:
-        """See `Delivery`; the first parcel is WELCOME, which nothing can be drawn from."""
+        """Return the next parcel; see `Delivery`. The first is WELCOME, which contains nothing to draw."""
         message = self.session.next_message(t) if self._greeted else self.session.welcome(t)
         self._greeted = True
         if message is None:
@@ -112,7 +112,7 @@ class Adaptive:
         return Parcel(message.sequence, len(message.data), batch.gaussians, batch.terms, batch.dropped)
 
     def describe(self) -> dict[str, Any]:
-        """See `Delivery`."""
+        """Return facts for reports; see `Delivery`."""
         c = self.config
         return {"policy": c.policy, "estimator": c.estimator, "predictor": c.predictor, "lead": c.lead,
                 "window": c.window, "piece": c.piece}  # fmt: skip

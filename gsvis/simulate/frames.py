@@ -1,7 +1,7 @@
-"""Pictures of what clients hold, many of one pose: the view is projected and sorted once, then drawn for each subset.
+"""Render what clients hold, many at one pose: the view is projected and sorted once, then drawn for each subset.
 
-Exactly what `gsvis.render.rasterize` draws of the same Gaussians on the CPU, black behind them, values clipped to what
-a display shows. Scene frame and units.
+The result equals `gsvis.render.rasterize` of the same Gaussians on the CPU, on black, with values clipped as on a
+display. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from gsvis.simulate._kernels import thin as kernels
 __all__ = ["CONTENT_DB", "Frame", "Stage", "psnr_of"]
 
 CONTENT_DB = FIRST_FRAME_DB
-"""A view has content where black is worse than this against the full scene: a root mean square of more than 0.1."""
+"""A view has content if black is worse than this against the full scene: a root mean square of more than 0.1."""
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -34,11 +34,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A scene as clients draw it, and the full scene that they are compared with.
+    """A scene as clients draw it, and the full scene to compare with.
 
     Args:
-        contents: The package: what is drawn are its records, decoded.
-        reference: The scene before it became a package; None: the highest level of the package with all terms.
+        contents: The package; its decoded records are drawn.
+        reference: The scene before packaging; None means the highest level of the package with all terms.
     """
 
     contents: Contents
@@ -51,12 +51,12 @@ class Stage:
 
     @cached_property
     def highest(self) -> Mask:
-        """(N,) members of the highest level."""
+        """(N,) whether each Gaussian belongs to the highest level."""
         return np.asarray(self.contents.last == len(self.contents.names) - 1)
 
     @cached_property
     def evaluator(self) -> Evaluator | None:
-        """Colors with terms; None where there are none."""
+        """Colors with terms; None if there are none."""
         return Evaluator(self.contents.colors().dequantize()) if len(self.contents.term_records) else None
 
     @property
@@ -66,22 +66,22 @@ class Stage:
 
     @property
     def compared_with(self) -> str:
-        """What the full scene is, in words."""
+        """Description of the full scene."""
         if self.reference is not None:
             return "the scene before it became a package, unquantized, with its spherical harmonics"
         return "the highest level of the package, as decoded, with all its terms"
 
 
 class Frame:
-    """One pose, ready to be drawn for any client.
+    """One pose, prepared to be drawn for any client.
 
     Args:
         stage: The scene.
         camera: One camera.
 
     Attributes:
-        ids: (M,) Gaussians that reach a pixel, rising.
-        reference: (H, W, 3) the full scene, in [0, 1].
+        ids: (M,) Gaussians that reach a pixel, ascending.
+        reference: (H, W, 3) image of the full scene, in [0, 1].
     """
 
     def __init__(self, stage: Stage, camera: Cameras) -> None:
@@ -100,11 +100,11 @@ class Frame:
             self.reference = self.image(stage.highest[self.ids], np.ones(stage.size[1], bool))
 
     def image(self, shown: Mask, terms: Mask) -> F32:
-        """(H, W, 3) in [0, 1].
+        """Return the image (H, W, 3) in [0, 1].
 
         Args:
-            shown: (M,) which of `ids` the client shows.
-            terms: (T,) which terms it has.
+            shown: (M,) whether the client shows each of `ids`.
+            terms: (T,) whether it has each term.
         """
         p, v = self._projected, self._view
         offsets, members = np.empty_like(p.offsets), np.empty_like(p.members)
@@ -121,15 +121,15 @@ class Frame:
 
     @property
     def has_content(self) -> bool:
-        """Whether the full scene shows more here than a black picture would pass for (`CONTENT_DB`)."""
+        """Whether the full scene differs enough from a black image here (`CONTENT_DB`)."""
         return psnr_of(np.zeros_like(self.reference), self.reference) < CONTENT_DB
 
     def psnr(self, shown: Mask, terms: Mask) -> float:
-        """PSNR against the full scene, dB.
+        """Return the PSNR against the full scene, dB.
 
         Args:
-            shown: (M,) which of `ids` the client shows.
-            terms: (T,) which terms it has.
+            shown: (M,) whether the client shows each of `ids`.
+            terms: (T,) whether it has each term.
         """
         key = hashlib.blake2b(np.packbits(shown).tobytes(), digest_size=16)
         if len(terms):
@@ -141,7 +141,7 @@ class Frame:
 
 
 def psnr_of(image: F32, target: F32) -> float:
-    """PSNR of images with values in [0, 1], dB; inf where they are equal."""
+    """Return the PSNR of images with values in [0, 1], dB; inf if they are equal."""
     apart = (image - target).ravel()
     error = float(np.dot(apart, apart)) / len(apart)
     return float(-10.0 * np.log10(error)) if error > 0.0 else np.inf

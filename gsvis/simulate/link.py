@@ -1,6 +1,6 @@
-"""A link between a server and one client: bytes go one after the other at a recorded rate, and take time to travel.
+"""A link between a server and one client: bytes travel in sequence at a recorded rate, with a delay.
 
-Seconds and bytes. The way back carries poses and acknowledgements, which are small: it has a delay and no rate.
+Seconds and bytes. The uplink carries poses and acknowledgements, which are small: it has a delay and no rate.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["Link", "Pipe"]
 
 @dataclass(frozen=True)
 class Link:
-    """What lies between the two.
+    """A link between server and client.
 
     Attributes:
         trace: Rate from the server to the client.
@@ -32,31 +32,31 @@ class Link:
 
     @property
     def delay(self) -> float:
-        """Seconds each way."""
+        """Delay each way, seconds."""
         return 0.5 * self.round_trip
 
     def from_time(self, start: float) -> Link:
-        """The same link, begun later."""
+        """Return the same link with a later start."""
         return Link(self.trace.from_time(start), self.round_trip)
 
 
 class Pipe:
-    """A link in use, first in first out, without loss and without bound: what is sent waits for what was sent before.
+    """A link in use, first in first out, without loss and without bound: new bytes wait for earlier ones.
 
     Attributes:
-        link: As given.
-        free: Seconds at which the last byte sent so far will have left.
+        link: The link.
+        free: Seconds at which the last byte so far will have left.
     """
 
     def __init__(self, link: Link) -> None:
         self.link, self.free = link, 0.0
 
     def send(self, t: float, nbytes: float) -> float:
-        """When the last of so many bytes arrives, if they are handed over at time t; inf on a link that has died.
+        """Return when the last of some bytes arrives, if they are sent at time t; inf on a dead link.
 
         Args:
-            t: Seconds, never before the time of the call before.
-            nbytes: Bytes >= 0.
+            t: Seconds, not before the previous call's time.
+            nbytes: Number of bytes, >= 0.
         """
         start = max(t, self.free)
         if np.isfinite(start):

@@ -1,8 +1,8 @@
-"""One delivery over one link along one path: when everything arrives. No picture is drawn here.
+"""Play one delivery over one link along one path: compute when everything arrives. Nothing is rendered here.
 
-Server and client keep the same time. The client says where it is at every tick, and that it has received something at
-once; both travel for half of the round trip. The server sends whenever it hears something, for as long as the delivery
-has something to send. Time in seconds from the moment at which the client asks for the scene.
+Server and client have the same clock. The client sends its pose at every tick, and acknowledges at once what it
+receives; both take half of the round trip. The server sends on every message, as long as the delivery has something to
+send. Time is in seconds from the client's request for the scene.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ _POSE, _ACK = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """When what arrived.
+    """Arrival times of a delivery.
 
     Attributes:
-        name: Of the delivery.
-        exact: As the delivery's.
-        link: The link that it went over.
-        seconds: How long the client was there.
+        name: Name of the delivery.
+        exact: Whether the complete delivery shows the full scene itself.
+        link: The link.
+        seconds: Duration of the visit.
         gaussian_at: (N,) seconds at which each Gaussian could be drawn, inf for never.
-        gone_at: (N,) seconds from which on it is shown no more.
+        gone_at: (N,) seconds at which it is dropped.
         term_at: (T,) seconds at which each term could be used.
-        times: (P,) arrival of each parcel, rising.
+        times: (P,) arrival of each parcel, ascending.
         sizes: (P,) bytes of each.
-        twice: Gaussians and terms that arrived once more than needed.
-        about: What the delivery says of itself.
+        twice: Number of Gaussians and terms that arrived more than once.
+        about: Description by the delivery.
     """
 
     name: str
@@ -64,31 +64,31 @@ class Playback:
         return float(self.gaussian_at.min(initial=np.inf))
 
     def bytes_at(self, times: NDArray[Any] | float) -> F64:
-        """Bytes of the parcels that have arrived, at each of the times."""
+        """Return the bytes of the parcels that have arrived, at each of the times."""
         sums = np.concatenate([[0.0], np.cumsum(self.sizes, dtype=np.float64)])
         return np.asarray(sums[np.searchsorted(self.times, times, side="right")])
 
     def gaussians_at(self, times: NDArray[Any] | float) -> NDArray[np.int64]:
-        """How many Gaussians have arrived, shown still or not."""
+        """Return the number of Gaussians that have arrived, still shown or not."""
         return np.asarray(np.searchsorted(np.sort(self.gaussian_at), np.asarray(times, np.float32), side="right"))
 
     def terms_at(self, times: NDArray[Any] | float) -> NDArray[np.int64]:
-        """How many terms have arrived."""
+        """Return the number of terms that have arrived."""
         return np.asarray(np.searchsorted(np.sort(self.term_at), np.asarray(times, np.float32), side="right"))
 
 
 def play(
     delivery: Delivery, link: Link, path: HeadPath, size: tuple[int, int], *, seconds: float = 31.0, tick: float = 0.1
 ) -> Playback:
-    """Let a delivery run.
+    """Play a delivery over a link.
 
     Args:
-        delivery: The server's side, fresh.
-        link: From the server to the client.
-        path: Where the client is, from the moment at which it asks; it stands still after the end.
+        delivery: The server's side, unused so far.
+        link: Link from the server to the client.
+        path: Path of the client, from its request on; it stands still after the end.
         size: N and T, Gaussians and terms of the scene.
-        seconds: How long.
-        tick: Seconds from one pose to the next.
+        seconds: Duration.
+        tick: Seconds between poses.
 
     Raises:
         ValueError: If a time is out of range.
@@ -124,7 +124,7 @@ def play(
 
 
 class _Arrivals:
-    """What has come, and when."""
+    """What has arrived, and when."""
 
     def __init__(self, gaussians: int, terms: int) -> None:
         self.moments: tuple[F32, F32, F32] = (

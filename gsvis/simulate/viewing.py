@@ -1,9 +1,9 @@
-"""What a viewer sees of a playback: PSNR against the full scene, latency, bytes and shares over time, and QoE.
+"""Measure what a viewer sees of a playback: PSNR against the full scene, latency, bytes and shares over time, QoE.
 
-A step is a tick of the path, 100 ms. PSNR is measured at every tick in the first seconds and now and then later, and
-stands for the ticks until the next measurement. What is drawn is what has arrived, from where the head is then; before
-the first Gaussian there is no image, which counts as 0 dB. A step counts only where the full scene shows something:
-where a black picture would already pass for a first image of it (`CONTENT_DB`), PSNR says nothing. Seconds, bytes, dB.
+A step is a tick of the path, 100 ms. PSNR is measured at every tick in the first seconds and less often later, and
+holds for the ticks until the next measurement. The image shows what has arrived, from the current pose; before the
+first Gaussian there is no image, which counts as 0 dB. A step counts only if the full scene has content: where a black
+image would already pass for a first image (`CONTENT_DB`), PSNR is meaningless. Seconds, bytes, dB.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 GOOD_DB = 35.0
-"""PSNR of an image that is good."""
+"""PSNR of a good image."""
 _QOE = ("score", "quality", "delay", "psnr", "latency", "steps")
 _HAIR = 1e-6  # seconds by which float32 may miss a tick
 
 
 @dataclass(frozen=True)
 class ViewingConfig:
-    """How a session is watched.
+    """How to watch a session.
 
     Attributes:
-        seconds: How long the viewer stays.
-        tick: Seconds from pose to pose.
-        fine: For so many seconds PSNR is measured at every tick,
-        every: then every so many seconds.
-        width: Pixels of the images that are compared.
-        height: Pixels.
+        seconds: Duration of the visit.
+        tick: Seconds between poses.
+        fine: Seconds at the start in which PSNR is measured at every tick.
+        every: Seconds between measurements after that.
+        width: Pixels of the compared images.
+        height: Pixels of the compared images.
         fov: Horizontal field of view, degrees.
-        margin: Degrees by which a server takes the view to be wider on each side.
+        margin: Degrees by which a server widens the view on each side.
         qoe: Constants of equation 8.
     """
 
@@ -75,7 +75,7 @@ class ViewingConfig:
 
     @property
     def view(self) -> FieldOfView:
-        """What the client shows, as a server is told."""
+        """The client's field of view, as sent to a server."""
         x = np.tan(np.radians(self.fov) / 2.0)
         y = x * self.height / self.width
         return FieldOfView(float(x), float(x), float(y), float(y), float(np.radians(self.margin)))
@@ -90,7 +90,7 @@ class ViewingConfig:
 
     @property
     def watched(self) -> float:
-        """Seconds that a playback has to cover: after the last step a pose may still become visible."""
+        """Seconds that a playback must cover: after the last step a pose may still become visible."""
         return self.seconds + self.qoe.latency_scale
 
 
@@ -99,13 +99,13 @@ class Viewing:
     """What one viewer saw of one system.
 
     Attributes:
-        playback: What arrived when.
+        playback: The playback.
         config: How it was watched.
-        times: (S,) seconds of the steps that were measured.
-        psnr: (S,) dB at each, at most `qoe.psnr_scale`: what exceeds it counts no more.
+        times: (S,) seconds of the measured steps.
+        psnr: (S,) dB at each, at most `qoe.psnr_scale`.
         latency: (S,) seconds from the pose of each until it was shown at `qoe.shown_db`, at most the time-out.
         needed: (N,) Gaussians that reached a pixel of one of the steps.
-        content: (S,) steps at which the full scene shows something; only these count in the figures.
+        content: (S,) steps at which the full scene has content; only these count in the figures.
     """
 
     playback: Playback
@@ -118,31 +118,31 @@ class Viewing:
 
     @property
     def weights(self) -> NDArray[np.int64]:
-        """(S,) ticks for which each step stands; 0 where there is nothing to see."""
+        """(S,) number of ticks that each step represents; 0 without content."""
         ticks = np.rint(np.append(self.times, self.config.seconds) / self.config.tick).astype(np.int64)
         return np.where(self.content, np.diff(ticks), 0)
 
     @property
     def qoe(self) -> Qoe:
-        """Equation 8, mean over all ticks at which there is something to see.
+        """Equation 8, the mean over all ticks with content.
 
         Raises:
-            ValueError: If there is none.
+            ValueError: If no step has content.
         """
         psnr, latency = (np.repeat(values, self.weights) for values in (self.psnr, self.latency))
         return quality_of_experience(psnr, latency, self.config.qoe)
 
     def seconds_to(self, least: float) -> float:
-        """Seconds until the first step with content of at least that many dB; inf if there is none."""
+        """Return the seconds until the first step with content of at least that many dB; inf if there is none."""
         return first_frame(self.times, self._judged, least)
 
     @property
     def _judged(self) -> F64:
-        """(S,) PSNR, 0 where there is nothing to see."""
+        """(S,) PSNR, 0 without content."""
         return np.where(self.content, self.psnr, 0.0)
 
     def figures(self) -> dict[str, float | int | None]:
-        """What is said of the session in numbers; None where something never happened, or no view has content."""
+        """Return the figures of the session; None if something never happened, or no view has content."""
         p, end = self.playback, self.config.seconds
         any_content = bool(self.content.any())
         qoe: Mapping[str, float | None] = self.qoe.as_dict() if any_content else dict.fromkeys(_QOE)
@@ -164,13 +164,13 @@ class Viewing:
         }
 
     def _stall(self) -> float:
-        """Seconds of stall; time without anything to see is none."""
+        """Return the seconds of stall; time without content does not count."""
         seen = np.where(self.content, self.psnr, np.inf)
         seen[self.times < self.seconds_to(FIRST_FRAME_DB)] = 0.0
         return stall(self.times, seen, self.config.qoe.shown_db, self.config.seconds)
 
     def as_dict(self) -> dict[str, Any]:
-        """Figures and curves, ready for JSON."""
+        """Return figures and curves, ready for JSON."""
         p, n, terms = self.playback, len(self.playback.gaussian_at), len(self.playback.term_at)
         curves = {
             "times": self.times,
@@ -191,7 +191,7 @@ class Viewing:
 
     @property
     def score(self) -> F64:
-        """(S,) QoE of each step alone."""
+        """(S,) QoE of each single step."""
         c = self.config.qoe
         delay = np.clip(self.latency / c.latency_scale, 0.0, 1.0)
         return np.asarray(np.clip(self.psnr / c.psnr_scale, 0.0, 1.0) - c.delay_weight * delay)
@@ -205,19 +205,19 @@ def watch(
     *,
     progress: Progress = silent,
 ) -> list[Viewing]:
-    """Look at playbacks of one path, step by step, each pose made ready once for all of them.
+    """Watch playbacks of one path, step by step; each pose is prepared once for all of them.
 
-    Latency is found by halving the time from the pose to the time-out, since more of a scene rarely shows less.
+    Latency is found by bisection between the pose and the time-out, because more data rarely shows less.
 
     Args:
         stage: The scene.
-        playbacks: Of this scene, each at least `config.watched` seconds long.
-        path: The path that they were played along.
-        config: None means `ViewingConfig()`.
-        progress: Called with stage "watching", in steps.
+        playbacks: Playbacks of this scene, each at least `config.watched` seconds long.
+        path: The path of the playbacks.
+        config: How to watch; None means `ViewingConfig()`.
+        progress: Called with stage "watching"; counts steps.
 
     Raises:
-        ValueError: If a playback is too short or of another scene.
+        ValueError: If a playback is too short or belongs to another scene.
     """
     config = config or ViewingConfig()
     for p in playbacks:
@@ -246,17 +246,17 @@ def watch(
 def show_at(
     stage: Stage, playbacks: Sequence[Playback], path: HeadPath, t: float, config: ViewingConfig
 ) -> tuple[F32, list[F32 | None]]:
-    """What was to be seen at one time.
+    """Return what was visible at one time.
 
     Args:
         stage: The scene.
-        playbacks: Of this scene.
-        path: The path that they were played along.
+        playbacks: Playbacks of this scene.
+        path: The path of the playbacks.
         t: Seconds.
         config: Size and field of view of the images.
 
     Returns:
-        (H, W, 3) the full scene in [0, 1], and for each playback what it showed; None before its first Gaussian.
+        (H, W, 3) the full scene in [0, 1], and the image of each playback; None before its first Gaussian.
     """
     position, quat = path.at(t)
     camera = HeadPath(np.zeros(1), position[None], quat[None]).cameras(config.width, config.height, config.fov)[0]
@@ -265,7 +265,7 @@ def show_at(
 
 
 class _Sight:
-    """One pose and one playback: how good the picture of the pose is with what has arrived by any time."""
+    """One pose and one playback: the quality of the pose's image with what has arrived by any time."""
 
     def __init__(self, frame: Frame, playback: Playback) -> None:
         self._frame, self._playback = frame, playback
@@ -288,7 +288,7 @@ class _Sight:
 
 
 def _latency(seen: _Sight, t: float, config: ViewingConfig) -> float:
-    """Seconds until the pose of time t is shown well enough, in ticks; the time-out if it is not by then."""
+    """Return the seconds until the pose of time t is shown well enough, in ticks; the time-out if it is not by then."""
     enough, last = config.qoe.shown_db, round(config.qoe.latency_scale / config.tick)
     if seen.psnr(t) >= enough:
         return 0.0

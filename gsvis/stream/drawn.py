@@ -85,7 +85,7 @@ class Drawn:
 
     def __init__(self, about: SceneHeader) -> None:
         grids, kind = about.grids, about.grids.kind
-        self._grids, self._layout = grids, RecordLayout.of(grids.variant)
+        self._grids, self._layout = grids, RecordLayout.from_variant(grids.variant)
         self._tables = [grids.base_table(k) for k in range(3)]
         self._scale_table = grids.scale_table() if has_scales(kind) else np.ones(1, np.float32)
         self._term_tables = grids.theta_table(), grids.phi_table(), grids.decay_table(), grids.intensity_table()

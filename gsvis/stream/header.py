@@ -87,12 +87,12 @@ class SceneHeader:
     @cached_property
     def term_bytes(self) -> int:
         """Bytes of the record of a term."""
-        return TermLayout.of(self.grids).nbytes
+        return TermLayout.from_grids(self.grids).nbytes
 
     @cached_property
     def term_bits(self) -> int:
         """Bits of it, which are what travels."""
-        return int(TermLayout.of(self.grids).widths.sum())
+        return int(TermLayout.from_grids(self.grids).widths.sum())
 
     def to_message(self) -> bytes:
         """WELCOME."""

@@ -20,7 +20,7 @@ PROTOCOL = 2
 """Version of the messages."""
 
 MOST_HELLO = 16 << 20
-"""Bytes of a HELLO at most, unless told otherwise."""
+"""Default limit of a HELLO in bytes."""
 
 HELLO, POSE, ACK, BYE = 1, 2, 3, 4
 WELCOME, BATCH, ERROR = 129, 130, 131

@@ -1,4 +1,4 @@
-"""Training: from photographs or a finished scene to Gaussians, and to quality levels that share them."""
+"""Training: from photos or a finished scene to Gaussians, and to quality levels that share them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gsvis.train.initial import gaussians_from_points, random_points
 from gsvis.train.level_quality import LevelQuality, measure_levels
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 from gsvis.train.likeness import ViewLikeness, measure_views
-from gsvis.train.merge import merged
+from gsvis.train.merge import merge_gaussians
 from gsvis.train.photos import Photos, load_photos
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ __all__ = [
     "load_photos",
     "measure_levels",
     "measure_views",
-    "merged",
+    "merge_gaussians",
     "most_important",
     "prune",
     "random_points",
@@ -46,7 +46,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs torch when it is asked for."""
+    """Import names that need torch on first use."""
     if name in ("TrainResult", "Trainer", "train"):
         from gsvis._extras import require
 

@@ -1,7 +1,7 @@
-"""The photographs that a reconstruction names: where they are, whether they can be read, how large they are.
+"""Find the photos of a reconstruction, and check that they can be read and how large they are.
 
-Only headers are read here. Images are taken as they are stored: an EXIF orientation is ignored, as COLMAP does, so that
-pixels are those the model was made of.
+Only headers are read here. Images are used as stored: an EXIF orientation is ignored, as in COLMAP, so that pixels are
+those of the model.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from gsvis.io.folders import cameras_remedy
 from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 
-__all__ = ["FAULTS", "MODES", "find_files", "find_views", "named", "quiet_pillow", "read_sizes", "whole_factor"]
+__all__ = ["FAULTS", "MODES", "find_files", "find_views", "join_names", "quiet_pillow", "read_sizes", "whole_factor"]
 
 Size = tuple[int, int]
 
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
-"""Pillow's modes that are read: up to 8 bits a channel, in gray or RGB, with or without alpha."""
+"""Pillow's modes that are read: up to 8 bits per channel, in gray or RGB, with or without alpha."""
 
 FAULTS = (OSError, SyntaxError, ValueError, EOFError, LookupError, ArithmeticError, Image.DecompressionBombError)
-"""What Pillow raises at a damaged file."""
+"""Errors that Pillow raises for a damaged file."""
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp")
 _KNOWN = "a COLMAP model (cameras and images, .bin or .txt) or a transforms.json"
@@ -41,18 +41,18 @@ _SHOWN = 5
 
 @contextmanager
 def quiet_pillow() -> Iterator[None]:
-    """Keep Pillow's warnings of odd images off the terminal: what matters is refused. Of the whole process."""
+    """Silence Pillow's warnings about unusual images, for the whole process; invalid ones are rejected here."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
 def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
-    """The posed images of a folder of photographs, and where its images may lie.
+    """Return the posed images of a folder of photos, and the folders that may hold its images.
 
     Args:
         path: The folder of a COLMAP model or one above it, a `transforms.json`, or the folder with one.
-        images: Folder of the photographs, as given or inside `path`; None looks at the usual places.
+        images: Folder of the photos, as given or inside `path`; None looks in the usual places.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`, or no folder `images`.
@@ -70,9 +70,9 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
         return read_colmap(model), given or [place for folder in above for place in (folder / "images", folder)]
     file = path / "transforms.json" if path.is_dir() else path
     if not file.is_file() or file.suffix.lower() != ".json":
-        told = "a folder without either" if path.is_dir() else "another file"
+        got = "a folder without either" if path.is_dir() else "another file"
         remedy = cameras_remedy(path) if path.is_dir() else ""
-        raise FormatError(path, "", _KNOWN, told, remedy or "make one with COLMAP, and give its folder")
+        raise FormatError(path, "", _KNOWN, got, remedy or "make one with COLMAP, and name its folder")
     content = read_json(file)
     if not isinstance(content, dict):
         raise FormatError(file, "", "a transforms.json", f"JSON of {type(content).__name__}")
@@ -81,7 +81,7 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
 
 
 def _size_of_first(file: Path, content: dict[str, Any], folders: Sequence[Path]) -> Size | None:
-    """Size of the first image, where a `transforms.json` states none; None if it has no such image."""
+    """Return the size of the first image, if a `transforms.json` states none; None if it has no such image."""
     frames = content.get("frames")
     first = frames[0] if isinstance(frames, list) and frames else None
     if not isinstance(first, dict) or {"w", "h"} <= {*content, *first}:
@@ -94,27 +94,29 @@ def _size_of_first(file: Path, content: dict[str, Any], folders: Sequence[Path])
 
 
 def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
-    """The file of each view, all from the folder that holds most of them.
+    """Return the file of each view, all from the folder that holds most of them.
 
     Raises:
-        FormatError: If one is missing; up to five are named.
+        FormatError: If one is missing; the message names up to five.
     """
     held = [[_place(views.path, folder, name) for name in views.names] for folder in folders]
     counts = [sum(place is not None for place in places) for places in held]
     if not counts or max(counts) == 0:
         looked = ", ".join(dict.fromkeys(str(folder) for folder in folders))
-        told = f"none of them in {looked}"
-        raise FormatError(views.path, "", f"the {len(views.names):,} images it names", told, "say where with --images")
+        text = f"none of them in {looked}"
+        raise FormatError(
+            views.path, "", f"the {len(views.names):,} images it names", text, "name the folder with --images"
+        )
     best = counts.index(max(counts))
     missing = [name for name, place in zip(views.names, held[best], strict=True) if place is None]
     if missing:
-        told = f"{len(missing):,} of {len(views.names):,} missing: {named(missing)}"
-        raise FormatError(folders[best], "", f"the images that {Path(views.path).name} names", told)
+        text = f"{len(missing):,} of {len(views.names):,} missing: {join_names(missing)}"
+        raise FormatError(folders[best], "", f"the images that {Path(views.path).name} names", text)
     return [place for place in held[best] if place is not None]
 
 
 def _place(file: Any, folder: Path, name: str) -> Path | None:
-    """The image of that name in a folder, without the folder or the suffix of its name if need be."""
+    """Return the image with that name in a folder, if needed without the folder or the suffix in its name."""
     inner = name if ".." not in name and not name.startswith("/") else Path(name).name
     path = folder / safe_name(file, f"image {name!r}", inner)
     for place in (path, folder / path.name):
@@ -128,10 +130,10 @@ def _place(file: Any, folder: Path, name: str) -> Path | None:
 
 
 def read_sizes(files: Sequence[Path]) -> list[Size]:
-    """Width and height of each image, from its header.
+    """Return the width and height of each image, from its header.
 
     Raises:
-        FormatError: If a file is no image, of a kind that is not read, or unpacks to far more than its size.
+        FormatError: If a file is not an image, has an unsupported mode, or unpacks to far more than its size.
     """
     sizes = []
     for path in files:
@@ -140,8 +142,8 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
                 mode, size = image.mode, image.size
                 held = os.fstat(file.fileno()).st_size
         except FAULTS as error:
-            told = "something else" if isinstance(error, UnidentifiedImageError) else str(error) or type(error).__name__
-            raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", told, "is it damaged?") from error
+            text = "something else" if isinstance(error, UnidentifiedImageError) else str(error) or type(error).__name__
+            raise FormatError(path, "", "an image (JPEG, PNG, WebP, ...)", text, "is it damaged?") from error
         if mode not in MODES:
             remedy = "convert the images to 8-bit RGB"
             raise FormatError(path, "", "gray or RGB with 8 bits a channel", f"Pillow's mode {mode}", remedy)
@@ -151,38 +153,38 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
 
 
 def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
-    """By how much all images are smaller than the model says: 1 as a rule, 4 for `images_4`.
+    """Return the factor by which all images are smaller than in the model: usually 1, 4 for `images_4`.
 
     Args:
-        views: What the model says.
+        views: Posed images of the model.
         sizes: (width, height) of each image.
 
     Raises:
-        FormatError: If they are of other sizes that are not all the same whole part of it; up to five are named.
+        FormatError: If the sizes differ from the model's by no single whole factor; the message names up to five.
     """
     pairs = list(zip(views.sizes, sizes, strict=True))
-    factors = {max(1, round(told[0] / have[0])) for told, have in pairs}
-    best = max(sorted(factors), key=lambda k: sum(_fits(told, have, k) for told, have in pairs))
-    wrong = [i for i, (told, have) in enumerate(pairs) if not _fits(told, have, best)]
+    factors = {max(1, round(stated[0] / have[0])) for stated, have in pairs}
+    best = max(sorted(factors), key=lambda k: sum(_fits(stated, have, k) for stated, have in pairs))
+    wrong = [i for i, (stated, have) in enumerate(pairs) if not _fits(stated, have, best)]
     if not wrong:
         return best
     (width, height), have = pairs[wrong[0]]
     expected = f"{width} x {height} as the model says, or that divided by one number for all"
-    told = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
-    remedy = "give the images that the model was made of, undistorted with it, or evenly shrunk from those"
+    got = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
+    remedy = "use the images of the model, undistorted with it, or evenly shrunk"
     if have == (height, width):
-        remedy = "the model is of turned images: write their EXIF orientation into the pixels"
-    raise FormatError(views.path, f"images {named([views.names[i] for i in wrong])}", expected, told, remedy)
+        remedy = "the model was made from rotated images: apply their EXIF orientation to the pixels"
+    raise FormatError(views.path, f"images {join_names([views.names[i] for i in wrong])}", expected, got, remedy)
 
 
-def _fits(told: Size, have: Size, factor: int) -> bool:
-    """Whether an image is the factor-th part of what the model says, rounded in either direction."""
+def _fits(stated: Size, have: Size, factor: int) -> bool:
+    """Return whether an image is the factor-th part of the model's size, rounded in either direction."""
     if not 1 <= factor <= _MOST_SHRUNK:
         return False
-    return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(told, have, strict=True))
+    return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(stated, have, strict=True))
 
 
-def named(names: Sequence[str]) -> str:
-    """Up to five names, and how many more there are."""
+def join_names(names: Sequence[str]) -> str:
+    """Return up to five names, and the number of the others."""
     more = f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else ""
     return ", ".join(map(repr, names[:_SHOWN])) + more

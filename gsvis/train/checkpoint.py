@@ -1,7 +1,7 @@
-"""A training run on disk: everything that its course from here on depends on, in one NumPy archive.
+"""Save and load a training run: everything that its future steps depend on, in one NumPy archive.
 
-Written whole or not at all. A checkpoint knows which run it is of: another configuration, other images or other
-Gaussians to begin with are refused, not mixed. No code is ever read from one.
+Writing is atomic. A checkpoint identifies its run: it is rejected for another configuration, other images or other
+initial Gaussians. No code is ever read from one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _AGAIN = "delete it to train from the beginning"
 
 
 def run_key(trainer: Trainer) -> str:
-    """Hash of what a run is of: its configuration, its images and cameras, and what it began with."""
+    """Return a hash of a run: its configuration, its images and cameras, and its initial Gaussians."""
     digest = hashlib.sha256(json.dumps(asdict(trainer.config), sort_keys=True).encode())
     views = trainer.views
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
@@ -44,10 +44,10 @@ def run_key(trainer: Trainer) -> str:
 
 
 def save_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
-    """Write a run as it stands.
+    """Write the current state of a run.
 
     Raises:
-        OSError: If it cannot be written; what was there before is still there.
+        OSError: If it cannot be written; an existing file is kept.
     """
     p, rules = trainer.parameters, trainer.densifier
     arrays: dict[str, NDArray[Any]] = {
@@ -70,16 +70,16 @@ def save_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
 
 
 def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
-    """Bring a run to where a checkpoint left it.
+    """Restore a run from a checkpoint.
 
     Raises:
-        FormatError: If the file is damaged, of another format or of a newer version.
-        ValueError: If it is of another run.
+        FormatError: If the file is damaged, or has another format or a newer version.
+        ValueError: If it belongs to another run.
     """
     header, arrays = _read(path)
     if header.get("run") != trainer.key:
         raise ValueError(
-            f"checkpoint: expected {os.fspath(path)} to be of the same images, Gaussians and configuration, "
+            f"checkpoint: expected {os.fspath(path)} to belong to the same images, Gaussians and configuration, "
             f"got another run's; {_AGAIN}, or name another file"
         )
     try:
@@ -97,7 +97,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         trainer.seconds, trainer.loss = float(header["seconds"]), float(header["loss"])
         trainer.history = [Record(**record) for record in header["history"]]
     except (LookupError, TypeError, ValueError, OverflowError, RuntimeError) as error:
-        raise FormatError(path, "", "a whole checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
+        raise FormatError(path, "", "a complete checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
 
 
 def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:
@@ -112,7 +112,7 @@ def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Header and arrays of a checkpoint; one of an earlier version may have no checksum."""
+    """Return header and arrays of a checkpoint; one of an earlier version may have no checksum."""
     try:
         arrays = load_arrays(path)
         header = parse_object(path, arrays.pop("header", np.zeros(0, np.uint8)).tobytes())
@@ -120,8 +120,8 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArr
             raise FormatError(path, "format", _FORMAT, repr(header.raw("format"))[:60])
         version = header.integer("version", 1, 1 << 30)
     except FormatError as error:
-        told = f"{error.where}: {error.got}" if error.where else error.got
-        raise FormatError(path, "", "a checkpoint of gsvis", told, _AGAIN) from error
+        got = f"{error.where}: {error.got}" if error.where else error.got
+        raise FormatError(path, "", "a checkpoint of gsvis", got, _AGAIN) from error
     if version > _VERSION:
         raise FormatError(path, "version", f"at most {_VERSION}", str(version), "update gsvis")
     return header.value, arrays

@@ -1,4 +1,4 @@
-"""How a scene is trained, and when Gaussians come and go: plain values, checked where they are made."""
+"""Options of training and of densification: plain values, checked on construction."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ __all__ = ["DensifyConfig", "TrainConfig"]
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """When and what to add and to take away.
+    """When to add and remove Gaussians, and which.
 
     Attributes:
-        start: Step of the first change, without it.
-        stop: Step of the last.
-        every: Steps from one to the next.
+        start: Step after which changes begin.
+        stop: Step of the last change.
+        every: Steps between changes.
         threshold: Mean gradient by projected centers, in half image sizes, above which a Gaussian is cloned or split.
-        small: Largest scale of what is cloned, as a share of the extent; larger ones are split.
-        split: Whether large ones are split in two; else they are cloned as well.
-        most_share: Of all Gaussians, how many may be added at a time; those of largest gradient are.
-        most_count: Gaussians beyond which none is added.
-        least_opacity: Below it a Gaussian is pruned.
+        small: Largest scale of a cloned Gaussian, as a share of the extent; larger ones are split.
+        split: Whether large ones are split in two; otherwise they are cloned too.
+        most_share: Largest number of Gaussians to add at a time, as a share of all; those with the largest
+            gradients win.
+        most_count: Number of Gaussians above which none is added.
+        least_opacity: Opacity below which a Gaussian is pruned.
         largest: Scale above which one is pruned, as a share of the extent, after the first reset.
         reset_every: Steps between resets of opacities; 0 for none.
     """
@@ -58,20 +59,20 @@ class DensifyConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How a scene is trained; the rates and rules of 3DGS unless told otherwise.
+    """How to train a scene; defaults are the rates and rules of 3DGS.
 
     Attributes:
-        iterations: Steps, one view each.
+        iterations: Number of steps, one view each.
         sh_degree: Highest degree of color, 0 to 3.
         sh_every: Steps after which the degree rises by one, from 0; 0 starts at the highest.
         ssim_weight: Share of SSIM in the loss.
         means_rate: Learning rate of centers at the start, over the extent of the scene; falls exponentially.
-        means_rate_end: The same at the last step.
+        means_rate_end: Learning rate of centers at the last step.
         scales_rate, quats_rate, opacities_rate, sh0_rate, shN_rate: Learning rates of the other raw values.
-        densify: When Gaussians come and go; None for never.
-        evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
-        seed: Of the order of views and of where parts of split Gaussians lie.
-        backend: Of the rasterizer.
+        densify: When to add and remove Gaussians; None for never.
+        evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
+        seed: Seed of the order of views and of the positions of split Gaussians.
+        backend: Backend of the rasterizer.
     """
 
     iterations: int = 7_000

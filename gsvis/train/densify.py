@@ -1,7 +1,7 @@
-"""Where a scene in training gets more Gaussians and where it loses some: clone, split, prune, reset of opacities.
+"""Densify a scene in training: clone, split, prune, reset opacities.
 
 The default rules of 3DGS, and the gentler ones of SRBF-Gaussian for levels with frozen rows (`split=False`,
-`most_share`). What drives them is the mean length of the loss's gradient by projected centers, in half image sizes.
+`most_share`). They depend on the mean length of the loss's gradient by projected centers, in half image sizes.
 
 References:
     Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", TOG 2023, section 5.2.
@@ -21,21 +21,21 @@ from gsvis.train.parameters import Parameters
 
 __all__ = ["Densifier", "DensifyConfig"]
 
-_FAINT = math.log(0.05 / 0.95)  # logit at which the clone of a frozen one begins, as that one cannot make room for it
-_SMALLER = 1.6  # a split Gaussian is this much larger than its two parts
+_FAINT = math.log(0.05 / 0.95)  # initial logit of the clone of a frozen Gaussian, which cannot make room for it
+_SMALLER = 1.6  # size of a split Gaussian over that of its two parts
 
 
 class Densifier:
-    """Sums gradients between changes, and makes the changes.
+    """Sum gradients between changes, and make the changes.
 
     Args:
         config: The rules.
-        extent: Size of the scene, in its units: how far cameras stand from their middle.
-        parameters: What is trained; edited in place by `refine`.
+        extent: Size of the scene, in its units: how far cameras are from their middle.
+        parameters: Trained values; `refine` edits them in place.
 
     Attributes:
         total: (N,) summed length of gradients.
-        seen: (N,) float, in how many views a Gaussian had one.
+        seen: (N,) float, the number of views with a gradient for each Gaussian.
     """
 
     def __init__(self, config: DensifyConfig, extent: float, parameters: Parameters) -> None:
@@ -53,14 +53,14 @@ class Densifier:
         self.seen += length > 0
 
     def refine(self, step: int, generator: torch.Generator) -> tuple[int, int]:
-        """Change the Gaussians if this step is one to do so.
+        """Change the Gaussians if this step requires it.
 
         Args:
             step: Steps taken, from 1.
-            generator: Where the parts of a split lie.
+            generator: Random numbers for the positions of split parts.
 
         Returns:
-            How many were added and how many were pruned.
+            Number of added and number of pruned Gaussians.
         """
         c = self.config
         if c.reset_every and step % c.reset_every == 0 and step <= c.stop:
@@ -80,7 +80,7 @@ class Densifier:
         return grown - before - split, int(prune.sum()) - split
 
     def _grow(self, generator: torch.Generator) -> Tensor:
-        """Append clones and parts; the mask (N before) of what was split and is to go."""
+        """Append clones and parts; return the mask (N before) of split Gaussians, which must be removed."""
         c, p = self.config, self.parameters
         mean = self.total / self.seen.clamp(min=1.0)
         chosen = mean > c.threshold
@@ -101,7 +101,7 @@ class Densifier:
         return split
 
     def _parts(self, split: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-        """Two smaller Gaussians for each of a mask, drawn from it."""
+        """Return two smaller Gaussians for each one of a mask, drawn from it."""
         rows = {name: value.detach()[split] for name, value in self.parameters.values.items()}
         parts = {name: torch.cat([value, value]) for name, value in rows.items()}
         normal = torch.randn(parts["means"].shape, generator=generator).to(parts["means"])
@@ -111,7 +111,7 @@ class Densifier:
         return parts
 
     def _is_spent(self, step: int) -> Tensor:
-        """Mask of what is too faint, or too large."""
+        """Return the mask of Gaussians that are too faint or too large."""
         c, values = self.config, self.parameters.values
         spent = values["logit_opacities"].detach().sigmoid() < c.least_opacity
         if c.reset_every and step > c.reset_every:
@@ -119,7 +119,7 @@ class Densifier:
         return spent
 
     def _reset(self) -> None:
-        """Lower all opacities to twice what is pruned, so that those which count must show it."""
+        """Lower all opacities to twice the pruning threshold; important Gaussians recover."""
         p = self.parameters
         rows = slice(p.frozen, None)
         most = math.log(2.0 * self.config.least_opacity / (1.0 - 2.0 * self.config.least_opacity))

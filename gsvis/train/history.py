@@ -1,4 +1,4 @@
-"""How a training run went: one record for each time it was measured."""
+"""Record the history of a training run: one record per measurement."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ __all__ = ["Record"]
 
 @dataclass(frozen=True)
 class Record:
-    """How training stood after a step.
+    """State of training after a step.
 
     Attributes:
         step: Steps taken.
-        seconds: Time spent in training so far, evaluation and checkpoints not counted.
+        seconds: Training time so far, without evaluation and checkpoints.
         loss: Running mean over about the last hundred steps.
-        count: Gaussians.
-        psnr: Mean over held-out views of images clipped to [0, 1], dB; NaN where not measured.
+        count: Number of Gaussians.
+        psnr: Mean over held-out views of images clipped to [0, 1], dB; NaN if not measured.
     """
 
     step: int

@@ -1,4 +1,4 @@
-"""Posed images: what training aims at, photographs or renders of a finished scene, with the cameras that took them.
+"""Store posed images, the targets of training: photos or renders of a finished scene, with their cameras.
 
 Images are sRGB as displayed, in one frame with the scene; OpenCV cameras of one size. This module knows no file.
 """
@@ -29,10 +29,10 @@ class PosedImages:
 
     Args:
         cameras: C cameras of one size.
-        images: (C, H, W, 3); uint8 where 255 is white, or float32 where 1 is white and brighter values are kept.
+        images: (C, H, W, 3); uint8 with white at 255, or float32 with white at 1 and brighter values kept.
 
     Raises:
-        ValueError: If the images are of another number, size or type, or not finite.
+        ValueError: If the number, size or type of the images does not fit, or a value is not finite.
 
     Examples:
         >>> views = PosedImages(Cameras.cubemap([[0, 0, 0]], 16), np.zeros((6, 16, 16, 3), np.uint8))
@@ -60,20 +60,20 @@ class PosedImages:
         return f"PosedImages({len(self)} of {self.cameras.width} x {self.cameras.height})"
 
     def __getitem__(self, index: Any) -> PosedImages:
-        """The views at a slice, a mask, an index array, or one integer (one view)."""
+        """Select views by a slice, a mask, an index array, or one integer (one view)."""
         where = np.arange(len(self))[index].reshape(-1)
         return PosedImages(self.cameras[where], self.images[where])
 
     def image(self, index: int) -> NDArray[np.float32]:
-        """(H, W, 3) of one view, 1 is white."""
+        """Return one view as (H, W, 3); 1 is white."""
         image = self.images[index]
         return np.asarray(image / np.float32(255.0) if image.dtype == np.uint8 else image, np.float32)
 
     def split(self, every: int = 8) -> tuple[PosedImages, PosedImages]:
-        """Views to train on and views held out: the first and each `every`th after it, as papers on this do.
+        """Split into training views and held-out views: the first and each `every`th after it, as is common in papers.
 
         Raises:
-            ValueError: If `every` is below 2, or leaves nothing on one side.
+            ValueError: If `every` is below 2, or one side would be empty.
         """
         _check.positive_int("every", every, at_least=2)
         held_out = np.arange(len(self)) % every == 0
@@ -90,14 +90,14 @@ def render_views(
     backend: str = "auto",
     progress: Progress = silent,
 ) -> PosedImages:
-    """Images of a finished scene, brighter values kept: what stands in for photographs where there are none.
+    """Render images of a finished scene as training targets, with brighter values kept.
 
     Args:
         gaussians: The scene.
         cameras: C cameras.
         background: (3,) RGB behind everything.
-        backend: Of the rasterizer.
-        progress: Called with stage "views", in cameras.
+        backend: Backend of the rasterizer.
+        progress: Called with stage "views"; counts cameras.
     """
     images = np.empty((len(cameras), cameras.height, cameras.width, 3), np.float32)
     progress("views", 0, len(cameras))

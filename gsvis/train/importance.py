@@ -1,7 +1,7 @@
-"""Which Gaussians matter to images, and nested subsets of a scene that keep those that do.
+"""Measure which Gaussians matter to images, and find nested subsets of a scene that keep those that do.
 
-Values are per pixel, averaged over channels and views; RGB where 1 is white. What was tried, and how it ranks, stands
-in docs/design/015-importance.md.
+Values are per pixel, averaged over channels and views; RGB where 1 is white. docs/design/015-importance.md compares the
+methods.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ def importance(
     background: ArrayLike = _BLACK,
     progress: Progress = silent,
 ) -> NDArray[np.float64]:
-    """How much each Gaussian matters to the images of some views.
+    """Measure how much each Gaussian matters to the images of some views.
 
     Args:
         gaussians: N Gaussians.
-        views: Photographs with their cameras, or cameras alone, for which the scene's own images stand in.
+        views: Photos with their cameras, or cameras alone, which compare with the scene's own images.
         method: "removal": the mean squared change of the images by the Gaussian's removal. "absolute": the mean
-            absolute change. "error": what its removal adds to the mean squared error against the photographs, negative
-            where they are met better without it; subsets of the highest are bad. "gradient": eq. 6, the sum over views
-            of |dE_i / dg| over the sum of pixels, with E_i the absolute error of view i and dE_i / dg taken over the
-            logarithms of the three scales (their norm), which ranked best. "weight": the mean blending weight.
+            absolute change. "error": what its removal adds to the mean squared error against the photos, negative if
+            they match better without it; subsets of the highest are bad. "gradient": eq. 6, the sum over views of |dE_i
+            / dg| over the sum of pixels, with E_i the absolute error of view i and dE_i / dg taken over the logarithms
+            of the three scales (their norm), which ranked best. "weight": the mean blending weight.
         background: (3,) RGB behind everything.
-        progress: Called with stage "importance", in views.
+        progress: Called with stage "importance"; counts views.
 
     Returns:
-        (N,) per pixel, the larger the more important; 0 for what no view shows.
+        (N,) per pixel, larger is more important; 0 for Gaussians that no view shows.
 
     Raises:
-        ValueError: If the method is unknown, or is "gradient" or "error" without photographs: the error against the
-            scene's own images is zero and so is its gradient.
+        ValueError: If the method is unknown, or is "gradient" or "error" without photos: the error against the
+            scene's own images is zero, and so is its gradient.
 
     References:
         SRBF-Gaussian, section 6.1, equation 6.
@@ -63,12 +63,12 @@ def importance(
     cameras = views.cameras if isinstance(views, PosedImages) else views
     if method in ("gradient", "error") and not isinstance(views, PosedImages):
         raise ValueError(
-            f"method: expected photographs for {method!r}, got cameras alone; the error against the scene's own images "
+            f"method: expected photographs for {method!r}, got cameras only; the error against the scene's own images "
             "is zero and so is its gradient: use 'removal'"
         )
     pixels = max(len(cameras), 1) * cameras.width * cameras.height
 
-    def told(stage: str, done: int, total: int) -> None:
+    def report(stage: str, done: int, total: int) -> None:
         progress("importance", done, total)
 
     if method == "weight":
@@ -80,14 +80,14 @@ def importance(
         return summed / pixels
     if method == "gradient":
         assert isinstance(views, PosedImages)
-        return _gradients(gaussians, views, background, told) / pixels
+        return _gradients(gaussians, views, background, report) / pixels
     images = views.images if method == "error" and isinstance(views, PosedImages) else None
-    effects = removal_effects(gaussians, cameras, images=images, background=background, progress=told)
+    effects = removal_effects(gaussians, cameras, images=images, background=background, progress=report)
     return {"removal": effects.squared, "absolute": effects.absolute, "error": effects.error_change}[method] / pixels
 
 
 def _gradients(g: Gaussians, views: PosedImages, background: ArrayLike, progress: Progress) -> NDArray[np.float64]:
-    """(N,) sum over views of |dE_i / d log scales|, E_i the absolute error, summed over pixels, mean of channels."""
+    """Return (N,) sum over views of |dE_i / d log scales|, E_i the absolute error summed over pixels, channel mean."""
     require("method 'gradient'", "torch")
     import torch
 
@@ -107,12 +107,12 @@ def _gradients(g: Gaussians, views: PosedImages, background: ArrayLike, progress
 
 
 def most_important(gaussians: Gaussians, importance: ArrayLike, count: int) -> NDArray[np.bool_]:
-    """The most important Gaussians, equal ones in the order of their content, so that no permutation counts.
+    """Return the most important Gaussians; ties are broken by content, so that the order of the scene does not matter.
 
     Args:
         gaussians: N Gaussians.
-        importance: (N,) the larger the more important.
-        count: How many, 0 to N.
+        importance: (N,) larger is more important.
+        count: How many to select, 0 to N.
 
     Returns:
         (N,) mask of `count` Gaussians.
@@ -122,7 +122,7 @@ def most_important(gaussians: Gaussians, importance: ArrayLike, count: int) -> N
     """
     values = _check.floats("importance", importance, (len(gaussians),), np.float64)
     if _check.positive_int("count", count, at_least=0) > len(values):
-        raise ValueError(f"count: expected at most {len(values)}, the Gaussians there are, got {count}")
+        raise ValueError(f"count: expected at most {len(values)}, the number of Gaussians, got {count}")
     if count == 0:
         return np.zeros(len(values), bool)
     least = -np.partition(-values, count - 1)[count - 1]
@@ -145,27 +145,28 @@ def prune(
     background: ArrayLike = _BLACK,
     progress: Progress = silent,
 ) -> list[NDArray[np.bool_]]:
-    """Nested subsets, found by taking away what is missed least, a share at a time, and looking again.
+    """Find nested subsets: remove the least important share, measure again, repeat.
 
-    Effects of single removals do not add up: of two Gaussians that hide each other either may go, but not both. So
-    after each round it is measured again what the removal of each of those that stay would change, and it is measured
-    while all the others are there with the share of their alpha that the round will leave of them on average: what two
-    that hide each other do then shows. The change counts and not its sign: those whose loss would mend what is amiss
-    all mend it in the same direction, and too much. docs/design/015-importance.md compares.
+    Effects of single removals do not add up: of two Gaussians that hide each other either may go, but not both. Each
+    round therefore measures again the effect of removing each remaining Gaussian, while all others have the share of
+    their alpha that the round will leave on average. This reveals pairs that hide each other. The size of the change
+    counts, not its sign: Gaussians whose loss would correct an error all correct it in the same direction, and too
+    much. docs/design/015-importance.md compares the methods.
 
     Args:
         gaussians: N Gaussians.
-        views: Cameras, or photographs, of which the cameras alone are used.
-        counts: Sizes wanted, falling, each 1 to N.
-        share: Most of what is left that one round takes away, in (0, 1); each round costs a pass over its views.
-        looks: Views of a round, where there are more than it can afford; None for all of them in every round. The
-            rounds then take turns through the views, the first, which decides what is never looked at again, with three
-            times as many; and what a round has found counts on in later ones, half as much in each.
+        views: Cameras, or photos, of which only the cameras are used.
+        counts: Requested sizes, descending, each 1 to N.
+        share: Largest share of the remaining Gaussians that one round removes, in (0, 1); each round costs a pass
+            over its views.
+        looks: Number of views of a round, to limit its cost; None for all views in every round. Rounds take turns
+            through the views. The first round, whose removals are never measured again, uses three times as many. The
+            results of a round count in later ones too, half as much in each.
         background: (3,) RGB behind everything.
-        progress: Called with stage "prune", in views of all rounds.
+        progress: Called with stage "prune"; counts views of all rounds.
 
     Returns:
-        A mask (N,) for each count, each a subset of the one before; the same whatever the order of the Gaussians.
+        A mask (N,) for each count, each a subset of the previous one; independent of the order of the Gaussians.
 
     Raises:
         ValueError: If the counts do not fall, or `share` or `looks` is out of range.
@@ -181,7 +182,7 @@ def prune(
     progress("prune", 0, total)
     for turn, size in zip(turns, schedule, strict=True):
 
-        def told(stage: str, done: int, of: int, before: int = before) -> None:
+        def report(stage: str, done: int, of: int, before: int = before) -> None:
             if done:
                 progress("prune", before + done, total)
 
@@ -189,7 +190,7 @@ def prune(
         if size < len(kept):
             left = gaussians[kept]
             presence = np.full(len(left), size / len(left), np.float32)
-            effects = removal_effects(left, cameras[turn], background=background, presence=presence, progress=told)
+            effects = removal_effects(left, cameras[turn], background=background, presence=presence, progress=report)
             found = effects.squared / max(effects.pixels, 1)
             values = found if looks is None else found + 0.5 * values
             stays = most_important(left, values, size)
@@ -200,7 +201,7 @@ def prune(
 
 
 def _turns(cameras: int, rounds: int, looks: int | None) -> list[NDArray[np.int64]]:
-    """Which cameras each round looks from."""
+    """Return the cameras of each round."""
     if looks is None:
         return [np.arange(cameras)] * rounds
     _check.positive_int("looks", looks)
@@ -213,7 +214,7 @@ def _turns(cameras: int, rounds: int, looks: int | None) -> list[NDArray[np.int6
 
 
 def _schedule(n: int, counts: Sequence[int], share: float) -> list[int]:
-    """Sizes to go through, each of `counts` among them."""
+    """Return the sizes after each round, with each of `counts` among them."""
     sizes: list[int] = []
     now = n
     for count in counts:

@@ -1,6 +1,6 @@
-"""What training from photographs starts with: Gaussians at the points of a reconstruction, or at random ones.
+"""Create the initial Gaussians of training from photos: at the points of a reconstruction, or at random points.
 
-World frame and units are those of the cameras. Nothing here looks at an image.
+World frame and units are those of the cameras. Nothing here reads an image.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ F64 = NDArray[np.float64]
 
 _NEIGHBORS = 3
 _OPACITY = 0.1
-_LEAST_SCALE = 1e-7  # of the size of the cloud: what float32 still tells apart
+_LEAST_SCALE = 1e-7  # of the size of the cloud: what float32 still resolves
 _ROUNDS = 200
 
 
 def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
-    """A faint ball at each point, as large as its neighbors are far.
+    """Return a faint ball at each point, sized by the distance to its neighbors.
 
-    The scale is the root mean square distance to the 3 nearest points at other places (to those there are, if fewer),
-    the opacity 0.1, the color that of the point from every side.
+    The scale is the root mean square distance to the 3 nearest points at other places (or fewer, if there are fewer),
+    the opacity is 0.1, and the color is that of the point from every side.
 
     Args:
         points: N points, at 2 places or more.
-        sh_degree: Degree of the colors, the higher coefficients 0. Training raises it from 0 by itself.
+        sh_degree: Degree of the colors; higher coefficients are 0. Training raises the degree from 0 by itself.
 
     Returns:
         N Gaussians in the order of the points.
@@ -44,7 +44,7 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
 
     References:
         Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering", TOG 2023, section 5.1 and the
-        authors' code, which takes duplicates for neighbors at distance 0.
+        authors' code, which treats duplicates as neighbors at distance 0.
 
     Examples:
         >>> start = gaussians_from_points(PointCloud([[0, 0, 0], [3, 0, 0], [0, 4, 0]]))
@@ -55,8 +55,8 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
     places, of_point = np.unique(points.means.astype(np.float64), axis=0, return_inverse=True)
     if len(places) < 2:
-        told = f"{len(points):,} at {len(places)}"
-        raise ValueError(f"points: expected points at 2 places or more, got {told}; random_points makes some")
+        got = f"{len(points):,} at {len(places)}"
+        raise ValueError(f"points: expected points at 2 places or more, got {got}; use random_points")
     near, _ = cKDTree(places).query(places, k=min(_NEIGHBORS, len(places) - 1) + 1)
     apart = np.sqrt((near[:, 1:] ** 2).mean(axis=1))  # the first is the point itself
     size = float(np.ptp(places, axis=0).max())
@@ -75,22 +75,22 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
 
 
 def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> PointCloud:
-    """Points for a reconstruction that has none: gray, uniform in the box that cameras look at, where one sees them.
+    """Draw points for a reconstruction without any: gray, uniform in the box that cameras look at, each seen by one.
 
-    The box holds the viewpoints and, from each, what lies twice as far as the point nearest to all lines of sight (at
-    least as far as cameras stand apart, where they look past each other).
+    The box holds the viewpoints and, from each, the points up to twice as far as the point nearest to all lines of
+    sight (at least as far as the distance between cameras, if they look past each other).
 
     Args:
         cameras: C cameras, C >= 1.
-        count: N, how many points.
-        rng: Where they lie.
+        count: N, number of points.
+        rng: Source of randomness.
 
     Returns:
         N points, each inside the image of at least one camera.
 
     Raises:
         ValueError: If there is no camera, or `count` is below 1.
-        SceneError: If the cameras see next to nothing of the box.
+        SceneError: If the cameras see almost none of the box.
 
     Examples:
         >>> around = Cameras.orbit((0, 0, 0), 2.0, 8)
@@ -109,15 +109,13 @@ def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> Poi
         have += len(kept[-1])
         if have >= count:
             return PointCloud(np.concatenate(kept)[:count])
-    raise SceneError(
-        f"the {len(cameras):,} cameras see next to nothing of the box they look at; are their poses right?"
-    )
+    raise SceneError(f"the {len(cameras):,} cameras see almost none of the box in front of them; check their poses")
 
 
 def _box_of(cameras: Cameras) -> tuple[F64, F64]:
-    """Lowest and highest corner of the box, (3,) each."""
+    """Return the lowest and highest corner of the box, (3,) each."""
     eyes, axes = cameras.viewpoints, cameras.forwards
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # takes away what lies along the line of sight
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # removes the part along the line of sight
     focus, *_ = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, eyes), rcond=1e-6)
     spread = float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) or 1.0
     far = np.maximum(np.einsum("ci,ci->c", focus - eyes, axes), spread)
@@ -128,7 +126,7 @@ def _box_of(cameras: Cameras) -> tuple[F64, F64]:
 
 
 def _is_seen(cameras: Cameras, points: F64) -> NDArray[np.bool_]:
-    """(N,) whether a point is inside the image of at least one camera."""
+    """Return (N,) whether each point is inside the image of at least one camera."""
     seen = np.zeros(len(points), bool)
     for pose, k in zip(cameras.viewmats, cameras.Ks, strict=True):
         rest = np.flatnonzero(~seen)

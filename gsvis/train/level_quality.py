@@ -1,4 +1,4 @@
-"""How good the levels of a scene are from given cameras: likeness to the scene and to photographs, and brightness.
+"""Measure the quality of the levels of a scene from given cameras: similarity to scene and photos, brightness.
 
 Images are compared as a display shows them, clipped to [0, 1]. Brightness is the mean of these values.
 """
@@ -17,16 +17,16 @@ from gsvis.train.images import PosedImages, display_image
 
 __all__ = ["LevelQuality", "measure_levels"]
 
-_MOST_PSNR = 100.0  # of images that are the same, dB
+_MOST_PSNR = 100.0  # of identical images, dB
 
 
 @dataclass(frozen=True, eq=False)
 class LevelQuality:
-    """L levels in C views.
+    """Quality of L levels in C views.
 
     Attributes:
         scene_psnr: (L, C) dB, against the highest level, at most 100; the last row is 100.
-        photo_psnr: (L, C) dB, against photographs; None where there are none.
+        photo_psnr: (L, C) dB, against photos; None without photos.
         brightness: (L,) mean of all values in [0, 1] over pixels, channels and views.
     """
 
@@ -43,20 +43,20 @@ def measure_levels(
     backend: str = "auto",
     progress: Progress = silent,
 ) -> LevelQuality:
-    """Draw all levels as some views were taken, and compare.
+    """Render all levels in some views, and compare them.
 
     Args:
         levels: L levels; the highest is the scene.
         views: C images and cameras, C >= 1.
-        photographs: Whether the images are photographs, to be compared with too; else only their cameras count.
-        backend: Of the rasterizer.
-        progress: Called with stage "measure", in images drawn.
+        photographs: Whether the images are photos to compare with; otherwise only their cameras are used.
+        backend: Backend of the rasterizer.
+        progress: Called with stage "measure"; counts rendered images.
 
     Raises:
         ValueError: If there are no views.
     """
     if len(views) == 0:
-        raise ValueError("views: expected at least one to compare in, got none")
+        raise ValueError("views: expected at least one view to compare, got none")
     top, count = len(levels) - 1, len(views)
     scene = np.empty((len(levels), count))
     photo = np.empty((len(levels), count)) if photographs else None

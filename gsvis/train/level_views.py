@@ -1,6 +1,6 @@
-"""What the levels of a scene are trained and measured on: photographs, or renders of the scene where there are none.
+"""Provide the views for training and measuring levels: photos, or renders of the scene if there are none.
 
-Eyes of renders lie in navigable space, outside of anything solid; those to measure on have nothing to do with those to
+Viewpoints of renders lie in navigable space, outside of anything solid. Views to measure on are independent of those to
 train on. Scene frame; OpenCV cameras.
 """
 
@@ -22,23 +22,23 @@ from gsvis.train.photos import load_photos
 
 __all__ = ["LevelViews", "draw_views", "load_photograph_views"]
 
-_EVERY = 8  # of photographs, how many are trained on before one is held out
-_CHOOSE = 4  # cameras to choose by for each to train on
-_UNLIKE = 12.0  # dB; photographs of another scene, or in another frame, are not met better
+_EVERY = 8  # one in so many photos is held out
+_CHOOSE = 4  # cameras for the choice of Gaussians, per camera to train on
+_UNLIKE = 12.0  # dB; photos of another scene, or in another frame, are not matched better
 _DARK = 1.0 / 255.0
 
 
 @dataclass(frozen=True, eq=False)
 class LevelViews:
-    """Views and where they come from.
+    """Views and their source.
 
     Attributes:
         views: Images to train on.
         held_out: Images to measure on; None for none.
-        cameras_from: Where their cameras come from, in words.
-        photographs: Whether the images are photographs.
-        choose_by: Further cameras, to choose by what stays; None where those of the images have to serve.
-        remarks: Sentences that the user should read.
+        cameras_from: Source of their cameras, in words.
+        photographs: Whether the images are photos.
+        choose_by: Further cameras, to choose Gaussians by; None to use the cameras of the images.
+        remarks: Sentences for the user.
     """
 
     views: PosedImages
@@ -57,31 +57,32 @@ def draw_views(
     *,
     progress: Progress = silent,
 ) -> LevelViews:
-    """Renders of a scene, from cameras at random.
+    """Render a scene from random cameras.
 
     Args:
         g: The scene.
-        space: Where eyes may be.
-        sampling: Cameras to train on; those to measure on come from its next stream, and from the one after it four
-            times as many at half the size to choose by: what few of them see well is given up first.
-        held_out: How many of these; 0 for none.
+        space: Allowed viewpoints.
+        sampling: Cameras to train on. Those to measure on come from its next random stream. The stream after it
+            gives four times as many at half the size to choose Gaussians by: a Gaussian that few of them see well is
+            dropped first.
+        held_out: Number of cameras to measure on; 0 for none.
         progress: Called with stage "views".
 
     Raises:
-        SceneError: If there is nowhere to look from, or nothing is seen.
+        SceneError: If no viewpoint is found, or the views are empty.
     """
     asked = [sampling, *([replace(sampling, count=held_out, stream=sampling.stream + 1)] if held_out else [])]
     total = sum(each.count for each in asked)
     found: list[PosedImages] = []
     for cameras in [each.cameras(g, space) for each in asked]:
 
-        def told(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
+        def report(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
             if done or not before:
                 progress(stage, before + done, total)
 
-        found.append(render_views(g, cameras, progress=told))
+        found.append(render_views(g, cameras, progress=report))
     if float(found[0].images.max()) < _DARK:
-        raise SceneError("views from inside the scene show nothing of it; is the up axis right?")
+        raise SceneError("views from inside the scene are empty; check the up axis")
     told_space = f"drawn at random where eyes may be ({space.rule})"
     small = {"width": max(sampling.width // 2, 1), "height": max(sampling.height // 2, 1)}
     many = replace(sampling, count=_CHOOSE * sampling.count, stream=sampling.stream + 2, **small)
@@ -95,22 +96,22 @@ def load_photograph_views(
     *,
     progress: Progress = silent,
 ) -> LevelViews:
-    """Photographs of a scene: seven of eight to train on, the eighth to measure on.
+    """Load photos of a scene: seven of eight to train on, the eighth to measure on.
 
     Args:
         g: The scene, trained from the same reconstruction.
         photos: Folder of a COLMAP model or a `transforms.json` with its images.
-        size: Pixels (width, height) to shrink them to; None keeps theirs.
+        size: Pixels (width, height) to shrink them to; None keeps their size.
         progress: Called with stage "photos".
 
     Raises:
         GsvisError: If they cannot be read, or show nothing of the scene.
-        ValueError: If the size cannot serve.
+        ValueError: If the size is invalid.
     """
     read = load_photos(photos, size=size, progress=progress)
     views, held_out = read.views.split(_EVERY)
     remarks = list(read.remarks)
-    wrong = "are they of this scene, and in its frame?"
+    wrong = "check that they show this scene, in its frame"
     for c in range(len(held_out)):
         if float(rasterize(g, held_out.cameras[c]).images.max()) >= _DARK:
             break

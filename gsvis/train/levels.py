@@ -1,8 +1,8 @@
-"""Quality levels that reuse each other: the most important Gaussians of a scene, frozen, and a few more that repair.
+"""Train quality levels that share Gaussians: the most important ones of a scene, frozen, and a few more as repair.
 
-The highest level is the scene itself. Each lower one keeps a part of it unchanged, nested in the part that the next
-level keeps; a few merged Gaussians stand for the rest and are trained on photographs, or on renders of the scene where
-there are none. So going up a level sends the difference alone. docs/design/019-levels.md says what was tried.
+The highest level is the scene itself. Each lower level keeps a part of it unchanged, nested in the part that the next
+level keeps. A few merged Gaussians represent the rest; they are trained on photos, or on renders of the scene if there
+are none. An upgrade therefore sends only the difference. docs/design/019-levels.md reports what was tested.
 
 References:
     SRBF-Gaussian, section 6.1.
@@ -31,7 +31,7 @@ from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import prune
-from gsvis.train.merge import merged
+from gsvis.train.merge import merge_gaussians
 
 __all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "train_levels"]
 
@@ -43,23 +43,23 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class LevelsConfig:
-    """Sizes of the levels below the scene itself, and how they are trained.
+    """Sizes of the levels below the scene itself, and how to train them.
 
     Attributes:
-        shares: Most Gaussians of each, as a share of the scene's; rising, in (0, 1).
-        reuse: Least share of each that stands in the next.
-        names: Of all levels, the scene's own last.
-        iterations: Steps of training for each level.
-        merged: Of what a level may have of its own, how much begins as merges of all that it lacks; the rest are clones
-            that training adds where it needs them.
+        shares: Largest number of Gaussians of each, as a share of the scene's; ascending, in (0, 1).
+        reuse: Least share of each that belongs to the next.
+        names: Names of all levels, the scene's own last.
+        iterations: Training steps for each level.
+        merged: Share of a level's own Gaussians that start as merges of all that it lacks; the rest are clones that
+            training adds where it needs them.
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
-        most_share: Of all Gaussians of a level, how many may be cloned at a time.
-        prune_share: Of what is left, how much one round of the choice of frozen Gaussians takes away.
-        looks: Views of such a round, see `prune`; None for all, or for as many as there are images to train on where
-            other cameras choose.
-        evaluate_every: Steps between measurements on held-out views; 0 measures at the end alone.
-        seed: Of training.
-        backend: Of the rasterizer.
+        most_share: Largest number of Gaussians of a level to clone at a time, as a share of all.
+        prune_share: Share of the remaining Gaussians that one round of the choice of frozen Gaussians removes.
+        looks: Number of views of such a round, see `prune`; None for all, or, if other cameras choose, for as many
+            as there are images to train on.
+        evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
+        seed: Seed of training.
+        backend: Backend of the rasterizer.
     """
 
     shares: tuple[float, ...] = (0.25, 0.5)
@@ -106,9 +106,9 @@ class LevelsConfig:
         self.training(2, 1)
 
     def sizes(self, count: int) -> list[tuple[int, int, int]]:
-        """Of each level below a scene of `count` Gaussians: most in all, frozen, and those that training begins with.
+        """Return for each level below a scene of `count` Gaussians: the maximum, the frozen and the initial number.
 
-        All three are equal where the reuse asked leaves a level nothing of its own to train.
+        All three are equal if the requested reuse leaves a level no Gaussians of its own to train.
 
         Raises:
             ValueError: If a level would have fewer than 2.
@@ -123,7 +123,7 @@ class LevelsConfig:
         return found
 
     def training(self, most_count: int, sh_degree: int) -> TrainConfig:
-        """How one level of at most `most_count` Gaussians is trained.
+        """Return the training options of one level of at most `most_count` Gaussians.
 
         References:
             SRBF-Gaussian, section 6.1: a higher threshold, clones in place of splits, at most 1% of all at a time.
@@ -142,7 +142,7 @@ class LevelsConfig:
             iterations=self.iterations,
             sh_degree=sh_degree,
             sh_every=0,
-            means_rate=6e-4,  # rates are faster than for a scene from nothing: there are few steps
+            means_rate=6e-4,  # faster than for a scene from scratch, because there are few steps
             means_rate_end=6e-5,
             scales_rate=0.01,
             opacities_rate=0.1,
@@ -156,11 +156,11 @@ class LevelsConfig:
 
 @dataclass(frozen=True, eq=False)
 class TrainedLevels:
-    """Levels and how their training went.
+    """Levels and the history of their training.
 
     Attributes:
-        levels: The scene's Gaussians first, in their order, then what each lower level has of its own.
-        histories: Records of training, by the name of the level; none where it has nothing of its own.
+        levels: The scene's Gaussians first, in their order, then each lower level's own.
+        histories: Records of training, by the name of the level; none for a level without Gaussians of its own.
     """
 
     levels: Levels
@@ -177,21 +177,21 @@ def train_levels(
     work: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> TrainedLevels:
-    """Make the levels of a scene.
+    """Train the levels of a scene.
 
     Args:
         scene: N Gaussians, the highest level.
-        views: What lower levels are to look like: photographs, or `render_views` of the scene.
-        config: Sizes and training; the defaults of `LevelsConfig` if None.
+        views: Target images of lower levels: photos, or `render_views` of the scene.
+        config: Sizes and training; None means `LevelsConfig()`.
         held_out: Views to measure on, never trained on.
-        choose_by: Cameras by which the frozen Gaussians are chosen; None for those of the views, at half their size.
-            What none of them sees well is given up first, so they should be many and lie everywhere.
-        work: A folder for unfinished work, to go on from where it is there; it must be of the same scene, views and
-            configuration. It stays when all is done.
+        choose_by: Cameras by which the frozen Gaussians are chosen; None for those of the views, at half their
+            size. A Gaussian that none of them sees well is dropped first, so they should be many and lie everywhere.
+        work: A folder for unfinished work, to resume from if it exists; it must belong to the same scene, views and
+            configuration. It is kept at the end.
         progress: Called with stages "prune" and "train NAME".
 
     Raises:
-        ValueError: If a level would be empty, there are no views, or `work` is of another run.
+        ValueError: If a level would be empty, there are no views, or `work` belongs to another run.
         FormatError: If a file in `work` is damaged.
         BackendError: If torch is missing.
     """
@@ -216,21 +216,21 @@ def train_levels(
         name = config.names[k]
         stays = masks[frozen]
 
-        def told(stage: str, done: int, of: int, name: str = name) -> None:
+        def report(stage: str, done: int, of: int, name: str = name) -> None:
             progress(f"train {name}", done, of)
 
-        if begun == frozen:  # nothing of its own
+        if begun == frozen:  # no Gaussians of its own
             owns.append(scene[stays][:0])
             histories[name] = []
             continue
         result = train(
             views,
-            merged(scene[~stays], begun - frozen),
+            merge_gaussians(scene[~stays], begun - frozen),
             config.training(total, scene.sh_degree),
             frozen=scene[stays],
             held_out=held_out,
             checkpoint=None if work is None else Path(work) / f"{name}.checkpoint",
-            progress=told,
+            progress=report,
         )
         owns.append(result.gaussians[frozen:])
         histories[name] = result.history
@@ -249,16 +249,16 @@ def _subsets(
     work: str | os.PathLike[str] | None,
     progress: Progress,
 ) -> dict[int, Mask]:
-    """Nested masks by their size, from a file of the same run if there is one."""
+    """Return nested masks by their size, from a file of the same run if there is one."""
     counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
     cameras = _halve(views.cameras) if choose_by is None else choose_by
     looks = len(views) if config.looks is None and choose_by is not None else config.looks
 
-    def chosen() -> list[Mask]:
+    def choose() -> list[Mask]:
         return prune(scene, cameras, counts, share=config.prune_share, looks=looks, progress=progress)
 
     if work is None:
-        return dict(zip(counts, chosen(), strict=True))
+        return dict(zip(counts, choose(), strict=True))
     shape = cameras.width, cameras.height
     rules = [scene_hash(scene), counts, config.prune_share, looks, shape]
     digest = hashlib.sha256()
@@ -274,16 +274,16 @@ def _subsets(
         except (LookupError, TypeError, ValueError) as error:
             got = f"{type(error).__name__}: {error}"
             raise FormatError(
-                kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to begin anew"
+                kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to choose again"
             ) from error
         return dict(zip(counts, bits, strict=True))
-    masks = chosen()
+    masks = choose()
     kept.keep_own(SUBSETS, {"masks": np.packbits(np.stack(masks), axis=1)})
     return dict(zip(counts, masks, strict=True))
 
 
 def _halve(cameras: Cameras) -> Cameras:
-    """The same at half the size: enough to choose by, and quicker."""
+    """Return the same cameras at half the size: enough to choose by, and faster."""
     width, height = max(cameras.width // 2, 1), max(cameras.height // 2, 1)
     scale = np.array([width / cameras.width, height / cameras.height, 1.0])
     return Cameras(cameras.viewmats, cameras.Ks * scale[:, None], width, height, cameras.names)

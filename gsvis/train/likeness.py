@@ -1,4 +1,4 @@
-"""How like its images a scene is: PSNR and SSIM of each view, as displays show them, clipped to [0, 1]."""
+"""Measure how similar a scene is to images: PSNR and SSIM of each view, as displays show them, clipped to [0, 1]."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = ["ViewLikeness", "mean_psnr", "measure_views"]
 
-_MOST_PSNR = 100.0  # of images that are the same, dB
+_MOST_PSNR = 100.0  # of identical images, dB
 
 
 @dataclass(frozen=True, eq=False)
 class ViewLikeness:
-    """How like C images a scene is.
+    """Similarity of a scene to C images.
 
     Attributes:
         names: C names of views.
@@ -36,7 +36,7 @@ class ViewLikeness:
     ssim: NDArray[np.float64]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: mean and worst, and every view."""
+        """Return JSON values: mean and worst, and every view."""
         return {
             "views": len(self.names),
             "psnr": {"mean": float(self.psnr.mean()), "worst": float(self.psnr.min())},
@@ -51,12 +51,12 @@ class ViewLikeness:
 def measure_views(
     gaussians: Gaussians, views: PosedImages, *, device: str = "cpu", progress: Progress = silent
 ) -> ViewLikeness:
-    """Draw a scene as its images were taken, and compare.
+    """Render a scene with the cameras of some images, and compare.
 
     Args:
         gaussians: The scene.
         views: C images and cameras, C >= 1.
-        device: Where to draw, such as "cuda".
+        device: Device to render on, such as "cuda".
         progress: Called for every view; stage "measure".
 
     Raises:
@@ -79,7 +79,7 @@ def measure_views(
 
 
 def mean_psnr(gaussians: Gaussians | GaussianTensors, views: PosedImages, backend: str = "auto") -> float:
-    """Return the mean PSNR over views in dB, of images clipped to [0, 1] as a display does."""
+    """Return the mean PSNR over views in dB, of images clipped to [0, 1] as on a display."""
     drawn = (display_image(gaussians, views.cameras[index], backend) for index in range(len(views)))
     targets = (np.clip(views.image(index), 0.0, 1.0) for index in range(len(views)))
     return float(np.mean([psnr(image, target) for image, target in zip(drawn, targets, strict=True)]))

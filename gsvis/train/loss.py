@@ -1,4 +1,4 @@
-"""What training makes small: the mean absolute difference of two images and what they lack in structural similarity."""
+"""The training loss: the mean absolute difference of two images and their structural dissimilarity."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
 
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) -> Tensor:
-    """(1 - s) mean |image - target| + s (1 - SSIM), with windows over black surroundings; differentiable by the image.
+    """Return (1 - s) mean |image - target| + s (1 - SSIM), with windows over black; differentiable by the image.
 
     Args:
         image: (H, W, 3) float32, 1 is white.
-        target: The same.
+        target: (H, W, 3) float32, 1 is white.
         ssim_weight: s, in [0, 1].
 
     Raises:
@@ -43,7 +43,7 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) ->
 
 
 def loss_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """The same from its parts, on every device; the slow twin of the kernels."""
+    """Return the loss from its parts, on every device; the slow twin of the kernels."""
     difference = (image - target).abs().mean()
     return (1.0 - ssim_weight) * difference + ssim_weight * (1.0 - ssim(image, target, padding="same"))
 

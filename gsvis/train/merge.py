@@ -1,7 +1,7 @@
-"""Many Gaussians in the place of few: one for each voxel of a grid, with the moments and the coverage of those in it.
+"""Merge many Gaussians into few: one per voxel of a grid, with the moments and the coverage of those in it.
 
-World frame, scene units. Coverage is what an average direction sees of a Gaussian: its opacity times the mean area of
-its shadows. Nothing here renders.
+World frame, scene units. Coverage is how much of a Gaussian an average direction sees: its opacity times the mean area
+of its shadows. Nothing here renders.
 """
 
 from __future__ import annotations
@@ -11,36 +11,37 @@ from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 
-__all__ = ["merge_by_cell", "merged", "occupied_voxels"]
+__all__ = ["merge_by_cell", "merge_gaussians", "occupied_voxels"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-_SIDE = 2**20  # voxels to either side of the middle; what lies farther shares the outermost
-_MOST_OPAQUE = 0.996  # as far as a byte goes
+_SIDE = 2**20  # voxels to either side of the middle; points beyond share the outermost
+_MOST_OPAQUE = 0.996  # the largest value of a byte
 _KNUD_THOMSEN = 1.6  # surface of an ellipsoid to about 1%
 
 
-def merged(g: Gaussians, count: int) -> Gaussians:
-    """`count` Gaussians that stand for a scene: one for each voxel of a grid that holds any.
+def merge_gaussians(g: Gaussians, count: int) -> Gaussians:
+    """Merge a scene into `count` Gaussians: one for each occupied voxel of a grid.
 
-    - The grid has its corner at the median of the centers; its side is bisected until the occupied voxels are at least
-      `count` and at most 1% more, or for 60 steps. Of those, the ones with the least coverage are left out.
-    - A Gaussian counts by its coverage w: its opacity times the mean area of its shadows, a quarter of its surface.
-    - What is merged has the first two moments of its Gaussians as weighted by w (the mean, and the covariances plus the
+    - The grid has its corner at the median of the centers. Its side is bisected until the occupied voxels are at least
+      `count` and at most 1% more, or for 60 steps. The surplus voxels with the least coverage are dropped.
+    - The weight of a Gaussian is its coverage w: its opacity times the mean area of its shadows, a quarter of its
+    surface.
+    - A merged Gaussian has the first two moments of its parts weighted by w (the mean, and the covariances plus the
       scatter of the means), and the mean of their SH coefficients.
     - Its opacity keeps the coverage: the sum of w over its own mean shadow, at most 0.996. A voxel with one Gaussian
-      shows that Gaussian as it is.
+      returns that Gaussian unchanged.
 
     Args:
         g: N Gaussians.
-        count: How many to leave, 1 to the number of different centers.
+        count: Size of the result, 1 to the number of different centers.
 
     Returns:
-        `count` Gaussians, by falling coverage.
+        `count` Gaussians, by descending coverage.
 
     Raises:
-        ValueError: If no size of voxel gives as many as `count`.
+        ValueError: If no voxel size gives `count` voxels.
 
     References:
         Opacity from coverage as in Kerbl et al., "A hierarchical 3D Gaussian representation for real-time rendering of
@@ -57,7 +58,7 @@ def merged(g: Gaussians, count: int) -> Gaussians:
 
 
 def _cells_for(g: Gaussians, count: int) -> I64:
-    """(N,) the voxel of each Gaussian, 0 to at least count - 1, with as few voxels as bisection finds."""
+    """Return (N,) the voxel of each Gaussian, 0 to at least count - 1, with as few voxels as bisection finds."""
     if not 1 <= count <= len(g):
         raise ValueError(f"count: expected 1 to {len(g)}, got {count}")
     means = g.means.astype(np.float64)
@@ -80,18 +81,18 @@ def _cells_for(g: Gaussians, count: int) -> I64:
 
 
 def occupied_voxels(points: F64, side: float) -> I64:
-    """(N,) which occupied voxel each of the (N, 3) points lies in, numbered from 0, for cubes of a side."""
+    """Return (N,) the index of the occupied voxel of each of the (N, 3) points, for cubes of a side."""
     steps = np.clip(np.floor(points / side), -_SIDE, _SIDE - 1).astype(np.int64) + _SIDE
     keys = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]
     return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64).reshape(-1)
 
 
 def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
-    """One Gaussian for each cell, by the rules of `merged`.
+    """Merge the Gaussians of each cell into one, by the rules of `merge_gaussians`.
 
     Args:
         g: N Gaussians.
-        cells: (N,) the cell of each, 0 to M - 1, none of them empty.
+        cells: (N,) the cell of each, 0 to M - 1; no cell is empty.
 
     Returns:
         M Gaussians, in the order of the cells.
@@ -132,6 +133,6 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
 
 
 def _mean_shadows(scales: F64) -> F64:
-    """(N,) mean area over all directions of the shadow of ellipsoids with these half axes: a quarter of the surface."""
+    """Return (N,) mean areas of the shadows of ellipsoids with these half axes: a quarter of their surface."""
     a, b, c = (scales**_KNUD_THOMSEN).T
     return np.asarray(np.pi * ((a * b + b * c + c * a) / 3.0) ** (1.0 / _KNUD_THOMSEN))

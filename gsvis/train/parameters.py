@@ -1,7 +1,7 @@
-"""What training changes: raw values of Gaussians, their Adam moments, and edits of rows that keep all in step.
+"""Store trainable values: raw values of Gaussians, their Adam moments, and edits of rows that keep all consistent.
 
 Raw values are unbounded: `log_scales`, `logit_opacities`, quaternions of any length; colors are SH. The first `frozen`
-rows are drawn but never changed. Nothing here renders or chooses.
+rows are rendered but never changed. Nothing here renders or chooses.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ __all__ = ["NAMES", "Parameters"]
 
 NAMES = ("means", "log_scales", "quats", "logit_opacities", "sh0", "shN")
 
-_MOST_LOGIT = 16.0  # opacity 1 - 1e-7, what float32 tells from 1
+_MOST_LOGIT = 16.0  # opacity 1 - 1e-7, the largest below 1 in float32
 _BETAS = (0.9, 0.999)
 _EPS = 1e-15
 
 
 @dataclass(eq=False, repr=False)
 class Parameters:
-    """N Gaussians as training holds them.
+    """N Gaussians in training.
 
     Attributes:
-        values: Raw tensors by name: means (N, 3), log_scales (N, 3), quats (N, 4), logit_opacities (N,), sh0 (N, 1, 3),
-            shN (N, K-1, 3); leaves that gather gradients.
+        values: Raw tensors by name: means (N, 3), log_scales (N, 3), quats (N, 4), logit_opacities (N,), sh0 (N, 1,
+            3), shN (N, K-1, 3); leaves that collect gradients.
         first: First moments of Adam, shaped as the values.
-        second: Second moments.
-        frozen: How many rows at the start stand unchanged.
+        second: Second moments of Adam, shaped as the values.
+        frozen: Number of first rows that never change.
         steps: Adam steps taken.
     """
 
@@ -47,7 +47,7 @@ class Parameters:
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians, *, frozen: int = 0, device: str = "cpu") -> Parameters:
-        """Raw values of a scene, moments 0."""
+        """Return the raw values of a scene, with moments 0."""
         opacities = torch.tensor(gaussians.opacities)
         raw = {
             "means": torch.tensor(gaussians.means),
@@ -65,19 +65,19 @@ class Parameters:
         return len(self.values["means"])
 
     def activate(self) -> GaussianTensors:
-        """What a rasterizer draws; gradients flow back to the raw values."""
+        """Return activated tensors for a rasterizer; gradients flow back to the raw values."""
         v = self.values
         scales, opacities = v["log_scales"].exp(), v["logit_opacities"].sigmoid()
         return GaussianTensors(v["means"], v["quats"], scales, opacities, v["sh0"], v["shN"])
 
     def gaussians(self) -> Gaussians:
-        """The scene as it stands, in NumPy, a copy."""
+        """Return a copy of the current scene in NumPy."""
         with torch.no_grad():
             now = self.activate()
             return Gaussians(**{name: part.cpu().numpy().copy() for name, part in vars(now).items()})
 
     def adam_step(self, rates: Mapping[str, float]) -> None:
-        """One step of Adam along the gradients gathered, which are then let go; frozen rows stay.
+        """Take one step of Adam along the collected gradients, then clear them; frozen rows do not change.
 
         Args:
             rates: Learning rate of each name.
@@ -101,14 +101,14 @@ class Parameters:
                 step(value, gradient, first, second, rate, root)
 
     def keep(self, rows: Tensor) -> None:
-        """Keep only the rows of a mask or an index, moments with them; frozen rows must come first in it."""
+        """Keep only the rows of a mask or an index, with their moments; frozen rows must come first in it."""
         for moments in (self.first, self.second):
             moments.update({name: m[rows].contiguous() for name, m in moments.items()})
         for name, value in self.values.items():
             self.values[name] = value.detach()[rows].contiguous().requires_grad_()
 
     def append(self, rows: Mapping[str, Tensor]) -> None:
-        """Add rows of raw values, their moments 0."""
+        """Append rows of raw values, with moments 0."""
         for name, new in rows.items():
             nothing = torch.zeros_like(new)
             for moments in (self.first, self.second):
@@ -116,14 +116,14 @@ class Parameters:
             self.values[name] = torch.cat([self.values[name].detach(), new.detach()]).requires_grad_()
 
     def replace(self, name: str, rows: Tensor | slice, values: Tensor) -> None:
-        """Write raw values, their moments 0."""
+        """Replace raw values, and set their moments to 0."""
         with torch.no_grad():
             self.values[name][rows] = values
         self.first[name][rows] = 0.0
         self.second[name][rows] = 0.0
 
     def raise_sh_degree(self, degree: int) -> None:
-        """Room for SH of a higher degree, zeros at first; nothing where there is enough."""
+        """Extend SH to a degree with zeros; do nothing if it is high enough."""
         have, want = self.values["shN"].shape[1], (degree + 1) ** 2 - 1
         if want <= have:
             return
@@ -139,7 +139,7 @@ def _adam_cpu(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, ra
 
 
 def adam_reference(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
-    """The same step in torch, for every device; the slow twin of the kernel."""
+    """Take the same step in torch, on every device; the slow twin of the kernel."""
     beta1, beta2 = _BETAS
     first.lerp_(gradient, 1.0 - beta1)
     second.mul_(beta2).addcmul_(gradient, gradient, value=1.0 - beta2)

@@ -1,7 +1,7 @@
-"""Photographs with a reconstruction, ready to train on: checked first, then read and shrunk.
+"""Load photos with a reconstruction for training: check first, then read and shrink.
 
-What comes out is `PosedImages` sorted by name, 8 bits a channel, sRGB as stored; intrinsics go with the size that the
-images have in the end, pixel centers at +0.5. Poses, and the points beside them, stay in the frame of the model.
+The result is `PosedImages` sorted by name, 8 bits per channel, sRGB as stored. Intrinsics fit the final size of the
+images, with pixel centers at +0.5. Poses, and the points beside them, stay in the frame of the model.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent
 from gsvis.scene.points import PointCloud
-from gsvis.train._photo_files import FAULTS, find_files, find_views, named, quiet_pillow, read_sizes, whole_factor
+from gsvis.train._photo_files import FAULTS, find_files, find_views, join_names, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
 __all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
@@ -31,21 +31,21 @@ __all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
 Size = tuple[int, int]
 
 FEWEST_VIEWS = 8
-"""Fewer photographs do not tell a scene."""
+"""Least number of photos for a scene."""
 
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
 _THREADS = 2
-_MEMORY_SHARE = 0.5  # of what the machine has, for images
+_MEMORY_SHARE = 0.5  # largest share of the machine's memory for images
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Photos:
-    """Photographs and what is known about the scene in them.
+    """Photos and the points of their reconstruction.
 
     Attributes:
         views: Images and cameras, sorted by name.
-        points: Points of the reconstruction; None where it has none.
-        remarks: What was done to the images that the user may not expect, a sentence each.
+        points: Points of the reconstruction; None if there are none.
+        remarks: Changes to the images that the user may not expect, one sentence each.
     """
 
     views: PosedImages
@@ -70,27 +70,27 @@ def load_photos(
     size: Size | None = None,
     progress: Progress = silent,
 ) -> Photos:
-    """Read photographs and the model that posed them.
+    """Read photos and the model that posed them.
 
-    Everything that headers tell is checked before the first image is decoded. Images are taken as they are stored: an
-    EXIF orientation is ignored, as COLMAP does. Transparency is blended over black. Images are shrunk by Pillow's
-    Lanczos filter, which weighs all pixels under it.
+    All headers are checked before the first image is decoded. Images are used as stored: an EXIF orientation is
+    ignored, as in COLMAP. Transparency is blended over black. Pillow's Lanczos filter, which weights all pixels under
+    it, shrinks the images.
 
     Args:
         folder: A COLMAP model (its folder, or one above it), a `transforms.json`, or the folder with one.
-        images: Folder of the photographs, as it is or inside `folder`; None looks in `images` beside the model. If all
-            are the same whole part of what the model says, as those in `images_4`, intrinsics are rescaled.
+        images: Folder of the photos, as given or inside `folder`; None looks in `images` beside the model. If all
+            are smaller than in the model by one whole factor, as in `images_4`, intrinsics are rescaled.
         downscale: Factor to shrink the images by, at least 1.
         size: (width, height) in pixels to shrink them to instead; needed when their sizes differ.
         progress: Called for every image; stage "photos".
 
     Returns:
-        The photographs, sorted by name.
+        The photos, sorted by name.
 
     Raises:
         FileNotFoundError: If there is no such folder.
-        FormatError: If there is no model, it is malformed or distorted, or images are missing, unreadable, cut short
-            or of another size than the model says.
+        FormatError: If there is no model, it is malformed or distorted, or images are missing, unreadable,
+            truncated or of a size that does not fit the model.
         SceneError: If there are fewer than 8 of them.
         ValueError: If a size or factor is out of range.
 
@@ -104,7 +104,7 @@ def load_photos(
     if len(views.names) < FEWEST_VIEWS:
         raise SceneError(
             f"{views.path}: expected at least {FEWEST_VIEWS} posed images, got {len(views.names)};"
-            " add photographs, or find out why COLMAP left them out"
+            " add photographs, or check why COLMAP dropped them"
         )
     files = find_files(views, folders)
     sizes = read_sizes(files)
@@ -128,7 +128,7 @@ def load_photos(
 def _check_target(downscale: float | None, size: Size | None) -> None:
     if size is not None:
         if downscale is not None:
-            raise ValueError("size / downscale: expected one of them, got both; leave one out")
+            raise ValueError("size / downscale: expected one of them, got both; omit one")
         if not isinstance(size, tuple | list) or len(size) != 2:
             raise ValueError(f"size: expected (width, height), got {size!r}")
         for name, side in zip(("width", "height"), size, strict=True):
@@ -138,40 +138,41 @@ def _check_target(downscale: float | None, size: Size | None) -> None:
 
 
 def _resize(views: Views, sizes: list[Size]) -> Views:
-    """The same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they simply scale."""
+    """Return the same views with intrinsics for images of these sizes; pixel centers lie at +0.5, so they scale."""
     ratios = [
-        np.array([have[0] / told[0], have[1] / told[1], 1.0]) for told, have in zip(views.sizes, sizes, strict=True)
+        np.array([have[0] / stated[0], have[1] / stated[1], 1.0])
+        for stated, have in zip(views.sizes, sizes, strict=True)
     ]
     ks = [k * ratio[:, None] for k, ratio in zip(views.Ks, ratios, strict=True)]
     return Views(views.path, views.names, views.viewmats, ks, sizes)
 
 
 def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
-    """The size to shrink to."""
+    """Return the size to shrink to."""
     found = sorted(set(views.sizes))
     least = min(width for width, _ in found), min(height for _, height in found)
     if size is None:
         if len(found) > 1:
-            told = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
+            got = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
             remedy = f"give one to shrink all to, such as --size {least[0]}x{least[1]}"
-            raise FormatError(views.path, "", "images of one size", f"{len(found)} sizes: {told}", remedy)
+            raise FormatError(views.path, "", "images of one size", f"{len(found)} sizes: {got}", remedy)
         size = max(1, round(least[0] / (downscale or 1.0))), max(1, round(least[1] / (downscale or 1.0)))
         if min(size) < _LEAST_SIDE:
-            told = f"{size[0]} x {size[1]}"
+            got = f"{size[0]} x {size[1]}"
             if min(least) < _LEAST_SIDE:
-                raise FormatError(views.path, "", f"images of at least {_LEAST_SIDE} pixels a side", told)
-            raise ValueError(f"downscale: expected images of at least {_LEAST_SIDE} pixels a side, got {told}")
+                raise FormatError(views.path, "", f"images of at least {_LEAST_SIDE} pixels a side", got)
+            raise ValueError(f"downscale: expected images of at least {_LEAST_SIDE} pixels a side, got {got}")
     if size[0] > least[0] or size[1] > least[1]:
         name = next(
             n for n, have in zip(views.names, views.sizes, strict=True) if size[0] > have[0] or size[1] > have[1]
         )
-        told = f"{size[0]} x {size[1]}, which is more than {name!r} has"
-        raise ValueError(f"size: expected at most {least[0]} x {least[1]}, got {told}")
+        got = f"{size[0]} x {size[1]}, which is more than {name!r} has"
+        raise ValueError(f"size: expected at most {least[0]} x {least[1]}, got {got}")
     return size[0], size[1]
 
 
 def _check_memory(count: int, width: int, height: int) -> None:
-    """Refuse what would not fit beside everything else."""
+    """Raise if the images would not fit into memory beside everything else."""
     needed = 3 * count * width * height
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -185,7 +186,7 @@ def _check_memory(count: int, width: int, height: int) -> None:
 
 
 def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np.uint8], int]:
-    """(C, H, W, 3) uint8 of the images, and how many of them were transparent anywhere."""
+    """Return (C, H, W, 3) uint8 images, and how many of them had any transparency."""
     pixels = np.empty((len(files), size[1], size[0], 3), np.uint8)
 
     def read(index: int) -> tuple[bool, FormatError | None]:
@@ -208,16 +209,16 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     if len(broken) > 1:
-        names = named([Path(error.path).name for error in broken])
-        told = f"{len(broken):,} that cannot be read: {names}"
-        raise FormatError(files[0].parent, "", "whole images", told, broken[0].got)
+        names = join_names([Path(error.path).name for error in broken])
+        got = f"{len(broken):,} that cannot be read: {names}"
+        raise FormatError(files[0].parent, "", "complete images", got, broken[0].got)
     if broken:
         raise broken[0]
     return pixels, count
 
 
 def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
-    """(H, W, 3) of one image at a size, and whether it was transparent anywhere."""
+    """Return one image (H, W, 3) at a size, and whether it had any transparency."""
     transparent = False
     try:
         with open_regular(path) as file, Image.open(file) as image:
@@ -230,8 +231,8 @@ def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
             else:
                 rgb = image.convert("RGB")
     except FAULTS as error:
-        told = str(error) or type(error).__name__
-        raise FormatError(path, "", "a whole image", told, "is it damaged? copy it again") from error
+        got = str(error) or type(error).__name__
+        raise FormatError(path, "", "a complete image", got, "is it damaged? copy it again") from error
     if rgb.size != size:
         rgb = rgb.resize(size, Image.Resampling.LANCZOS)
     return np.asarray(rgb), transparent

@@ -1,7 +1,7 @@
-"""Training of a scene on posed images, step by step: one loop for every backend of the rasterizer.
+"""Train a scene on posed images, step by step: one loop for every backend of the rasterizer.
 
-A step draws one view, compares it, and moves the Gaussians; now and then Gaussians come and go. Every random choice is
-a function of the seed and the step, so a run that goes on from a checkpoint takes the same course as one never stopped.
+A step renders one view, compares it with the image, and updates the Gaussians; some steps add and remove Gaussians.
+Every random choice is a function of the seed and the step, so a resumed run is identical to an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class TrainResult:
-    """What training gave.
+    """Result of training.
 
     Attributes:
         gaussians: The scene; its first rows are the frozen ones, unchanged.
@@ -52,13 +52,13 @@ class TrainResult:
 
 
 class Trainer:
-    """A scene in training.
+    """Train a scene.
 
     Args:
-        views: Images to come close to, with their cameras.
-        start: Gaussians to begin with.
+        views: Target images, with their cameras.
+        start: Initial Gaussians.
         config: How to train.
-        frozen: Gaussians that are drawn but stand unchanged; they come first in the result.
+        frozen: Gaussians that are rendered but never changed; they come first in the result.
         held_out: Views to measure on.
 
     Attributes:
@@ -66,7 +66,7 @@ class Trainer:
         step: Steps taken.
         seconds: Time spent in them.
         history: Evaluations so far.
-        beginning: Hash of the Gaussians that training began with.
+        beginning: Hash of the initial Gaussians.
 
     Raises:
         ValueError: If there are no views, or nothing to train.
@@ -103,11 +103,11 @@ class Trainer:
 
     @cached_property
     def key(self) -> str:
-        """Hash of the configuration, the images and what training began with: which run this is."""
+        """Hash of the configuration, the images and the initial Gaussians; identifies the run."""
         return run_key(self)
 
     def rates(self) -> dict[str, float]:
-        """Learning rates of the coming step."""
+        """Return the learning rates of the next step."""
         c = self.config
         share = self.step / max(c.iterations - 1, 1)
         means = c.means_rate ** (1.0 - share) * c.means_rate_end**share * self.extent
@@ -121,14 +121,14 @@ class Trainer:
         }
 
     def view_of(self, step: int) -> int:
-        """The view that a step draws: all once in each round, in an order of its own."""
+        """Return the view of a step: each once per round, in random order."""
         turn, place = divmod(step, len(self.views))
         return int(np.random.default_rng([self.config.seed, turn]).permutation(len(self.views))[place])
 
     def advance(self) -> float:
-        """Take one step; its loss."""
+        """Take one step; return its loss."""
         c, began = self.config, _clock()
-        if self.densifier is not None and self.step:  # not at the end of a step: what was split has to settle first
+        if self.densifier is not None and self.step:  # not at the end of a step: split Gaussians must settle first
             self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
         if c.sh_every and self.step % c.sh_every == 0:
             self.parameters.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
@@ -149,10 +149,10 @@ class Trainer:
         return value
 
     def record(self) -> Record:
-        """Measure on held-out views, if there are any, and note how things stand."""
+        """Measure on held-out views, if there are any, and append a record."""
         now = Record(self.step, self.seconds, self.loss, len(self.parameters))
         if self.held_out is not None:
-            device = self.parameters.values["means"].device  # a GPU has no use for arrays
+            device = self.parameters.values["means"].device  # a GPU needs tensors, not arrays
             scene = GaussianTensors.from_gaussians(self.gaussians(), device=device)
             now = replace(now, psnr=mean_psnr(scene, self.held_out, self.config.backend))
         self.history.append(now)
@@ -166,16 +166,16 @@ class Trainer:
         checkpoint_seconds: float = 120.0,
         progress: Progress = silent,
     ) -> TrainResult:
-        """Take all steps that are left, measuring and writing checkpoints on the way; `train` says more.
+        """Take all remaining steps, with measurements and checkpoints on the way; see `train`.
 
-        What `progress` is told between two steps may look at the trainer: its loss, its history, how many Gaussians.
+        `progress` runs between two steps and may read the trainer: its loss, its history, its number of Gaussians.
         """
         last = self.config.iterations
         checkpoint = None if checkpoint is None else _check.path("checkpoint", checkpoint)
         if checkpoint is not None and checkpoint.exists():
             load_checkpoint(checkpoint, self)
         progress("train", self.step, last)
-        saved, whole = _clock(), True  # whole: not in the middle of a step, where nothing fits together
+        saved, whole = _clock(), True  # whole: not in the middle of a step, where the state is inconsistent
         try:
             self._record_if_due()
             while self.step < last:
@@ -194,14 +194,14 @@ class Trainer:
         return TrainResult(self.gaussians(), self.history)
 
     def _record_if_due(self) -> None:
-        """Measure if this step is one to do so, and it was not done before a stop."""
+        """Measure if this step requires it, unless it was done before an interruption."""
         every = self.config.evaluate_every
         due = self.step == self.config.iterations or (every > 0 and self.step > 0 and self.step % every == 0)
         if due and (not self.history or self.history[-1].step < self.step):
             self.record()
 
     def gaussians(self) -> Gaussians:
-        """The scene as it stands, frozen rows exactly as they were given."""
+        """Return the current scene; frozen rows are exactly as given."""
         whole = self.parameters.gaussians()
         if self._frozen is None or len(self._frozen) == 0:
             return whole
@@ -224,39 +224,39 @@ def train(
     """Train a scene on images.
 
     Args:
-        views: Images to come close to, with their cameras.
-        start: Gaussians to begin with, such as those of `gaussians_from_points`.
-        config: How; the defaults of `TrainConfig` if None.
-        frozen: Gaussians that are drawn but stand unchanged; they come first in the result.
+        views: Target images, with their cameras.
+        start: Initial Gaussians, such as those of `gaussians_from_points`.
+        config: How to train; None means `TrainConfig()`.
+        frozen: Gaussians that are rendered but never changed; they come first in the result.
         held_out: Views to measure on, never trained on.
-        checkpoint: A file to write every so often and on Ctrl-C, and to go on from where it is there. It must be of the
-            same images, start and configuration. It stays when training is done. Ctrl-C within a step leaves the one
-            before; raised by `progress`, as the command line does it, it loses nothing.
+        checkpoint: A file to write regularly and on Ctrl-C, and to resume from if it exists. It must belong to the
+            same images, initial Gaussians and configuration. It is kept at the end. Ctrl-C within a step saves the
+            previous step; if `progress` raises it, as on the command line, nothing is lost.
         checkpoint_seconds: Time between writes.
         progress: Called with every step; stage "train".
 
     Raises:
-        ValueError: If there are no views or Gaussians, or the checkpoint is of another run.
+        ValueError: If there are no views or Gaussians, or the checkpoint belongs to another run.
         FormatError: If the checkpoint is damaged.
-        KeyboardInterrupt: Raised on, after a checkpoint was written if it came between two steps.
+        KeyboardInterrupt: Raised again, after a checkpoint was written if it came between two steps.
     """
     trainer = Trainer(views, start, config or TrainConfig(), frozen=frozen, held_out=held_out)
     return trainer.run(checkpoint=checkpoint, checkpoint_seconds=checkpoint_seconds, progress=progress)
 
 
 def extent_of(cameras: Cameras) -> float:
-    """1.1 times the distance of the farthest viewpoint from the middle of all; 1 for a single one. Scene units."""
+    """Return 1.1 times the distance of the farthest viewpoint from the middle of all, scene units; 1 for one."""
     away = np.linalg.norm(cameras.viewpoints - cameras.viewpoints.mean(axis=0), axis=1)
     return 1.1 * float(away.max()) or 1.0
 
 
 def hash_of(seed: int, step: int) -> int:
-    """A seed for torch from the run's own and a step."""
+    """Return a seed for torch from the run's seed and a step."""
     return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0]) >> 1
 
 
 def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:
-    """The same Gaussians with SH cut or filled up with zeros to a degree."""
+    """Return the same Gaussians with SH cut or padded with zeros to a degree."""
     have, want = gaussians.shN.shape[1], (degree + 1) ** 2 - 1
     if have == want:
         return gaussians

@@ -78,7 +78,7 @@ def test_known_links() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: BandwidthTrace([], []), "times"),
         (lambda: BandwidthTrace([0.0, 1.0], [1.0, 1.0]), "times"),
@@ -92,8 +92,8 @@ def test_known_links() -> None:
         (lambda: estimator("best"), "name"),
     ],
 )
-def test_wrong_arguments_are_named(make, told: str) -> None:
-    with pytest.raises(ValueError, match=f"^{told}"):
+def test_wrong_arguments_are_named(make, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
         make()
 
 
@@ -115,7 +115,7 @@ def test_5g_logs_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "told"),
+    ("name", "text", "message"),
     [
         ("link", "", "at least one line"),
         ("link", "0 1\n", "at least one line"),
@@ -131,10 +131,10 @@ def test_5g_logs_are_read(tmp_path: Path) -> None:
         ("log.csv", "DL_bitrate\n-\n", "a finite number"),
     ],
 )
-def test_bad_traces_are_refused_with_their_place(tmp_path: Path, name: str, text: str, told: str) -> None:
+def test_bad_traces_are_refused_with_their_place(tmp_path: Path, name: str, text: str, message: str) -> None:
     path = tmp_path / name
     path.write_text(text)
-    with pytest.raises(FormatError, match=told):
+    with pytest.raises(FormatError, match=message):
         load_trace(path)
     with pytest.raises(FileNotFoundError):
         load_trace(tmp_path / "none")

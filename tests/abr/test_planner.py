@@ -281,7 +281,7 @@ def test_a_planner_keeps_the_candidates_of_its_cell_when_no_cache_has_room() -> 
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda i: AbrConfig(policy="best"), "policy"),
         (lambda i: Planner(CandidateIndex(i), VIEW, holdings=Holdings(1)), "holdings"),
@@ -298,8 +298,8 @@ def test_a_planner_keeps_the_candidates_of_its_cell_when_no_cache_has_room() -> 
         (lambda i: FieldOfView(1, 1, 1, 1, margin=np.nan), "margin"),
     ],
 )
-def test_wrong_arguments_are_named(make, told) -> None:
-    with pytest.raises(ValueError, match=f"^{told}"):
+def test_wrong_arguments_are_named(make, message) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
         make(scenes.random_index(0, count=50))
 
 

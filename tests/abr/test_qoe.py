@@ -68,7 +68,7 @@ def test_the_t_interval_is_that_of_scipy() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: quality_of_experience([], []), "psnr"),
         (lambda: quality_of_experience([np.nan], [0.0]), "psnr"),
@@ -82,6 +82,6 @@ def test_the_t_interval_is_that_of_scipy() -> None:
         (lambda: QoeConfig(psnr_scale=0.0), "psnr_scale"),
     ],
 )
-def test_wrong_arguments_are_named(make, told: str) -> None:
-    with pytest.raises(ValueError, match=f"^{told}"):
+def test_wrong_arguments_are_named(make, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
         make()

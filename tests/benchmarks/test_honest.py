@@ -75,7 +75,7 @@ def test_what_is_missing_or_comes_twice_is_refused(visited: tuple[Checker, Visit
 @pytest.mark.parametrize(
     ("said", "other"),
     [
-        (b'"gaussians":1500', b'"gaussians":1499'), (b'"chunks":', b'"chunkz":'), (b'"protocol":1', b'"protocol":2'),
+        (b'"gaussians":1500', b'"gaussians":1499'), (b'"chunks":', b'"chunkz":'), (b'"protocol":2', b'"protocol":1'),
         (b'"up":[', b'"vp":['), (b'"name":"', b'"nome":"'), (b'"meters_per_unit":', b'"meters_per_unit":1'),
     ],
 )  # fmt: skip

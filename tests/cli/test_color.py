@@ -64,8 +64,8 @@ def test_a_file_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Cap
     text = capsys.readouterr().out
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
     assert "…" not in text
-    for told in ("directions", "terms", "bytes of a color", "all terms", "base colors alone"):
-        assert told in text
+    for label in ("directions", "terms", "bytes of a color", "all terms", "base colors alone"):
+        assert label in text
     assert [path.name for path in out.parent.iterdir()] == ["rooms.arrow"]  # what was kept has gone
     scene, (geometry, colors) = load_scene(ply), load_srbf(out)
     assert np.array_equal(geometry.means, scene.means)
@@ -111,8 +111,8 @@ def test_visible_sets_tell_directions_and_active_terms(ply: Path, pvs: Path, tmp
 
 def test_visible_sets_of_another_scene_are_refused(ply: Path, pvs: Path, tmp_path: Path, capsys: Capture) -> None:
     save_scene(two_rooms(1000, sh_degree=1).gaussians, tmp_path / "other.ply")
-    told = refused(capsys, tmp_path / "other.ply", "-o", tmp_path / "a.arrow", "--pvs", pvs, *QUICK)
-    assert "expected a store of" in told
+    output = refused(capsys, tmp_path / "other.ply", "-o", tmp_path / "a.arrow", "--pvs", pvs, *QUICK)
+    assert "expected a store of" in output
     assert "no.pvs: no such file" in refused(capsys, ply, "-o", tmp_path / "a.arrow", "--pvs", tmp_path / "no.pvs")
     assert [path.name for path in tmp_path.iterdir()] == ["other.ply"]
 
@@ -165,7 +165,7 @@ def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
 ) -> None:
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     base = [ply, "-o", tmp_path / "a.arrow", *QUICK]
-    assert "pip install 'gsvis[metrics]'" in refused(capsys, *base, "--epsilon", "auto")
+    assert 'pip install "gsvis[metrics]"' in refused(capsys, *base, "--epsilon", "auto")
     assert "give a number" in refused(capsys, *base, "--pvs", pvs, "--active", tmp_path / "b.arrow")
     assert list(tmp_path.iterdir()) == []
     assert main(["color", *map(str, base)]) == 0
@@ -173,7 +173,7 @@ def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--variant", "magic"], "axes-split"),
         (["--max-terms", "33"], "0 to 32"),
@@ -187,8 +187,8 @@ def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
         (["--up", "up"], "+z"),
     ],
 )
-def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
-    assert told in refused(capsys, "builtin:two_rooms", "-o", "x.arrow", *words)
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:
+    assert message in refused(capsys, "builtin:two_rooms", "-o", "x.arrow", *words)
     assert not Path("x.arrow").exists()
 
 
@@ -219,13 +219,14 @@ def test_a_run_that_is_stopped_leaves_no_file_and_is_gone_on_with(tmp_path: Path
     out = tmp_path / "rooms.arrow"
     save_scene(two_rooms(12_000, sh_degree=1).gaussians, tmp_path / "rooms.ply")
     words = [str(tmp_path / "rooms.ply"), "-o", str(out), "--held-out", "0", "--views", "2", "--mean-terms", "0.5"]
+    words += ["--width", "32", "--height", "24", "--max-terms", "2"]
     stopped = Halted("directions", 8193, "color", *words)  # more than one block of 8,192
     stopped.wait()
-    code, said, told = stopped.end(signal.SIGINT)
-    assert (code, said) == (130, ""), told
+    code, said, text = stopped.end(signal.SIGINT)
+    assert (code, said) == (130, ""), text
     (kept,) = tmp_path.glob("rooms.arrow.partial-*")
-    assert f"{kept.name}; the same command goes on from there" in told.splitlines()[-1]
-    assert "Traceback" not in told
+    assert f"{kept.name}; the same command goes on from there" in text.splitlines()[-1]
+    assert "Traceback" not in text
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["rooms.ply", kept.name])
     with np.load(kept / "found.npz") as file:
         assert file["traced"][0] == 8192

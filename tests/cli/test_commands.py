@@ -81,6 +81,7 @@ def test_analyze_writes_a_report_and_prints_a_table(ply: Path, tmp_path: Path, c
     assert (out / "report.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_analyze_json_is_the_report_and_a_seed_repeats_it(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     command = ["analyze", str(ply), "-o", str(tmp_path / "a b"), *QUICK, "--seed", "7", "--json"]
     documents = []
@@ -94,6 +95,7 @@ def test_analyze_json_is_the_report_and_a_seed_repeats_it(ply: Path, tmp_path: P
     assert documents[0]["parameters"]["fov"] == 60.0
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_analyze_takes_cameras_of_a_file_at_its_aspect(tmp_path: Path, capsys: Capture) -> None:
     size = {"w": 320, "h": 160, "fl_x": 160.0, "fl_y": 160.0, "cx": 160.0, "cy": 80.0}
     pose = [[0.0, 0.0, -1.0, 2.0], [-1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 1.5], [0.0, 0.0, 0.0, 1.0]]  # looks along +x
@@ -110,6 +112,7 @@ def test_analyze_takes_cameras_of_a_file_at_its_aspect(tmp_path: Path, capsys: C
     assert "transforms.json" in document["cameras_from"]
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_a_report_repeats_its_views(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "first"
     assert main(["analyze", str(ply), "-o", str(out), *QUICK, "--seed", "5", "--json"]) == 0
@@ -130,6 +133,7 @@ def test_a_report_repeats_its_views(ply: Path, tmp_path: Path, capsys: Capture) 
     capsys.readouterr()
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_the_paper_stands_beside_what_compares_with_it(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     assert main(["analyze", str(ply), "-o", str(tmp_path / "a"), *QUICK]) == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -167,6 +171,7 @@ def captured(cameras: Cameras) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("blank_plots")
 @pytest.mark.parametrize(
     ("name", "made"),
     [
@@ -245,10 +250,12 @@ def test_missing_and_wrong_scenes_are_refused_in_one_line(tmp_path: Path, capsys
 
 def test_arguments_that_contradict_each_other_are_refused(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "cameras.json").write_text("[]")
-    told = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json", "--fov", "50")
-    assert "--fov" in told
-    told = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "none.json")
-    assert "none.json" in told
+    output = refused(
+        capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json", "--fov", "50"
+    )
+    assert "--fov" in output
+    output = refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "none.json")
+    assert "none.json" in output
     refused(capsys, "analyze", ply, "-o", tmp_path / "o", "--cameras", tmp_path / "cameras.json")
     assert not (tmp_path / "o").exists()
 
@@ -278,7 +285,7 @@ def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monk
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["inspect"], "SCENE"),
         (["inspct", "x"], "inspct"),
@@ -295,11 +302,11 @@ def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monk
         (["convert", "x", "y.ply", "--max-sh-degree", "4"], "0 to 3"),
     ],
 )
-def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert told in err
+    assert message in err
     assert "Traceback" not in err
 
 
@@ -365,6 +372,7 @@ def test_help_needs_nothing_heavy(capsys: Capture) -> None:
 
 
 @pytest.mark.realdata
+@pytest.mark.usefixtures("blank_plots")
 def test_a_real_scene_of_a_streamed_format(realdata: Path, tmp_path: Path, capsys: Capture) -> None:
     scene = str(realdata / "scenes" / "nika_sh3" / "lod-meta.json")
     assert main(["analyze", scene, "--lod", "3", "-o", str(tmp_path / "out"), "--json", *QUICK]) == 0

@@ -52,9 +52,9 @@ def test_the_help_in_the_docs_is_what_the_commands_print() -> None:
     if version("tyro") != pinned[1]:
         pytest.skip(f"docs/cli.md is laid out by tyro {pinned[1]}, here is {version('tyro')}")
     text = PAGE.read_text(encoding="utf-8")
-    told = "docs/cli.md is stale; if the change is meant: python tests/cli/test_docs.py --write"
+    message = "docs/cli.md is stale; if the change is meant: python tests/cli/test_docs.py --write"
     for found in MARKED.finditer(text):
-        assert found.group(0) == boxed(found.group(1)), told
+        assert found.group(0) == boxed(found.group(1)), message
 
 
 def test_every_command_is_documented_once() -> None:

@@ -23,6 +23,7 @@ from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
 
+pytestmark = pytest.mark.usefixtures("blank_plots")
 Capture = pytest.CaptureFixture[str]
 BOX = "--box 0.5 0.5 0.5 3.5 3.5 2.5"
 LOOK = "--views 3 --width 12 --height 9 --traced-sample 20 --rays-per-face 1"
@@ -88,7 +89,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {name: path.read_bytes() for name, path in names.items() if not any(part in name for part in RESUMED)}
 
 
-def told(capsys: Capture) -> str:
+def read_error(capsys: Capture) -> str:
     """The one line of the error; nothing on stdout."""
     out, err = capsys.readouterr()
     lines = [line for line in err.splitlines() if line.startswith("gsvis: error: ")]
@@ -108,7 +109,7 @@ def test_a_disk_that_takes_no_more_costs_nothing(
     with small_files(0):  # kernels are not compiled yet: nothing long begins where nothing can be written
         code = main(words)
     assert code == 1
-    line = told(capsys)
+    line = read_error(capsys)
     assert str(out) in line
     assert "cannot be written: file too large" in line
     assert "ulimit -f" in line
@@ -123,7 +124,7 @@ def test_a_disk_that_takes_no_more_costs_nothing(
         words += ["--tau", "0.01"]
     with small_files(300):  # the first bytes go in
         assert main(words) == 1
-    assert str(tmp_path) in told(capsys)  # it may be the folder beside OUT that keeps unfinished work
+    assert str(tmp_path) in read_error(capsys)  # it may be the folder beside OUT that keeps unfinished work
     assert contents(out) == before
     assert main(words) == 0
 
@@ -150,7 +151,7 @@ def test_each_fault_has_its_remedy(
     with monkeypatch.context() as patched:
         patched.setattr("gsvis.files.atomic.os.replace", full)
         assert main(["convert", str(world["ply"]), str(out), "--overwrite"]) == 1
-    line = told(capsys)
+    line = read_error(capsys)
     assert line.startswith(f"gsvis: error: {out}: cannot be written: {os.strerror(code).lower()}; ")
     assert remedy in line
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.ply": b"mine"}
@@ -165,7 +166,7 @@ def test_temporary_files_that_do_not_fit_are_told_apart(
     capsys.readouterr()
     with small_files(300):
         assert main(words) == 1
-    assert "TMPDIR" in told(capsys)
+    assert "TMPDIR" in read_error(capsys)
     assert contents(tmp_path) == before
 
 

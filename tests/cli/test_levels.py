@@ -86,8 +86,8 @@ def test_a_builtin_scene_as_a_folder_and_as_tables(tmp_path: Path, capsys: Captu
     text = capsys.readouterr().out
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
     assert "…" not in text
-    for told in ("reuse", "PSNR", "brightness", "going up level by level", "held out", "levels.arrow"):
-        assert told in text
+    for label in ("reuse", "PSNR", "brightness", "going up level by level", "held out", "levels.arrow"):
+        assert label in text
     assert names(out) == WRITTEN
     assert names(out.parent) == ["levels"]  # what was kept has gone
 
@@ -147,9 +147,9 @@ def test_photographs_of_something_else_are_told(ply: Path, photos: Path, tmp_pat
     g = load_scene(ply)
     away = Gaussians(g.means + 100.0, g.quats, g.scales, g.opacities, g.sh0, g.shN)
     save_scene(away, tmp_path / "away.ply")
-    told = refused(capsys, tmp_path / "away.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "2")
-    assert "shows any of" in told
-    assert "in its frame?" in told
+    output = refused(capsys, tmp_path / "away.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "2")
+    assert "shows any of" in output
+    assert "in its frame" in output
     glaring = Gaussians(g.means, g.quats, g.scales, g.opacities, np.full_like(g.sh0, 5.0), g.shN)
     save_scene(glaring, tmp_path / "glaring.ply")
     words = [tmp_path / "glaring.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "1"]
@@ -181,7 +181,7 @@ def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--shares", "0", "0.5"], "expected shares in (0, 1]"),
         (["--shares", "0.5", "1.5"], "expected shares in (0, 1]"),
@@ -209,11 +209,11 @@ def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Pat
     ],
 )
 def test_wrong_arguments_exit_with_2_and_say_which(
-    words: list[str], told: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    words: list[str], message: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     said = refused(capsys, BUILTIN, "-o", "out", *words)
-    assert told in said.replace("│ ", "").replace(" │", "")
+    assert message in said.replace("│ ", "").replace(" │", "")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -261,14 +261,14 @@ def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
 
 
 def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "80"]
+    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "16"]
     stopped = Halted("train", 1, "levels", *words)
     stopped.wait()
-    code, said, told = stopped.end(signal.SIGINT)
-    assert (code, said) == (130, ""), told
+    code, said, text = stopped.end(signal.SIGINT)
+    assert (code, said) == (130, ""), text
     (kept,) = tmp_path.glob(".out.partial-*")
-    assert f"is kept in {kept.name}; the same command goes on from there" in told.splitlines()[-1]
-    assert "Traceback" not in told
+    assert f"is kept in {kept.name}; the same command goes on from there" in text.splitlines()[-1]
+    assert "Traceback" not in text
     assert "subsets.npz" in names(kept)
     assert names(tmp_path) == [kept.name]
     assert main(["levels", *words]) == 0

@@ -51,12 +51,13 @@ def test_pictures_show_the_highest_level(folder: Path) -> None:
     assert np.array_equal(source.union.means, levels.union.means)
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_sets_and_colors_of_a_folder_of_levels(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     levels = load_levels(folder)
-    told = [{"name": name, "gaussians": n} for name, n in zip(levels.names, levels.counts, strict=True)]
+    expected = [{"name": name, "gaussians": n} for name, n in zip(levels.names, levels.counts, strict=True)]
     estimate = run(capsys, "pvs", folder, "-o", tmp_path / "rooms.pvs", *CELLS, *BOX, "--dry-run")
     found = run(capsys, "pvs", folder, "-o", tmp_path / "rooms.pvs", *CELLS, *BOX)
-    assert estimate["levels"] == found["levels"] == told
+    assert estimate["levels"] == found["levels"] == expected
     assert found["gaussians"] == len(levels.union)
     with VisibilityStore.open(tmp_path / "rooms.pvs", scene=levels) as store:
         assert store.gaussians == len(levels.union)
@@ -64,13 +65,13 @@ def test_sets_and_colors_of_a_folder_of_levels(folder: Path, tmp_path: Path, cap
     files = ["--pvs", tmp_path / "rooms.pvs", "--active", tmp_path / "terms.arrow", "--epsilon", "0.02"]
     out = tmp_path / "rooms.arrow"
     fitted = run(capsys, "color", folder, "-o", out, *files, *TERMS, "--report", tmp_path / "report")
-    assert fitted["levels"] == told
+    assert fitted["levels"] == expected
     assert fitted["gaussians"] == len(levels.union)
     assert fitted["quality"]["all_terms"]["psnr"]["mean"] > 20.0
     geometry, colors = load_srbf(out)
     assert np.array_equal(geometry.means, levels.union.means)
     assert len(colors) == len(levels.union)
-    assert srbf_info(out).provenance["levels"] == told
+    assert srbf_info(out).provenance["levels"] == expected
     assert (tmp_path / "report" / "report.html").exists()
     report = ["pvs-report", tmp_path / "rooms.pvs", folder, "-o", tmp_path / "sets", "--cells", "1"]
     measured = run(capsys, *report, "--viewpoints", "1", "--dense", "0", "--width", "32", "--height", "24")
@@ -79,8 +80,8 @@ def test_sets_and_colors_of_a_folder_of_levels(folder: Path, tmp_path: Path, cap
 
 def test_what_a_folder_of_levels_cannot_do_is_refused(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     before = (folder / MAP).read_bytes()
-    told = refused(capsys, "pvs", folder, "-o", tmp_path / "x.pvs", "--lod", "1", *CELLS)
-    assert "--lod: expected none for a folder of levels" in told
+    output = refused(capsys, "pvs", folder, "-o", tmp_path / "x.pvs", "--lod", "1", *CELLS)
+    assert "--lod: expected none for a folder of levels" in output
     assert "which is read" in refused(capsys, "color", folder, "-o", folder / MAP, *TERMS)
     assert "which is read" in refused(capsys, "color", folder, "-o", folder / "low.ply", *TERMS)
     assert "something else" in refused(capsys, "pvs", folder, "-o", folder / MAP, *CELLS)

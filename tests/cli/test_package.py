@@ -21,10 +21,10 @@ def package(tmp_path: Path) -> Path:
 
 def test_verify_tells_what_a_package_is(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(package)]) == 0
-    told = capsys.readouterr().out
-    assert "Every part is whole." in told
-    assert "bytes a Gaussian" in told
-    assert "low " in told
+    output = capsys.readouterr().out
+    assert "Every part is whole." in output
+    assert "bytes a Gaussian" in output
+    assert "low " in output
     (package / "parts" / "stray.arrow").write_bytes(b"")
     assert main(["verify", str(package), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

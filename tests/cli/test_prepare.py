@@ -61,8 +61,8 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     target = tmp_path / "new" / "s.gsvis"
     text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
     assert max(map(len, text.splitlines())) <= 80
-    for told in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 meters", "s.gsvis.work", "made"):
-        assert told in text
+    for label in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 meters", "s.gsvis.work", "made"):
+        assert label in text
     with Package.open(target) as package:
         assert package.manifest.names == ("low", "medium", "high")
         assert package.verify().cells == 2

@@ -64,6 +64,7 @@ def test_it_writes_a_report_and_prints_tables(
     assert json.loads(Path("new/report/report.json").read_text())["quality"]["cells_measured"] == 2
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_json_is_the_document_and_its_command_makes_it_again(
     built: tuple[Path, Path], tmp_path: Path, capsys: Capture
 ) -> None:
@@ -121,18 +122,18 @@ def test_fresh_viewpoints_stay_in_the_space_of_the_build_as_far_as_it_is_known(
     source = load_source(str(built[1]), None)
     g, space = source.gaussians, NavigableSpace.from_scene(source.gaussians)
     with VisibilityStore.open(built[0]) as store:
-        viewpoints, told = _viewpoints(store, source)
-        assert told.endswith("that the store was built in")
+        viewpoints, text = _viewpoints(store, source)
+        assert text.endswith("that the store was built in")
         assert np.array_equal(viewpoints.space.free, space.free)
     voxel = np.argwhere(space.free)[0]
     walk = space.origin + space.voxel_size * (voxel + 0.5)
     along = corridor(space, walk[None], 3.0 * space.voxel_size)
     with build_pvs(g, CellGrid.over(along, max_cells=6), along, tmp_path / "walk.pvs", FEW) as store:
-        viewpoints, told = _viewpoints(store, source)
-        assert told.endswith("covers a part")
+        viewpoints, text = _viewpoints(store, source)
+        assert text.endswith("covers a part")
         assert np.all(space.contains(viewpoints.draw(0, 20, np.random.default_rng(0))))
     box = NavigableSpace.from_box((1, 1, 1), (2, 2, 2), 4)
     with build_pvs(g, CellGrid.over(box, max_cells=8), box, tmp_path / "box.pvs", FEW) as store:
-        viewpoints, told = _viewpoints(store, source)
-        assert told.startswith("anywhere in the boxes")
+        viewpoints, text = _viewpoints(store, source)
+        assert text.startswith("anywhere in the boxes")
         assert np.all(store.grid.cell_at(viewpoints.draw(2, 20, np.random.default_rng(0))) == 2)

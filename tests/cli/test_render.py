@@ -70,12 +70,12 @@ def refused(capsys: Capture, *words: object) -> str:
 def test_the_png_is_the_image_of_rasterize(backend: str, ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "image.png"
     extra = ["--background", "1", "0.5", "0", "--sh-degree", "0", "--antialiased", "--fov", "75", "--backend", backend]
-    told = done(capsys, ply, "-o", out, *TINY, *EYE, *extra)
+    output = done(capsys, ply, "-o", out, *TINY, *EYE, *extra)
     seen = rasterize(
         load_scene(ply), camera_of(fov=75.0), backend="cpu", background=(1, 0.5, 0), sh_degree=0, antialiased=True
     )
     assert np.abs(pixels(out) / 255.0 - seen.images[0].clip(0, 1)).max() <= 1.0 / 255.0
-    assert "24 x 18, " in " ".join(told.split())
+    assert "24 x 18, " in " ".join(output.split())
     assert [path.name for path in out.parent.iterdir()] == ["image.png"]
 
 
@@ -117,9 +117,9 @@ def test_an_orbit_goes_where_it_is_told(ply: Path, capsys: Capture, tmp_path: Pa
 
 def test_a_gif_has_all_frames_and_their_time(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [ply, "--orbit", 4, *TINY, "--up", "+z"]
-    told = done(capsys, *words, "-o", tmp_path / "orbit.gif", "--fps", 10)
+    output = done(capsys, *words, "-o", tmp_path / "orbit.gif", "--fps", 10)
     done(capsys, *words, "-o", tmp_path / "frames")
-    assert "4 frames" in " ".join(told.split())
+    assert "4 frames" in " ".join(output.split())
     with Image.open(tmp_path / "orbit.gif") as animation:
         assert animation.n_frames == 4
         assert animation.info["loop"] == 0
@@ -135,7 +135,7 @@ def test_depth_can_be_read_back_from_the_colors(ply: Path, tmp_path: Path, capsy
     document = documented(capsys, ply, "-o", tmp_path / "a.png", *words, "--depth")
     camera = Cameras.look_at([[-9.0, 2.0, 9.0]], (4.0, 2.0, 1.0), width=24, height=18)
     seen = rasterize(load_scene(ply), camera, backend="cpu")
-    depth, empty = seen.depths[0].numpy(), seen.alphas[0].numpy() < 1.0 / 255.0
+    depth, empty = seen.depths[0], seen.alphas[0] < 1.0 / 255.0
     image = pixels(tmp_path / "a_depth.png").astype(int)
     assert empty.any()
     assert np.array_equal((image == 0).all(axis=2), empty)
@@ -148,8 +148,8 @@ def test_depth_can_be_read_back_from_the_colors(ply: Path, tmp_path: Path, capsy
     with Image.open(tmp_path / "a_depth.png") as picture:
         assert float(picture.text["gsvis:near"]) == pytest.approx(near)
         assert float(picture.text["gsvis:far"]) == pytest.approx(far)
-    told = done(capsys, ply, "-o", tmp_path / "a.png", *words, "--depth")
-    assert f"violet {near:.4g} to yellow {far:.4g}" in " ".join(told.split())
+    output = done(capsys, ply, "-o", tmp_path / "a.png", *words, "--depth")
+    assert f"violet {near:.4g} to yellow {far:.4g}" in " ".join(output.split())
 
 
 @pytest.mark.parametrize("out", ["frames", "orbit.gif"])
@@ -162,8 +162,8 @@ def test_all_frames_of_a_depth_sequence_share_their_colors(
         with Image.open(path) as picture:
             info = picture.info
             assert getattr(picture, "n_frames", 1) == (3 if out == "orbit.gif" else 1)
-        told = info.get("Description") or info["comment"].decode()
-        assert f"near={near:.9g} to far={far:.9g}" in told
+        text = info.get("Description") or info["comment"].decode()
+        assert f"near={near:.9g} to far={far:.9g}" in text
 
 
 def test_nothing_in_sight_is_the_background_and_has_no_depth(ply: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -174,9 +174,9 @@ def test_nothing_in_sight_is_the_background_and_has_no_depth(ply: Path, tmp_path
     assert not pixels(tmp_path / "a_depth.png").any()
     assert (document["depth"]["near"], document["depth"]["far"]) == (None, None)
     assert document["contributors"]["weights"] == []
-    told = done(capsys, ply, *words, "--contributors", "3,4")
-    assert "nothing is seen" in told
-    assert "No Gaussian contributes to pixel 3,4." in told
+    output = done(capsys, ply, *words, "--contributors", "3,4")
+    assert "nothing is seen" in output
+    assert "No Gaussian contributes to pixel 3,4." in output
 
 
 def test_the_weights_of_the_contributors_sum_to_alpha(ply: Path, capsys: Capture) -> None:
@@ -199,17 +199,17 @@ def test_a_long_list_of_contributors_shows_the_weightiest(tmp_path: Path, capsys
     opacities = np.where(np.arange(n) == n - 1, 0.9, 0.02)
     row = Gaussians(means, [[1, 0, 0, 0]] * n, np.full((n, 3), 0.3), opacities, np.zeros((n, 1, 3)))
     save_scene(row, tmp_path / "row.ply")
-    told = done(capsys, tmp_path / "row.ply", *TINY, "--eye", "-3", "0", "0", "--contributors", "12,9")
-    rows = [[float(word) for word in line.split()] for line in told.splitlines() if re.match(r"^ +\d+ +\d+ ", line)]
+    output = done(capsys, tmp_path / "row.ply", *TINY, "--eye", "-3", "0", "0", "--contributors", "12,9")
+    rows = [[float(word) for word in line.split()] for line in output.splitlines() if re.match(r"^ +\d+ +\d+ ", line)]
     assert len(rows) == 40
     ranks, ids, _, weights, depths = zip(*rows, strict=True)
     assert (ranks[-1], ids[-1]) == (n, n - 1)  # the last and weightiest is not cut off
     assert list(ranks) == sorted(ranks)
     assert list(depths) == sorted(depths)
-    (rest,) = re.findall(r"other 20 weigh ([\d.]+)", " ".join(told.split()))
-    (total,) = re.findall(r"all 60: ([\d.]+)", told)
+    (rest,) = re.findall(r"other 20 weigh ([\d.]+)", " ".join(output.split()))
+    (total,) = re.findall(r"all 60: ([\d.]+)", output)
     assert sum(weights) + float(rest) == pytest.approx(float(total), abs=1e-3)
-    assert max(map(len, told.splitlines())) <= 80
+    assert max(map(len, output.splitlines())) <= 80
 
 
 def cameras_json(path: Path, count: int) -> Path:
@@ -237,14 +237,14 @@ def test_cameras_of_a_file_keep_their_size_and_can_be_chosen(ply: Path, tmp_path
 
 def test_a_seed_repeats_the_sampled_camera_and_its_words_give_it_again(tmp_path: Path, capsys: Capture) -> None:
     words = ["builtin:nested_shells", *TINY, "-o", tmp_path / "a.png"]
-    told = done(capsys, *words, "--seed", 3)
+    output = done(capsys, *words, "--seed", 3)
     first = pixels(tmp_path / "a.png")
     document = documented(capsys, *words, "--seed", 3)
     assert np.array_equal(first, pixels(tmp_path / "a.png"))
     scene = builtin_scene("nested_shells")
     assert scene.navigable is not None
     assert scene.navigable.contains([document["cameras"][0]["eye"]]).all()
-    (again,) = re.findall(r"Again: (.*)", told)
+    (again,) = re.findall(r"Again: (.*)", output)
     done(capsys, *words, *again.split())
     assert np.abs(first.astype(int) - pixels(tmp_path / "a.png")).max() <= 3
     assert documented(capsys, *words, "--seed", 4)["cameras"] != document["cameras"]
@@ -257,9 +257,9 @@ def test_what_a_folder_holds_stays_and_later_frames_are_told(ply: Path, tmp_path
         (frames / name).write_text("old")
     assert "0001.png, which something else wrote" in refused(capsys, ply, "-o", frames, "--orbit", 2, *TINY)
     assert (frames / "0001.png").read_text() == "old"
-    told = done(capsys, ply, "-o", frames, "--orbit", 2, "--overwrite", *TINY)
+    output = done(capsys, ply, "-o", frames, "--orbit", 2, "--overwrite", *TINY)
     done(capsys, ply, "-o", frames, "--orbit", 2, *TINY)  # its own pictures are replaced
-    assert "also holds 2 later frames" in " ".join(told.split())
+    assert "also holds 2 later frames" in " ".join(output.split())
     assert pixels(frames / "0001.png").shape == (18, 24, 3)
     for name in ("notes.txt", "cover.png", "0002.png", "0007.png"):
         assert (frames / name).read_text() == "old"
@@ -301,7 +301,7 @@ def test_defaults_are_those_the_help_states() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ([], "-o"),
         (["--contributors", "1,1", "--depth"], "-o"),
@@ -326,15 +326,15 @@ def test_defaults_are_those_the_help_states() -> None:
     ],
 )
 def test_arguments_that_cannot_be_are_refused_in_one_line(
-    words: list[str], told: str, ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    words: list[str], message: str, ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ply.parent)
-    assert told in refused(capsys, ply, *words)
+    assert message in refused(capsys, ply, *words)
     assert [path.name for path in ply.parent.iterdir()] == ["rooms.ply"]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--contributors", "12"], "column and a row"),
         (["--index"], "whole numbers"),
@@ -348,11 +348,11 @@ def test_arguments_that_cannot_be_are_refused_in_one_line(
         (["--orbit", "0"], "at least 1"),
     ],
 )
-def test_values_out_of_range_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
+def test_values_out_of_range_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:
     assert main(["render", "x", "-o", "y", *words]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert told in err
+    assert message in err
     assert "Traceback" not in err
 
 

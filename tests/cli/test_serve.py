@@ -49,12 +49,12 @@ def process(*arguments: object, **environment: str) -> Iterator[tuple[subprocess
     )
     try:
         assert running.stdout is not None
-        told = ""
-        while not told.endswith("}\n"):
+        text = ""
+        while not text.endswith("}\n"):
             line = running.stdout.readline()
             assert line, running.stderr.read() if running.stderr else ""
-            told += line
-        yield running, json.loads(told)["url"]
+            text += line
+        yield running, json.loads(text)["url"]
     finally:
         running.kill()
         running.communicate()

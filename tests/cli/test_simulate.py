@@ -61,12 +61,13 @@ def test_it_writes_a_report_and_prints_tables(
     text = capsys.readouterr().out
     assert "report/report.html" in text.split()
     assert max(map(len, text.splitlines())) <= 80
-    for told in ("QoE of a step", "whole file", "Morton order", "records sent twice", "0.2 Mbit/s"):
-        assert told in text
+    for label in ("QoE of a step", "whole file", "Morton order", "records sent twice", "0.2 Mbit/s"):
+        assert label in text
     names = {path.name for path in Path("report").iterdir()}
     assert {"report.html", "report.json", "qoe.png", "psnr.png", "latency.png", "bandwidth.png", "start.png"} <= names
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_json_is_the_document_and_its_command_makes_it_again(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     words = ["simulate", street(folder), str(folder / "rooms.gsvis"), "--path", str(folder / "walk.csv")]
     words += ["-o", str(tmp_path), "--trace", str(folder / "link.txt"), "--visits", "3", "--as-is", *QUICK[:-2]]
@@ -83,6 +84,7 @@ def test_json_is_the_document_and_its_command_makes_it_again(folder: Path, tmp_p
         assert [system["figures"]["records_twice"] for system in visit["systems"]] == [0, 0, 0]
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_a_path_is_brought_into_the_scene_and_the_scene_can_be_given(
     folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -109,6 +111,7 @@ def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, cap
     assert not (tmp_path / "report").exists()
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_a_path_that_sees_nothing_is_told_and_has_no_headline(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     path = walk(3.0)
     far = HeadPath(path.times, path.positions + np.array([0.0, 1e4, 0.0]), path.quats, path.up)

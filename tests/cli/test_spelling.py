@@ -24,7 +24,7 @@ def commands() -> list[tuple[str, type]]:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["anlyze", "x", "-o", "y"], "no command 'anlyze'; did you mean analyze?"),
         (["pvsreport", "x"], "no command 'pvsreport'; did you mean pvs-report?"),
@@ -41,13 +41,13 @@ def commands() -> list[tuple[str, type]]:
         (["inspect", "builtin:attic"], "expected one of builtin:.* got 'builtin:attic'"),
     ],
 )
-def test_what_is_mistyped_is_told_in_one_line(words: list[str], told: str, capsys: Capture) -> None:
+def test_what_is_mistyped_is_told_in_one_line(words: list[str], message: str, capsys: Capture) -> None:
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
     assert err.startswith("gsvis: error: ")
-    assert re.search(told.replace("?", r"\?"), err), err
+    assert re.search(message.replace("?", r"\?"), err), err
 
 
 def test_every_name_is_known_and_a_lost_letter_is_found_again() -> None:
@@ -59,8 +59,8 @@ def test_every_name_is_known_and_a_lost_letter_is_found_again() -> None:
         for name in names:
             assert misspelling([command, name.replace("-", "_").replace("__", "--")]) is None
             if len(name) > 7:
-                told = misspelling([command, f"{name[:4]}{name[5:]}"]) or ""
-                assert "did you mean --" in told
+                text = misspelling([command, f"{name[:4]}{name[5:]}"]) or ""
+                assert "did you mean --" in text
 
 
 def test_names_are_those_of_the_documentation() -> None:

@@ -18,6 +18,7 @@ from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
 
+pytestmark = pytest.mark.usefixtures("blank_plots")
 Capture = pytest.CaptureFixture[str]
 
 
@@ -118,9 +119,9 @@ def test_a_wrong_output_is_refused_at_once(
 def test_a_wrong_input_is_refused_before_the_work(
     name: str, world: dict[str, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command, told = INPUTS[name]
+    command, text = INPUTS[name]
     words = [word.format(out=tmp_path / "out", **world) for word in command.split()]
-    assert told in refused(words, capsys, monkeypatch)
+    assert text in refused(words, capsys, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 

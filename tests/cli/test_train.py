@@ -51,8 +51,8 @@ def test_a_scene_and_its_record_are_written_and_told_about(photos: Path, tmp_pat
     assert main(["train", str(photos), "-o", str(out), *STEPS]) == 0
     text, said = capsys.readouterr()
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
-    for told in ("10 of 48 x 32, 2 held out", "40 points of the reconstruction", "PSNR", "SSIM", "in 2 held out"):
-        assert told in text
+    for label in ("10 of 48 x 32, 2 held out", "40 points of the reconstruction", "PSNR", "SSIM", "in 2 held out"):
+        assert label in text
     assert "step 10: " in said
     assert sorted(path.name for path in out.parent.iterdir()) == ["scene.ply", "scene.train.json"]
     record = json.loads((out.parent / "scene.train.json").read_text(encoding="utf-8"))
@@ -100,8 +100,8 @@ def test_a_run_that_is_stopped_is_gone_on_with(
     assert signal.getsignal(signal.SIGINT) is before
     out, err = capsys.readouterr()
     assert out == ""
-    told = "gsvis: interrupted; what was trained is kept in scene.ply.checkpoint; the same command goes on from there"
-    assert err.splitlines()[-1] == told
+    text = "gsvis: interrupted; what was trained is kept in scene.ply.checkpoint; the same command goes on from there"
+    assert err.splitlines()[-1] == text
     assert not (tmp_path / "scene.ply").exists()
     monkeypatch.setattr(Trainer, "advance", advance)
     kept = tmp_path / "scene.ply.checkpoint"
@@ -156,8 +156,8 @@ def test_what_cannot_be_is_refused_before_the_work(
     assert "expected a checkpoint of gsvis" in refused(capsys, photos, "-o", out, *STEPS)
     shutil.copytree(photos, tmp_path / "one")
     write_points(tmp_path / "one" / "sparse" / "0" / "points3D.bin", PointCloud(np.ones((5, 3))))
-    told = refused(capsys, tmp_path / "one", "-o", tmp_path / "one.ply")
-    assert "expected points at 2 places or more" in told
+    output = refused(capsys, tmp_path / "one", "-o", tmp_path / "one.ply")
+    assert "expected points at 2 places or more" in output
     assert not out.exists()
 
 
@@ -168,7 +168,7 @@ def test_a_folder_that_may_not_be_written_to_is_told_at_once(photos: Path, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--size", "400"], "such as 400x266"),
         (["--downscale", "0.5"], "a factor of 1 to 64"),
@@ -177,8 +177,8 @@ def test_a_folder_that_may_not_be_written_to_is_told_at_once(photos: Path, tmp_p
         (["--backend", "gpu"], "cuda"),
     ],
 )
-def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], told: str, capsys: Capture) -> None:
-    assert told in refused(capsys, "photos", "-o", "x.ply", *words)
+def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:
+    assert message in refused(capsys, "photos", "-o", "x.ply", *words)
     assert not Path("x.ply").exists()
 
 

@@ -12,9 +12,11 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.io import save_scene
+from gsvis.io.poses import write_poses
 from gsvis.prepare import PrepareConfig
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.simulate.streets import walk
 from tests.train.photo_files import write_transforms
 
 VIEW = ["--width", "32", "--height", "24"]
@@ -47,7 +49,7 @@ COMMANDS = {
 
 @pytest.fixture(scope="module", autouse=True)
 def quick() -> object:
-    """A package of few views."""
+    """A package of few views, small pictures."""
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
     before = PrepareConfig.__init__
 
@@ -59,6 +61,7 @@ def quick() -> object:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
         patch.setattr(PrepareConfig, "__init__", smaller)
+        patch.setattr("gsvis.cli.analyze.PICTURE", 24)
         yield
 
 
@@ -68,7 +71,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_scene(two_rooms(1000, sh_degree=1).gaussians, folder / "rooms.ply")
     (folder / "photos").mkdir()
     write_transforms(folder / "photos", 8)
-    (folder / "walk.csv").write_text("t,x,y,z,qw,qx,qy,qz\n0,2,2,1.5,1,0,0,0\n2,2.5,2,1.5,1,0,0,0\n")
+    write_poses(walk(3.0), folder / "walk.csv")
     words = COMMANDS["prepare"]
     assert main([*words[:3], str(folder / "rooms.gsvis"), *words[4:]]) == 0
     words = COMMANDS["pvs"]
@@ -108,6 +111,7 @@ def test_a_command_run_twice_writes_the_same_bytes(
     assert [path for path in found[0] if found[0][path] != found[1][path]] == []
 
 
+@pytest.mark.usefixtures("blank_plots")  # that plots repeat is seen above
 def test_a_command_that_finds_its_own_result_writes_the_same_again(
     inputs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

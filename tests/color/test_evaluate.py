@@ -48,7 +48,7 @@ def test_kernel_equals_the_twin(name: str, count: int) -> None:
     strength=st.sampled_from([0.0, 1.0, 40.0]),
 )
 def test_kernel_equals_the_twin_at_the_edges(seed: int, name: str, decay: float, size: float, strength: float) -> None:
-    """Narrow and wide lobes, some centerd on the direction, at all sizes; colors far out of range."""
+    """Narrow and wide lobes, some centered on the direction, at all sizes; colors far out of range."""
     rng = np.random.default_rng(seed)
     means = (size * rng.normal(size=(40, 3))).astype(np.float32)
     eye = means[3].astype(np.float64) + np.where(rng.random() < 0.5, 0.0, size)
@@ -186,7 +186,7 @@ def test_colors_without_terms_are_their_base_from_everywhere() -> None:
 @pytest.mark.parametrize("offsets", [[1, 1], [-1, 0], [0, -1]])
 def test_offsets_start_at_zero_and_never_fall(offsets: list[int]) -> None:
     one = np.zeros((1, 3))
-    with pytest.raises(ValueError, match="offsets: expected to start at 0 and never to fall"):
+    with pytest.raises(ValueError, match="offsets: expected ascending values from 0"):
         SrbfColors("rgb", one, [1.0], np.zeros((1, 0, 3)), offsets, [0], [[0, 0]], [1.0], one)
 
 

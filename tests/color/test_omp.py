@@ -166,7 +166,7 @@ def test_threads_and_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     try:
         set_num_threads(1)
         one = orthogonal_matching_pursuit(
-            dictionary, signals, max_terms=4, weights=weights, progress=lambda *told: calls.append(told)
+            dictionary, signals, max_terms=4, weights=weights, progress=lambda *call: calls.append(call)
         )
     finally:
         set_num_threads(threads)

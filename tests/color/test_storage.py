@@ -97,7 +97,7 @@ def test_the_header_tells_what_is_in_the_file(saved: tuple[Path, Gaussians, Srbf
     assert info.nbytes == path.stat().st_size
     packed = quantize(colors, "coarse")
     save_srbf(path, g, packed)
-    assert srbf_info(path).grids == packed.grids == Grids.of(packed.dequantize(), "coarse")
+    assert srbf_info(path).grids == packed.grids == Grids.from_colors(packed.dequantize(), "coarse")
 
 
 def test_any_arrow_client_reads_it(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
@@ -176,7 +176,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
         save_srbf(tmp_path / "a", g[:4], colors)
     with pytest.raises(ValueError, match="precision: expected None for quantized colors"):
         save_srbf(tmp_path / "a", g, quantize(colors), precision="wire")
-    with pytest.raises(ValueError, match="provenance: expected what JSON can say"):
+    with pytest.raises(ValueError, match="provenance: expected JSON values"):
         save_srbf(tmp_path / "a", g, colors, provenance={"x": float("nan")})
     assert not list(tmp_path.iterdir())
 

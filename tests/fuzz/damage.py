@@ -93,17 +93,17 @@ def streams() -> Damaged:
     around = scenes.streams()[2]
     meta = json.loads(case["lod-meta.json"])
 
-    def told(**changes: Any) -> Case:
+    def case(**changes: Any) -> Case:
         return {**case, "lod-meta.json": json.dumps({**meta, **changes}).encode()}
 
     def runs(*pairs: tuple[int, int]) -> Case:
         leaves = [{"lods": {"0": {"file": 0, "offset": a, "count": b}}} for a, b in pairs]
-        return told(tree={"children": leaves})
+        return case(tree={"children": leaves})
 
     return {
         "no file at all": {"lod-meta.json": case["lod-meta.json"]},
         "no environment": {name: data for name, data in around.items() if name != "env/meta.json"},
-        "a file named twice": told(filenames=[meta["filenames"][0]] * 2),
+        "a file named twice": case(filenames=[meta["filenames"][0]] * 2),
         "a run behind the end": runs((0, 5), (5, 90)),
         "runs that overlap": runs((0, 7), (5, 7)),
         "nothing in any run": runs((0, 0)),
@@ -204,19 +204,19 @@ def photographs() -> Damaged:
         picture = training.stored(Image.new("RGB", side, (9, 90, 200)))
         return {path: picture if path.endswith(".png") else data for path, data in case.items()}
 
-    def told(content: Any) -> Case:
+    def case(content: Any) -> Case:
         return {**bare, "transforms.json": json.dumps(content).encode()}
 
     first = {**said["frames"][0], "file_path": 7}
     tiny = json.loads(json.dumps(said)) | {"w": 8, "h": 8}
     return {
         "seven photographs": few,
-        "a list": told([said]),
-        "a name that is none": told({**said, "frames": [first, *said["frames"][1:]]}),
+        "a list": case([said]),
+        "a name that is none": case({**said, "frames": [first, *said["frames"][1:]]}),
         "no image": {path: data for path, data in model.items() if not path.endswith(".png")},
         "turned images": shaped(model, (photo_files.HEIGHT, photo_files.WIDTH)),
-        "images of nothing": shaped(told(said | {"w": 48 * 100, "h": 32 * 100}), (48, 32)),
-        "tiny images": shaped(told(tiny), (8, 8)),
+        "images of nothing": shaped(case(said | {"w": 48 * 100, "h": 32 * 100}), (48, 32)),
+        "tiny images": shaped(case(tiny), (8, 8)),
         "images of two sizes": {
             **mixed,
             **{

@@ -99,7 +99,7 @@ def set_stores() -> Damaged:
         writer.finish({key: value for key, value in header.items() if key != "sections"})
         return {"a.pvs": out.getvalue()}
 
-    def told(**changes: Any) -> Case:
+    def case(**changes: Any) -> Case:
         return changed(lambda header, _: header.update(changes))
 
     def other_union(_: Any, sections: dict[str, bytes]) -> None:
@@ -145,8 +145,8 @@ def set_stores() -> Damaged:
         "a header elsewhere": {"a.pvs": data[:12] + struct.pack("<I", zlib.crc32(fields)) + fields + data[40:]},
         "sections that end early": headed(lambda header: header["sections"].pop()),
         "no rows of cells": changed(lost),
-        "another format": told(format="gsvis-else"),
-        "a scene that is none": told(scene=7),
+        "another format": case(format="gsvis-else"),
+        "a scene that is none": case(scene=7),
         "another union": changed(other_union),
         "a cell that sees too many": rows(many),
         "cells that lead to each other": rows(circle),
@@ -239,18 +239,18 @@ def blobs(seed: int, cells: int) -> tuple[bytes, bytes]:
 def manifests() -> Damaged:
     manifest = json.loads(packages.packages()[0][MANIFEST])
 
-    def told(change: Callable[[Any], object]) -> Case:
+    def case(change: Callable[[Any], object]) -> Case:
         value = json.loads(json.dumps(manifest))
         change(value)
         return {MANIFEST: sealed_manifest(value)}
 
     return {
-        "a newer version": told(lambda m: m.update(version=9)),
-        "meters below 0": told(lambda m: m.update(meters_per_unit=-1.0)),
-        "levels of one name": told(lambda m: m["levels"][0].update(name=m["levels"][1]["name"])),
-        "a store of another size": told(lambda m: m["visibility"].update(bytes=m["visibility"]["bytes"] + 1)),
-        "bits of another layout": told(lambda m: m["quantization"].update(record={})),
-        "one Gaussian more": told(lambda m: m.update(gaussians=m["gaussians"] + 1)),
+        "a newer version": case(lambda m: m.update(version=9)),
+        "meters below 0": case(lambda m: m.update(meters_per_unit=-1.0)),
+        "levels of one name": case(lambda m: m["levels"][0].update(name=m["levels"][1]["name"])),
+        "a store of another size": case(lambda m: m["visibility"].update(bytes=m["visibility"]["bytes"] + 1)),
+        "bits of another layout": case(lambda m: m["quantization"].update(record={})),
+        "one Gaussian more": case(lambda m: m.update(gaussians=m["gaussians"] + 1)),
     }
 
 

@@ -23,7 +23,7 @@ __all__ = ["DAMAGE"]
 NO_IDS = np.zeros(0, np.int64)
 
 
-def told(*messages: bytes) -> Case:
+def case(*messages: bytes) -> Case:
     return {f"{k:02d}.down": data for k, data in enumerate(messages)}
 
 
@@ -48,7 +48,7 @@ def welcomes() -> Damaged:
         "records of another size": welcome(lambda header: header.update(record_bytes=17)),
         "a scene of billions": welcome(lambda header: header.update(gaussians=1 << 28)),
     }
-    return {name: told(data) for name, data in found.items()}
+    return {name: case(data) for name, data in found.items()}
 
 
 def batches() -> Damaged:
@@ -70,22 +70,22 @@ def batches() -> Damaged:
     orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:2], 255, 0, 0, 0, 0)
     many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0) + bytes(about.gaussians)
     return {
-        "levels out of order": told(first, *before, replace(s, rows=crossed).to_message(about)),
-        "no chunk": told(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
-        "terms of nobody": told(
+        "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
+        "no chunk": case(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
+        "terms of nobody": case(
             first, replace(s, sequence=1, gaussians=NO_IDS, records=s.records[:0]).to_message(about)
         ),
-        "gone again": told(first, rest[0], once.to_message(about), again.to_message(about)),
-        "a message of another kind": told(first, b"\x7f" * 400),
-        "an order that is none": told(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
-        "more gone than there are": told(first, wire.framed(rest[0], [many, b"", b"", b""])),
+        "gone again": case(first, rest[0], once.to_message(about), again.to_message(about)),
+        "a message of another kind": case(first, b"\x7f" * 400),
+        "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
+        "more gone than there are": case(first, wire.framed(rest[0], [many, b"", b"", b""])),
     }
 
 
 def faults() -> Damaged:
     """What a server says last, cut short or longer than it says."""
     first, fault = wire.batches("rgb")[0], ServerFault(3, "too large").to_bytes()
-    return {"a fault cut short": told(first, fault[:1]), "a longer fault": told(first, fault + b"x")}
+    return {"a fault cut short": case(first, fault[:1]), "a longer fault": case(first, fault + b"x")}
 
 
 def downstream() -> Damaged:

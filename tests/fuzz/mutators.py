@@ -457,7 +457,7 @@ def change_webp(rng: Random, data: bytes) -> bytes:
         picture.save(out, rng.choice(("PNG", "GIF", "TIFF")))
     elif odd < 0.08:
         picture.convert(rng.choice(("RGB", "L"))).convert("RGB").save(out, "WEBP", lossless=odd < 0.06)
-    elif odd < 0.13:  # an extended file, with its size told twice
+    elif odd < 0.13:  # an extended file, with its size twice
         picture.save(out, "WEBP", lossless=True, exact=True, xmp=b"<x/>")
     elif odd < 0.16:
         picture.save(out, "WEBP", save_all=True, append_images=[picture, picture], lossless=True)

@@ -134,8 +134,8 @@ def test_an_eye_inside_an_opaque_gaussian_sees_what_is_around_it_only() -> None:
     assert np.array_equal(visible_gaussians(fog, np.zeros(3)), [0, 3])
     veil = row((0.1, 0.5, 0.3), (8, 0.1, 1.0), (-8, 0.1, 1.0))
     assert np.array_equal(visible_gaussians(veil, np.zeros(3)), [0, 1, 2])
-    centerd = row((0.0, 0.5, 1.0), (8, 0.1, 1.0))
-    assert np.array_equal(visible_gaussians(centerd, np.zeros(3)), [0])
+    centered = row((0.0, 0.5, 1.0), (8, 0.1, 1.0))
+    assert np.array_equal(visible_gaussians(centered, np.zeros(3)), [0])
 
 
 def test_scenes_of_nothing_of_one_and_of_faint_ones() -> None:

@@ -162,7 +162,7 @@ def test_points_in_a_plane_or_line_with_the_eye() -> None:
         (np.full((4, 3), np.nan), np.zeros(3), 10.0, "points: expected finite values, got nan"),
         (np.ones((4, 3)), np.zeros(2), 10.0, r"viewpoint: expected shape \(3,\)"),
         (np.ones((4, 3)), [0, np.inf, 0], 10.0, "viewpoint: expected finite values"),
-        (np.ones((4, 3)), np.zeros(3), 1.0, "radius: expected .* farthest point, 1.73205, got 1.0; leave out outliers"),
+        (np.ones((4, 3)), np.zeros(3), 1.0, "radius: expected .* farthest point, 1.73205, got 1.0; remove outliers"),
         (np.ones((4, 3)), np.zeros(3), np.nan, "radius: expected a finite radius"),
         (np.zeros((0, 3)), np.zeros(3), -1.0, "radius: expected"),
         (np.ones((4, 3)), np.zeros(3), "far", "radius: expected a number, got 'far'"),

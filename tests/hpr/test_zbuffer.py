@@ -39,7 +39,7 @@ def dense(seen: Seen, count: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("size", [5, 19])
 def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
     g = around(150, seed)
-    seen = look_around(Splats.of(g), np.zeros(3), size=size, spent=1e-3)
+    seen = look_around(Splats.from_gaussians(g), np.zeros(3), size=size, spent=1e-3)
     weights, light, depths = look_around_reference(g, np.zeros(3), size, 1e-3)
     found_weights, found_light = dense(seen, len(g))
     lit = light >= 1e-3
@@ -54,7 +54,7 @@ def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
 @pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
 def test_nothing_visible_is_missing_and_nothing_behind_a_solid_wall_is_kept(name: str) -> None:
     scene = builtin_scene(name)
-    splats = Splats.of(scene.gaussians)
+    splats = Splats.from_gaussians(scene.gaussians)
     # Seams of walls seen edge on: splats are ordered by their centers there, rays by where they are densest.
     allowed = 1e-3 if name == "two_rooms" else 0.0
     for v, viewpoint in enumerate(scene.viewpoints):
@@ -66,7 +66,7 @@ def test_nothing_visible_is_missing_and_nothing_behind_a_solid_wall_is_kept(name
 
 def test_hides_is_conservative_and_not_idle() -> None:
     g = Gaussians.concatenate([around(3000, 1, opaque=True), around(2000, 2, near=3.9)])
-    splats = Splats.of(g)
+    splats = Splats.from_gaussians(g)
     seen = look_around(splats, np.zeros(3), size=32)
     hidden = splats.ids[seen.zbuffer.hides(splats)]
     assert len(hidden) > 500
@@ -74,7 +74,7 @@ def test_hides_is_conservative_and_not_idle() -> None:
 
 
 def test_an_open_sky_hides_nothing() -> None:
-    splats = Splats.of(around(20, 3))
+    splats = Splats.from_gaussians(around(20, 3))
     depths = np.full((6, 8, 8), np.inf, np.float32)
     open_sky = ZBuffer(np.zeros(3), TAU, depths, np.ones((6, 8, 8), np.float32))
     assert not open_sky.hides(splats).any()
@@ -83,12 +83,12 @@ def test_an_open_sky_hides_nothing() -> None:
 def test_a_ball_that_holds_the_eye_is_never_hidden() -> None:
     g = Gaussians([[0.1, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.9], np.zeros((1, 1, 3)))
     near = ZBuffer(np.zeros(3), TAU, np.full((6, 8, 8), 1e-3, np.float32), np.zeros((6, 8, 8), np.float32))
-    assert not near.hides(Splats.of(g)).any()
+    assert not near.hides(Splats.from_gaussians(g)).any()
 
 
 def test_the_pyramid_bounds_what_lies_under_it() -> None:
     g = around(500, 4, opaque=True)
-    buffer = look_around(Splats.of(g), np.zeros(3), size=24).zbuffer
+    buffer = look_around(Splats.from_gaussians(g), np.zeros(3), size=24).zbuffer
     most, least = buffer.pyramid(), buffer.pyramid(largest=False)
     assert most[-1].shape == (6, 1, 1)
     np.testing.assert_array_equal(most[-1][:, 0, 0], buffer.depths.reshape(6, -1).max(axis=1))
@@ -105,7 +105,7 @@ def test_the_order_of_the_scene_changes_nothing(look: str) -> None:
     order = rng.permutation(len(g))
     results = []
     for scene in (g, g[order]):
-        splats = Splats.of(scene)
+        splats = Splats.from_gaussians(scene)
         eye = np.array([0.2, -0.1, 0.3])
         results.append(look_around(splats, eye, size=32) if look == "zbuffer" else hybrid(scene, splats, eye, size=32))
     first, second = dense(results[0], len(g))[0], dense(results[1], len(g))[0]
@@ -121,7 +121,9 @@ def test_more_in_front_never_shows_more_behind() -> None:
         front = Gaussians(front.means / 4.0, front.quats, front.scales / 4.0, np.full(200, opacity), front.sh0)
         more = Gaussians(front.means, front.quats, front.scales, np.full(200, min(1.0, opacity * 1.1)), front.sh0)
         seen = [
-            dense(look_around(Splats.of(Gaussians.concatenate([f, behind])), np.zeros(3), size=32), 1000)[0][200:]
+            dense(look_around(Splats.from_gaussians(Gaussians.concatenate([f, behind])), np.zeros(3), size=32), 1000)[
+                0
+            ][200:]
             for f in (front, more)
         ]
         assert (seen[1] <= seen[0] + 1e-6).all()
@@ -129,7 +131,7 @@ def test_more_in_front_never_shows_more_behind() -> None:
 
 def test_the_hybrid_holds_what_the_z_buffer_sees() -> None:
     g = random_scene(np.random.default_rng(3), 3000)
-    splats = Splats.of(g)
+    splats = Splats.from_gaussians(g)
     alone, both = look_around(splats, g.means.mean(axis=0), size=64), hybrid(g, splats, g.means.mean(axis=0), size=64)
     assert np.isin(alone.ids[alone.weights >= np.float32(TAU)], both.ids).all()
     assert (both.weights >= np.float32(TAU)).all()
@@ -147,21 +149,21 @@ def test_the_hybrid_holds_what_the_z_buffer_sees() -> None:
 def test_bad_arguments(change: dict[str, object], message: str) -> None:
     arguments: dict[str, object] = {"viewpoint": np.zeros(3), **change}
     with pytest.raises(ValueError, match=message):
-        look_around(Splats.of(around(5, 0)), arguments.pop("viewpoint"), **arguments)  # type: ignore[arg-type]
+        look_around(Splats.from_gaussians(around(5, 0)), arguments.pop("viewpoint"), **arguments)  # type: ignore[arg-type]
 
 
 def test_an_empty_scene_and_one_too_faint_show_nothing() -> None:
     faint = Gaussians([[1, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.003], np.zeros((1, 1, 3)))
     for g in (Gaussians.empty(), faint):
-        seen = look_around(Splats.of(g), np.zeros(3), size=8)
+        seen = look_around(Splats.from_gaussians(g), np.zeros(3), size=8)
         assert len(seen.ids) == 0
         assert np.isinf(seen.zbuffer.depths).all()
-        assert len(hybrid(g, Splats.of(g), np.zeros(3), size=8).ids) == 0
+        assert len(hybrid(g, Splats.from_gaussians(g), np.zeros(3), size=8).ids) == 0
 
 
 def test_splats_of_another_scene_are_refused() -> None:
     with pytest.raises(ValueError, match="splats: expected those of this scene"):
-        hybrid(around(5, 0), Splats.of(around(6, 0)), np.zeros(3))
+        hybrid(around(5, 0), Splats.from_gaussians(around(6, 0)), np.zeros(3))
 
 
 def test_extreme_shapes_do_no_harm() -> None:
@@ -169,10 +171,10 @@ def test_extreme_shapes_do_no_harm() -> None:
     scales = 10.0 ** rng.uniform(-12, 8, (300, 3))
     means = rng.normal(size=(300, 3)) * 10.0 ** rng.uniform(-6, 6, (300, 1))
     g = Gaussians(means, np.tile([1.0, 0, 0, 0], (300, 1)), scales, rng.random(300), np.zeros((300, 1, 3)))
-    seen = look_around(Splats.of(g), np.zeros(3), size=16)
+    seen = look_around(Splats.from_gaussians(g), np.zeros(3), size=16)
     assert np.isfinite(seen.weights).all()
     assert ((seen.zbuffer.light >= 0) & (seen.zbuffer.light <= 1)).all()
-    seen.zbuffer.hides(Splats.of(g))
+    seen.zbuffer.hides(Splats.from_gaussians(g))
 
 
 @pytest.mark.realdata
@@ -182,7 +184,7 @@ def test_it_agrees_with_the_rasterizer_on_a_real_scene(realdata) -> None:  # typ
 
     g = load_scene(realdata / "scenes/nika_sh3/lod-meta.json", lod=3)
     eye = np.median(g.means, axis=0).astype(np.float64)
-    seen = look_around(Splats.of(g), eye, size=128, spent=TAU)
+    seen = look_around(Splats.from_gaussians(g), eye, size=128, spent=TAU)
     weights = dense(seen, len(g))[0]
     largest = view_weights(g, Cameras.cubemap(eye[None], 128)).largest.max(axis=0)
     visible = largest >= TAU

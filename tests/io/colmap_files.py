@@ -32,11 +32,11 @@ def write_mixed(
     quats = quats_from_rotations(cameras.viewmats[:, :3, :3])
     rows = list(zip(quats, cameras.viewmats[:, :3, 3], cameras.Ks, cameras.names, sizes, strict=True))
     if text:
-        told = [
+        lines = [
             f"{i} PINHOLE {w} {h} {spelled(K[0, 0], K[1, 1], *K[:2, 2])}" for i, (*_, K, _, (w, h)) in counted(rows)
         ]
         posed = [f"{i} {spelled(*quat, *t)} {i} {name}\n" for i, (quat, t, _, name, _) in counted(rows)]
-        (folder / "cameras.txt").write_text("# cameras\n" + "\n".join(told) + "\n")
+        (folder / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
         (folder / "images.txt").write_text("# images\n" + "\n".join(posed) + "\n")
     else:
         told_ = [

@@ -111,7 +111,7 @@ def test_a_name_without_an_end_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cameras", "images", "told"),
+    ("cameras", "images", "message"),
     [
         ("1 OPENCV 64 48 1 1 1 1 0 0 0 0", "1 1 0 0 0 0 0 0 1 a", "got OPENCV; undistort .* image_undistorter"),
         ("1 PINHOLE 64 48 50 50 32", "1 1 0 0 0 0 0 0 1 a", "line 1: expected 4 parameters of PINHOLE, got 3"),
@@ -127,10 +127,10 @@ def test_a_name_without_an_end_is_refused(tmp_path: Path) -> None:
         ("1 PINHOLE 64 48 50 50 32 24", "# none", "expected at least one posed image, got none"),
     ],
 )
-def test_what_is_wrong_in_text_is_told(tmp_path: Path, cameras: str, images: str, told: str) -> None:
+def test_what_is_wrong_in_text_is_told(tmp_path: Path, cameras: str, images: str, message: str) -> None:
     (tmp_path / "cameras.txt").write_text(cameras + "\n")
     (tmp_path / "images.txt").write_text(images + "\n\n")
-    with pytest.raises(FormatError, match=told):
+    with pytest.raises(FormatError, match=message):
         load_cameras(tmp_path)
 
 

@@ -114,7 +114,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"frames": 3}, "frames: expected a list, got int"),
         ({"frames": []}, "expected at least one posed image, got none"),
@@ -138,14 +138,14 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
         ({"w": 0.5}, "expected an image size"),
     ],
 )
-def test_what_is_wrong_in_transforms_is_told(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_what_is_wrong_in_transforms_is_told(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     content = {"w": 64, "h": 48, "fl_x": 50.0, "frames": [{"transform_matrix": EYE}]} | change
-    with pytest.raises(FormatError, match=told):
+    with pytest.raises(FormatError, match=message):
         load(tmp_path, content)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"rotation": [1, 2, 3]}, r"\[0\].rotation: expected 3 x 3 numbers, got an array of shape \(3,\)"),
         ({"rotation": None}, r"\[0\].rotation: expected 3 x 3 numbers, got nothing"),
@@ -155,8 +155,8 @@ def test_what_is_wrong_in_transforms_is_told(tmp_path: Path, change: dict[str, A
         ({"img_name": None}, r"\[0\].img_name: expected a string"),
     ],
 )
-def test_what_is_wrong_in_inria_cameras_is_told(tmp_path: Path, change: dict[str, Any], told: str) -> None:
-    with pytest.raises(FormatError, match=told):
+def test_what_is_wrong_in_inria_cameras_is_told(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
         load(tmp_path, [as_inria(CAMERAS)[0] | change])
     with pytest.raises(FormatError, match=r"\[0\]: expected an object"):
         load(tmp_path, [3])

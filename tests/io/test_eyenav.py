@@ -95,7 +95,7 @@ def test_the_other_group_names_its_time_otherwise_and_has_gaze_in_another_order(
 
 
 @pytest.mark.parametrize(
-    ("header", "told"),
+    ("header", "message"),
     [
         (HEADER.replace("Timestamp", "ClockTime"), "no Timestamp or timestep; unexpected: ClockTime"),
         (HEADER.replace("PositionY", "PosY"), "got no PositionY; unexpected: PosY"),
@@ -107,11 +107,11 @@ def test_the_other_group_names_its_time_otherwise_and_has_gaze_in_another_order(
         (HEADER.replace("GazeQX", "QuaternionW"), "expected one column QuaternionW, got 2 of that name"),
     ],
 )
-def test_columns_that_differ_are_named(tmp_path: Path, header: str, told: str) -> None:
+def test_columns_that_differ_are_named(tmp_path: Path, header: str, message: str) -> None:
     heads, degrees = walk(4)
     with pytest.raises(FormatError) as caught:
         load_path(written(tmp_path, rows_of(heads, degrees), header=header))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "Gaze" not in caught.value.got
     assert len(str(caught.value)) < 600
 
@@ -159,13 +159,13 @@ def test_faults_are_told_by_line_and_column(tmp_path: Path) -> None:
         cells[row][HEADER.split(",").index(column)] = value
         return written(tmp_path, [",".join(line) for line in cells])
 
-    for column, value, told in (
+    for column, value, message in (
         ("PositionY", "", "line 5, column PositionY: expected a finite number, got ''"),
         ("Timestamp", "inf", "line 5, column Timestamp"),
         ("ViewIndex", "2", "line 5, column ViewIndex: expected 0"),
         ("QuaternionW", "7", "line 5, column QuaternionX to QuaternionW: expected a quaternion of length 1"),
     ):
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             load_path(broken(3, column, value))
     assert len(load_path(broken(3, "GazeQX", "no gaze"))) == 4  # not needed, not read
     with pytest.raises(FormatError, match="at least one pose"):
@@ -181,14 +181,14 @@ def test_settings_that_are_missing_or_wrong(tmp_path: Path) -> None:
         read_eyenav(file)
     assert len(read_eyenav(file, SETTING)) == 4
     settings = tmp_path / "scene_setting.csv"
-    for broken, told in (
+    for broken, message in (
         (SETTINGS.replace(",2,", ",0,"), "column Scale"),
         (SETTINGS.replace("0.9724", "one"), "column Quaternion"),
         (SETTINGS.replace("0.9724", "0.2"), "column Quaternion"),
         (SETTINGS.replace("Scale", "Size"), "column Scale"),
     ):
         settings.write_text(broken, encoding="utf-8")
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             read_scene_settings(settings)
     settings.unlink()
     with pytest.raises(FormatError, match=r"scene_setting.csv.*pass setting"):

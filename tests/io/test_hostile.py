@@ -248,9 +248,9 @@ def test_a_link_out_of_a_scene_is_refused_and_shows_nothing(tmp_path: Path, name
     for target in ("../secret", str(tmp_path / "secret"), *(["../nothing"] if name != "meta.json" else [])):
         (folder / name).unlink()
         (folder / name).symlink_to(target)
-        with pytest.raises(FormatError, match="a link that leads out of it") as told:
+        with pytest.raises(FormatError, match="a link that leads out of it") as caught:
             load_scene(folder)
-        assert b"hunter2" not in str(told.value).encode()
+        assert b"hunter2" not in str(caught.value).encode()
 
 
 def test_links_inside_of_a_scene_are_followed(tmp_path: Path) -> None:
@@ -295,9 +295,9 @@ def test_links_out_of_other_folders_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("wrong", [SECRET, b"RIFF" + SECRET])
 def test_a_plane_of_another_kind_is_not_quoted(tmp_path: Path, wrong: bytes) -> None:
     folder = write_files(tmp_path, sog_files(random_scene(50, 0)) | {"quats.webp": wrong})
-    with pytest.raises(FormatError, match="lossless WebP") as told:
+    with pytest.raises(FormatError, match="lossless WebP") as caught:
         load_scene(folder)
-    assert "hunter" not in str(told.value)
+    assert "hunter" not in str(caught.value)
 
 
 COUNT = 5000

@@ -108,9 +108,9 @@ def test_levels_load_from_every_layout_and_their_content_is_checked(tmp_path: Pa
     victim = next(iter(sorted(folder.glob("*.ply"))))
     victim.unlink()
     victim.symlink_to(other)
-    with pytest.raises(FormatError, match="SHA-256") as told:
+    with pytest.raises(FormatError, match="SHA-256") as caught:
         load_levels(folder)
-    assert "hunter2" not in str(told.value)
+    assert "hunter2" not in str(caught.value)
 
 
 @pytest.mark.parametrize("layout", ["git-annex", "DVC"])

@@ -142,7 +142,7 @@ def rewritten(folder: Path, **changes: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"version": 2}, "update gsvis"),
         ({"gaussians": 7}, "rows"),
@@ -151,30 +151,30 @@ def rewritten(folder: Path, **changes: object) -> None:
         ({"format": "other"}, "gsvis-levels"),
     ],
 )
-def test_a_header_that_does_not_fit_is_told(tmp_path: Path, changes: dict[str, object], told: str) -> None:
+def test_a_header_that_does_not_fit_is_told(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     save_levels(levels_of(20), tmp_path)
     rewritten(tmp_path, **changes)
-    with pytest.raises(FormatError, match=told):
+    with pytest.raises(FormatError, match=message):
         load_levels(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"),
+    ("key", "value", "message"),
     [
         ("file", "../low.ply", "leave the folder"),
         ("file", "/etc/passwd", "leave the folder"),
         ("count", 3, "3 Gaussians"),
-        ("name", "high", "a name of its own"),
-        ("name", 7, "a name of its own"),
+        ("name", "high", "a unique name"),
+        ("name", 7, "a unique name"),
         ("sha256", "no", "64 hexadecimal"),
     ],
 )
-def test_a_level_row_that_does_not_fit_is_told(tmp_path: Path, key: str, value: object, told: str) -> None:
+def test_a_level_row_that_does_not_fit_is_told(tmp_path: Path, key: str, value: object, message: str) -> None:
     save_levels(levels_of(40), tmp_path)
     rows = ArrowFile(tmp_path / MAP, "gsvis-levels", 1).header.items("levels")
     rows[0][key] = value
     rewritten(tmp_path, levels=rows)
-    with pytest.raises(FormatError, match=told):
+    with pytest.raises(FormatError, match=message):
         load_levels(tmp_path)
 
 
@@ -202,5 +202,5 @@ def test_a_level_whose_name_is_no_file_name_is_refused(tmp_path: Path, name: str
 
 
 def test_extra_is_json(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="extra: expected what JSON can say"):
+    with pytest.raises(ValueError, match="extra: expected JSON values"):
         save_levels(levels_of(10), tmp_path, {"x": float("nan")})

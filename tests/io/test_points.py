@@ -75,9 +75,9 @@ def test_a_transforms_json_names_its_points(tmp_path: Path) -> None:
     file = tmp_path / "transforms.json"
     file.write_text(json.dumps({"frames": [], "ply_file_path": "cloud.ply"}))
     assert len(load_points(tmp_path)) == len(load_points(file)) == len(cloud())
-    for name, told in (("other.ply", "not there"), ("../cloud.ply", "leave the folder"), (3, "got int")):
+    for name, message in (("other.ply", "not there"), ("../cloud.ply", "leave the folder"), (3, "got int")):
         file.write_text(json.dumps({"frames": [], "ply_file_path": name}))
-        with pytest.raises(FormatError, match=rf"ply_file_path: .*{told}"):
+        with pytest.raises(FormatError, match=rf"ply_file_path: .*{message}"):
             load_points(file)
     file.write_text(json.dumps({"frames": []}))
     assert find_points(tmp_path) is None
@@ -142,14 +142,14 @@ def test_positions_that_are_not_finite_are_named(tmp_path: Path, value: float) -
 def test_colors_that_are_none_are_refused(tmp_path: Path) -> None:
     base = {name: [0.0] for name in "xyz"}
     file = tmp_path / "cloud.ply"
-    for columns, kind, told in (
+    for columns, kind, message in (
         ({"red": [1.0], "green": [0.0], "blue": [2.0]}, "f4", r"row 0\): expected colors from 0 to white"),
         ({"red": [1.0], "green": [np.nan], "blue": [0.0]}, "f4", "got 1 nan 0"),
-        ({"red": [1.0], "green": [0.0]}, "f4", "expected red, green and blue alike"),
+        ({"red": [1.0], "green": [0.0]}, "f4", "expected red, green and blue of one type"),
         ({"red": [1], "green": [0], "blue": [0]}, "i4", "got red int32"),
     ):
         file.write_bytes(ply_bytes(base | columns, types=dict.fromkeys(columns, kind)))
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             load_points(file)
     file.write_bytes(ply_bytes({"x": [0.0], "y": [0.0]}))
     with pytest.raises(FormatError, match="expected properties x, y, z, got no z"):

@@ -89,7 +89,7 @@ def test_faults_are_told_by_line_and_column(tmp_path: Path, rows: list[str], whe
 
 def test_headers_that_are_no_poses(tmp_path: Path) -> None:
     file = tmp_path / "walk.csv"
-    for text, told in (
+    for text, message in (
         ("", "empty"),
         ("\n\n", "empty"),
         ("a,b\n1,2\n", "got a, b$"),
@@ -97,7 +97,7 @@ def test_headers_that_are_no_poses(tmp_path: Path) -> None:
         (HEADER + ",t\n0,0,0,0,1,0,0,0,0\n", "one column t, got 2 of that name"),
     ):
         file.write_text(text, encoding="utf-8")
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             load_path(file)
     with pytest.raises(FormatError, match="a folder"):
         load_path(tmp_path)

@@ -37,7 +37,7 @@ def test_cameras_come_back_bit_by_bit(tmp_path_factory: pytest.TempPathFactory, 
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"),
+    ("key", "value", "message"),
     [
         ("viewmat", [[1, 0], [0, 1]], r"cameras\[0\].viewmat"),
         ("viewmat", (2 * np.eye(4)).tolist(), "rigid"),
@@ -48,9 +48,9 @@ def test_cameras_come_back_bit_by_bit(tmp_path_factory: pytest.TempPathFactory, 
         ("name", 3, "name"),
     ],
 )
-def test_damage_is_told_by_its_place(key: str, value: object, told: str, tmp_path: Path) -> None:
+def test_damage_is_told_by_its_place(key: str, value: object, message: str, tmp_path: Path) -> None:
     entry = describe_cameras(Cameras.orbit((0, 0, 0), 1.0, 1))[0]
-    with pytest.raises(FormatError, match=told):
+    with pytest.raises(FormatError, match=message):
         load_cameras(written(tmp_path, [entry | {key: value}]))
 
 

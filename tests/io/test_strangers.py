@@ -53,8 +53,8 @@ def test_content_counts_and_not_the_suffix(ply: Path, name: str) -> None:
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".sog", ".pt", ".ckpt", ".txt"])
 def test_an_empty_file_is_called_so(tmp_path: Path, suffix: str) -> None:
     (tmp_path / f"scene{suffix}").touch()
-    told = refusal(lambda: load_scene(tmp_path / f"scene{suffix}"))
-    assert "got an empty file; was the download or the export cut short?" in told
+    text = refusal(lambda: load_scene(tmp_path / f"scene{suffix}"))
+    assert "got an empty file; was the download or the export interrupted?" in text
 
 
 @pytest.mark.parametrize(
@@ -75,8 +75,8 @@ def test_a_ply_of_another_kind_is_called_by_its_name(tmp_path: Path, text: str, 
 def test_a_ply_of_gaussians_that_lacks_something_is_not_called_a_mesh(ply: Path) -> None:
     header = ply.read_bytes().replace(b"property float opacity\n", b"property float opacify\n")
     ply.write_bytes(header)
-    told = refusal(lambda: load_scene(ply))
-    assert told.endswith("got no opacity")
+    text = refusal(lambda: load_scene(ply))
+    assert text.endswith("got no opacity")
 
 
 def test_further_properties_of_a_ply_are_passed_over(ply: Path, tmp_path: Path) -> None:
@@ -109,15 +109,15 @@ def test_a_folder_gets_the_file_that_was_meant(tmp_path: Path, places: list[str]
     for place in places:
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         (folder / place).write_text("x", encoding="ascii")
-    told = refusal(lambda: load_scene(folder / asked))
-    assert told.endswith(f"; name a file in it, such as {folder / meant}")
+    text = refusal(lambda: load_scene(folder / asked))
+    assert text.endswith(f"; name a file in it, such as {folder / meant}")
 
 
 def test_json_that_is_no_scene_says_what_it_holds(tmp_path: Path) -> None:
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps({"transform": [], "scale": 1.0}), encoding="ascii")
-    told = refusal(lambda: load_scene(tmp_path / "dataparser_transforms.json"))
-    assert "expected a scene" in told
-    assert "got JSON with keys transform, scale" in told
+    text = refusal(lambda: load_scene(tmp_path / "dataparser_transforms.json"))
+    assert "expected a scene" in text
+    assert "got JSON with keys transform, scale" in text
 
 
 def test_photographs_are_no_scene_and_a_model_may_lie_deeper(tmp_path: Path, ply: Path) -> None:

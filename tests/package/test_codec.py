@@ -13,7 +13,7 @@ from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.reference import decode_one, encode_one
 from gsvis.scene.gaussians import Gaussians
 
-LAYOUTS = (RecordLayout.of("rgb"), RecordLayout.of("hsl"))
+LAYOUTS = (RecordLayout.from_variant("rgb"), RecordLayout.from_variant("hsl"))
 
 
 def scene(n: int, seed: int = 0, spread: float = 1.0) -> Gaussians:

@@ -80,7 +80,7 @@ def test_the_folder_of_parts_is_listed_once_while_parts_are_written(
 @pytest.mark.parametrize("variant", ["rgb", "hsl"])
 def test_what_is_read_is_what_was_written(tmp_path: Path, variant: str) -> None:
     levels, (_, colors) = levels_of(), colors_of(400, variant)
-    made = Contents.of(levels, colors)
+    made = Contents.from_levels(levels, colors)
     with written(tmp_path / "s.gsvis", variant=variant) as package:
         read = package.contents
         for name in ("records", "term_counts", "term_records", "chunk_levels", "starts"):
@@ -131,7 +131,7 @@ def test_gaussians_in_one_place_are_ordered_by_what_they_are() -> None:
 
 def test_the_order_is_by_level_and_in_a_chunk_by_what_is_likely_to_be_seen() -> None:
     levels = levels_of(3000)
-    order = orders.PackageOrder.of(levels)
+    order = orders.PackageOrder.from_levels(levels)
     np.testing.assert_array_equal(order.permutation, np.arange(3000))
     keys = levels.first.astype(int) * 16 - levels.last
     assert np.all(np.diff(keys) >= 0)
@@ -272,7 +272,7 @@ def reread(folder: Path, change: object, *, resign: bool = True) -> None:
 def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
     written(tmp_path / "s", 60, stores=True).close()
     reread(tmp_path / "s", lambda value: None)
-    for change, told in (
+    for change, message in (
         (lambda v: v.update(version=3), "update gsvis"),
         (lambda v: v.update(version=0), "version"),
         (lambda v: v.update(format="other"), "is this a package"),
@@ -294,7 +294,7 @@ def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
         (lambda v: v.update(scene="0" * 64), "visibility"),
         (lambda v: v.update(blocks={}), "blocks"),
     ):
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             reread(tmp_path / "s", change)
     with pytest.raises(FormatError, match="hash of the rest"):
         reread(tmp_path / "s", lambda value: None, resign=False)

@@ -26,6 +26,6 @@ def test_rounding_costs_less_than_45_db_show(realdata: Path) -> None:
     exact = SrbfColors.without_terms(np.maximum(0.5 + SH_C0 * levels.union.sh0[:, 0], 0.0))
     colors = quantize(exact, "wire")
     assert measure_cost(levels, exact, colors, cameras).psnr >= 45.0
-    contents = Contents.of(levels, colors)
+    contents = Contents.from_levels(levels, colors)
     assert contents.records.shape[1] == 16
     assert len(contents.table) < len(g) / 128  # floaters cut chunks, but not many

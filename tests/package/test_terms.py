@@ -31,7 +31,7 @@ def test_terms_come_back_to_the_bit_in_as_few_whole_bytes_as_hold_them(variant: 
 def test_any_bytes_decode_to_something_that_can_be_shown(data: bytes) -> None:
     for variant in ("rgb", "hsl", "axes"):
         grids = quantize(random_colors(np.random.default_rng(0), 3, variant)).grids
-        width = TermLayout.of(grids).nbytes
+        width = TermLayout.from_grids(grids).nbytes
         records = np.frombuffer(data[: len(data) // width * width], np.uint8).reshape(-1, width)
         found, n = decode_terms(records, grids), len(records)
         none = np.zeros((1, grids.kind.num_axes, 2), np.uint16)

@@ -39,8 +39,8 @@ class World:
         return self.store.path.with_suffix(".terms.arrow")
 
     def build(self, weighted: bool = False) -> ActiveTerms:
-        told = {"provenance": "a test", "weighted": weighted}
-        return build_active_terms(self.colors, self.g, self.store, EPSILON, self.path, **told)  # type: ignore[arg-type]
+        options = {"provenance": "a test", "weighted": weighted}
+        return build_active_terms(self.colors, self.g, self.store, EPSILON, self.path, **options)  # type: ignore[arg-type]
 
 
 def world(folder: Path, cells: int = 11, seed: int = 0, variant: str = "rgb", name: str = "w.pvs") -> World:
@@ -145,13 +145,13 @@ def test_it_belongs_to_its_scene_its_colors_and_its_sets(tmp_path: Path) -> None
     w, other = world(tmp_path), world(tmp_path, seed=1, name="other.pvs")
     w.build().close()
     ActiveTerms.open(w.path, scene=w.g, colors=w.colors, sets=w.store).close()
-    for wrong, told in (
+    for wrong, message in (
         ({"scene": other.g}, "scene: expected active terms of scene"),
         ({"colors": w.colors.first(2)}, "colors: expected active terms of colors"),
         ({"colors": replace(w.colors, decays=w.colors.decays * 2)}, "of colors"),
         ({"sets": other.store}, "sets: expected active terms of visible sets"),
     ):
-        with pytest.raises(FormatError, match=told):
+        with pytest.raises(FormatError, match=message):
             ActiveTerms.open(w.path, **wrong)  # type: ignore[arg-type]
     with pytest.raises(FormatError, match="of scene"):
         build_active_terms(other.colors, other.g, w.store, EPSILON, tmp_path / "x.terms.arrow")
@@ -212,7 +212,7 @@ def test_no_byte_can_change_unnoticed(tmp_path: Path) -> None:
         truth = [terms.active(cell) for cell in range(3)], [terms.share(cell) for cell in range(3)], terms.info
     whole = w.path.read_bytes()
     bad = tmp_path / "bad.terms.arrow"
-    told = 0
+    noticed = 0
     for place in range(0, len(whole), 7):
         data = bytearray(whole)
         data[place] ^= 1 << place % 8
@@ -222,8 +222,8 @@ def test_no_byte_can_change_unnoticed(tmp_path: Path) -> None:
                 found = [terms.active(cell) for cell in range(3)], [terms.share(cell) for cell in range(3)], terms.info
             assert found == truth
         except FormatError:
-            told += 1
-    assert told > len(whole) / 7 / 3
+            noticed += 1
+    assert noticed > len(whole) / 7 / 3
 
 
 def test_other_versions_and_foreign_metadata(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -116,10 +116,10 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["terms", "package"]
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, meters_per_unit=2.0))) == []  # parts, that is
     flat = replace(CONFIG, epsilon=0.3, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
-    told: list[str] = []
-    found = prepare(rooms, again, flat, progress=lambda stage, done, total: told.append(stage))
+    stages: list[str] = []
+    found = prepare(rooms, again, flat, progress=lambda stage, done, total: stages.append(stage))
     assert new(found) == ["colors", "terms", "cost", "package"]
-    assert "importance" not in told  # what views told serves every fit
+    assert "importance" not in stages  # what views told serves every fit
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
@@ -144,16 +144,16 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
     with pytest.raises(KeyboardInterrupt):
         prepare(rooms, out, progress=stops)
     assert not (out / "manifest.json").exists()
-    told: list[tuple[str, int]] = []
-    prepare(rooms, out, progress=lambda stage, done, total: told.append((stage, done)))
+    calls: list[tuple[str, int]] = []
+    prepare(rooms, out, progress=lambda stage, done, total: calls.append((stage, done)))
     assert files(out) == files(made[0])
-    stages = [stage for stage, _ in told]
+    stages = [stage for stage, _ in calls]
     if stop == "train medium":
         assert "prune" not in stages
     else:
         assert not {"views", "prune"} & set(stages)
     if stop == "cells":
-        assert min(done for stage, done in told if stage == "cells") == 1
+        assert min(done for stage, done in calls if stage == "cells") == 1
     if stop in ("terms", "package"):
         assert not {"cells", "importance", "fit"} & set(stages)
 

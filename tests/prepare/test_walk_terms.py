@@ -56,9 +56,9 @@ def lawful(found: WalkTerms) -> WalkTerms:
     counted = [np.count_nonzero(found.first_active <= np.float32(time)) for time in found.times]
     assert np.allclose(counted, found.terms * len(found.first_active))
     assert np.allclose(found.bytes, found.term_bytes * len(found.first_active) * found.terms)
-    told = json.loads(json.dumps(found.as_dict()))
-    assert told["terms_at_end"] == pytest.approx(found.terms[-1])
-    assert told["paper"]["end"] == PAPER_TERMS["end"]
+    record = json.loads(json.dumps(found.as_dict()))
+    assert record["terms_at_end"] == pytest.approx(found.terms[-1])
+    assert record["paper"]["end"] == PAPER_TERMS["end"]
     return found
 
 

@@ -30,7 +30,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
-CONFIG = PvsConfig(size=24, max_viewpoints=8)
+CONFIG = PvsConfig(size=16, max_viewpoints=6)
 
 
 @dataclass(frozen=True, eq=False)

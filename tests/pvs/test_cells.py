@@ -99,7 +99,7 @@ def test_a_size_is_rounded_to_voxels_and_bounded() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bad", "told"),
+    ("bad", "message"),
     [
         ({"max_cells": 0}, "max_cells"),
         ({"max_cells": 2.5}, "max_cells"),
@@ -108,13 +108,13 @@ def test_a_size_is_rounded_to_voxels_and_bounded() -> None:
         ({"cell_size": -1.0}, "cell_size"),
     ],
 )
-def test_bad_sizes_are_refused(bad: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_bad_sizes_are_refused(bad: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         CellGrid.over(NavigableSpace.from_box((0, 0, 0), (1, 1, 1), 4), **bad)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"coords": np.array([[0, 0, 0], [0, 0, 0]])}, "once"),
         ({"coords": np.array([[1, 0, 0], [0, 0, 0]])}, "lexicographic"),
@@ -130,7 +130,7 @@ def test_bad_sizes_are_refused(bad: dict[str, Any], told: str) -> None:
         ({"up": np.zeros(3)}, "up"),
     ],
 )
-def test_bad_grids_are_refused(change: dict[str, Any], told: str) -> None:
+def test_bad_grids_are_refused(change: dict[str, Any], message: str) -> None:
     good = {
         "origin": np.zeros(3),
         "cell_size": 1.0,
@@ -139,7 +139,7 @@ def test_bad_grids_are_refused(change: dict[str, Any], told: str) -> None:
         "up": UP,
     }
     assert len(CellGrid(**good)) == 2
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         CellGrid(**{**good, **change})
 
 

@@ -121,7 +121,7 @@ def bound_to(sock: socket.socket) -> str:
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(BackendError, match=r"pip install 'gsvis\[cluster\]'"), connect("tcp://127.0.0.1:1"):
+    with pytest.raises(BackendError, match=r'pip install "gsvis\[cluster\]"'), connect("tcp://127.0.0.1:1"):
         raise AssertionError("not reached")
 
 

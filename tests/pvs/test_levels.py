@@ -147,8 +147,8 @@ def test_a_store_knows_its_levels(tmp_path: Path) -> None:
     other = Levels(levels.union, levels.first, np.full(len(levels.last), 2), levels.names)
     with VisibilityStore.open(tmp_path / "all.pvs", scene=levels) as store:
         store.check_scene(levels.union)
-        for wrong, told in ((other, "other levels"), (Levels.single(levels.union), "other levels")):
-            with pytest.raises(FormatError, match=told):
+        for wrong, message in ((other, "other levels"), (Levels.single(levels.union), "other levels")):
+            with pytest.raises(FormatError, match=message):
                 store.check_scene(wrong)
         with pytest.raises(FormatError, match="the union of levels"):
             store.check_scene(levels.level(2))
@@ -187,7 +187,7 @@ def test_directions_and_importance_come_from_each_level(tmp_path: Path) -> None:
 def test_tracing_of_levels_goes_on_where_it_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     levels, space, _ = setting()
     monkeypatch.setattr(colors_module, "_BLOCK", 200)
-    stop_at, told = levels.counts[0] + 150, []  # inside the second level
+    stop_at, calls = levels.counts[0] + 150, []  # inside the second level
 
     def stop(stage: str, done: int, total: int) -> None:
         if stage == "directions" and done > stop_at:
@@ -196,10 +196,10 @@ def test_tracing_of_levels_goes_on_where_it_stood(tmp_path: Path, monkeypatch: p
     out = tmp_path / "levels.srbf.arrow"
     with pytest.raises(KeyboardInterrupt):
         prepare_colors(levels, space, QUICK, keep=out, progress=stop)
-    again = prepare_colors(levels, space, QUICK, keep=out, progress=lambda *each: told.append(each))
-    assert told[0][0] == "directions"
-    assert 0 < told[0][1] <= stop_at
-    assert max(done for stage, done, _ in told if stage == "directions") == sum(levels.counts)
+    again = prepare_colors(levels, space, QUICK, keep=out, progress=lambda *each: calls.append(each))
+    assert calls[0][0] == "directions"
+    assert 0 < calls[0][1] <= stop_at
+    assert max(done for stage, done, _ in calls if stage == "directions") == sum(levels.counts)
     np.testing.assert_array_equal(again.sets, prepare_colors(levels, space, QUICK).sets)
 
 

@@ -247,10 +247,10 @@ def test_settings_out_of_range_are_refused(name: str, value: float) -> None:
 
 
 def test_progress_rises_to_its_total(tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
+    calls: list[tuple[str, int, int]] = []
     scene, _, viewpoints = rooms()
     with stored(tmp_path, half) as store:
-        measure_quality(store, scene.gaussians, viewpoints, QUICK, progress=lambda *step: told.append(step))
-    assert told[0] == ("quality", 0, 15)
-    assert told[-1] == ("quality", 15, 15)
-    assert [done for _, done, _ in told] == sorted(done for _, done, _ in told)
+        measure_quality(store, scene.gaussians, viewpoints, QUICK, progress=lambda *step: calls.append(step))
+    assert calls[0] == ("quality", 0, 15)
+    assert calls[-1] == ("quality", 15, 15)
+    assert [done for _, done, _ in calls] == sorted(done for _, done, _ in calls)

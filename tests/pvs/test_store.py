@@ -328,8 +328,8 @@ def test_a_store_knows_its_scene(tmp_path: Path) -> None:
     truth_of(90, 4, 0.3, seed=2).write(path, scene_hash(scene)).close()
     VisibilityStore.open(path, scene=scene).close()
     turned = scene[::-1]
-    for other, told in ((turned, "a store of scene"), (scene[:50], "a store of 50 Gaussians, got one of 90")):
-        with pytest.raises(FormatError, match=told):
+    for other, message in ((turned, "a store of scene"), (scene[:50], "a store of 50 Gaussians, got one of 90")):
+        with pytest.raises(FormatError, match=message):
             VisibilityStore.open(path, scene=other)
 
 
@@ -364,7 +364,7 @@ def test_numbers_out_of_range_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cell", "told"),
+    ("cell", "message"),
     [
         (CellSet([3, 2], [0, 0]), "ids: expected rising ids"),
         (CellSet([2, 2], [0, 0]), "ids: expected rising ids"),
@@ -378,10 +378,10 @@ def test_numbers_out_of_range_are_refused(tmp_path: Path) -> None:
         (CellSet([1], [0], growth=np.nan), "growth"),
     ],
 )
-def test_a_wrong_cell_is_refused_and_the_writer_goes_on(tmp_path: Path, cell: CellSet, told: str) -> None:
+def test_a_wrong_cell_is_refused_and_the_writer_goes_on(tmp_path: Path, cell: CellSet, message: str) -> None:
     truth = truth_of(90, 2, 0.3, seed=2)
     with StoreWriter(tmp_path / "x.pvs", truth.grid, truth.info()) as writer:
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             writer.add_cell(cell)
         for good in truth.cells():
             writer.add_cell(good)
@@ -420,7 +420,7 @@ def test_a_store_that_is_not_finished_leaves_nothing(tmp_path: Path, monkeypatch
 def test_what_a_store_says_of_itself_is_checked() -> None:
     good = {"gaussians": 5, "scene": "x", "tau": EDGES[0], "class_edges": EDGES}
     StoreInfo(**good)  # type: ignore[arg-type]
-    for change, told in (
+    for change, message in (
         ({"gaussians": -1}, "gaussians"),
         ({"gaussians": 1 << 31}, "gaussians: expected fewer"),
         ({"tau": 0.5}, "tau: expected the lowest class edge"),
@@ -429,7 +429,7 @@ def test_what_a_store_says_of_itself_is_checked() -> None:
         ({"config": {"x": object()}}, "config: expected what JSON can hold"),
         ({"config": {"x": np.nan}}, "config"),
     ):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             StoreInfo(**{**good, **change})  # type: ignore[arg-type]
 
 

@@ -127,7 +127,7 @@ def test_the_sample_is_seeded_sorted_and_without_repeats() -> None:
 @given(st.lists(st.integers(0, 80), min_size=1, max_size=30), st.integers(1, 80))
 def test_below_counts_strictly_fewer_faces(counts: list[int], limit: int) -> None:
     bits = np.arange(80)[None, :] < np.asarray(counts)[:, None]
-    cdf = DirectionCdf.of(np.packbits(bits, axis=1, bitorder="little"))
+    cdf = DirectionCdf.from_sets(np.packbits(bits, axis=1, bitorder="little"))
     assert cdf.below(limit) == pytest.approx(np.mean([count < limit for count in counts]))
     seen = [count for count in counts if count]
     assert cdf.seen == len(seen)
@@ -138,13 +138,13 @@ def test_below_counts_strictly_fewer_faces(counts: list[int], limit: int) -> Non
 
 def test_agreement_of_equal_disjoint_and_empty_sets() -> None:
     one, other = np.zeros((2, 10), np.uint8), np.zeros((2, 10), np.uint8)
-    assert Agreement.of(one, other) == Agreement(1.0, 1.0, 1.0, 1.0)
+    assert Agreement.from_sets(one, other) == Agreement(1.0, 1.0, 1.0, 1.0)
     one[0, 0] = 0b11
-    assert Agreement.of(one, one) == Agreement(1.0, 1.0, 1.0, 1.0)
+    assert Agreement.from_sets(one, one) == Agreement(1.0, 1.0, 1.0, 1.0)
     other[0, 0] = 0b100
-    assert Agreement.of(one, other) == Agreement(0.5, 0.0, 0.0, 0.0)
+    assert Agreement.from_sets(one, other) == Agreement(0.5, 0.0, 0.0, 0.0)
     other[0, 0] = 0b001
-    assert Agreement.of(one, other) == Agreement(0.75, 0.5, 0.5, 1.0)
+    assert Agreement.from_sets(one, other) == Agreement(0.75, 0.5, 0.5, 1.0)
 
 
 def test_the_field_of_view_is_the_one_of_the_cameras() -> None:

@@ -167,5 +167,5 @@ def test_refusals_name_the_argument() -> None:
         tracer.contributions(np.zeros((1, 3)), np.ones((1, 3)), search="magic")
     with pytest.raises(ValueError, match=r"^engine: expected one of 'open3d', 'embreex'"):
         Tracer(proxies, "optix")
-    with pytest.raises(BackendError, match=r"engine 'embreex' lists first hits alone"):
+    with pytest.raises(BackendError, match=r"engine 'embreex' lists first hits only"):
         Tracer(proxies, "embreex").contributions(np.zeros((1, 3)), np.ones((1, 3)), search="faces")

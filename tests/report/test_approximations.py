@@ -54,11 +54,11 @@ def test_nothing_left_out_is_the_reference_and_everything_the_base(
 
 
 def test_a_ladder_is_the_images_of_its_rungs(pictures: Approximations) -> None:
-    told: list[tuple[str, int, int]] = []
-    ladder = pictures.ladder([0.2, 0.02], progress=lambda *step: told.append(step))
+    calls: list[tuple[str, int, int]] = []
+    ladder = pictures.ladder([0.2, 0.02], progress=lambda *step: calls.append(step))
     assert ladder.shape == (VIEWS, 2, 16, 24, 3)
     assert np.array_equal(ladder[:, 1], pictures.images(0.02))
-    assert told == [("rungs", 0, 2), ("rungs", 1, 2), ("rungs", 2, 2)]
+    assert calls == [("rungs", 0, 2), ("rungs", 1, 2), ("rungs", 2, 2)]
 
 
 def test_flip_tells_the_view_that_shows_it_most(pictures: Approximations) -> None:

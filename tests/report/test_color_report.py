@@ -23,6 +23,7 @@ from gsvis.report.spheres import COUNTS
 from gsvis.scene.procedural import OccluderScene, two_rooms
 from gsvis.scene.view_sampling import ViewSampling
 
+pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 PLOTS = {"bytes", "term_counts", "first_terms", "active", "active_psnr", "spheres"}
 VIEWS = {f"{role}_{name}" for role in ("worst", "median") for name in ("sh", "srbf", "base", "difference")}
@@ -122,8 +123,8 @@ def test_the_page_is_whole_and_needs_nothing_else(kept: tuple[FittedColors, Path
     assert len(outline.alternatives) == len(PLOTS | VIEWS)
     assert not {"script", "b"} & set(outline.tags)  # the title's markup is text
     text = " ".join(" ".join(outline.words).split())
-    for told in (AWKWARD, "gsvis <x> & y", f"{fitted.colors.num_terms:,}", "0.12 MB", "model observer"):
-        assert told in text
+    for label in (AWKWARD, "gsvis <x> & y", f"{fitted.colors.num_terms:,}", "0.12 MB", "model observer"):
+        assert label in text
 
 
 def test_the_same_again_and_no_pictures_of_an_earlier_report(
@@ -148,7 +149,7 @@ def test_colors_without_terms_have_a_report_too(tmp_path: Path) -> None:
     assert not (tmp_path / "spheres.png").exists()
     outline = Outline((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert outline.open == []
-    assert "no terms to leave out" in " ".join(outline.words)
+    assert "The colors have no terms." in " ".join(outline.words)
 
 
 def test_a_report_needs_a_comparison(kept: tuple[FittedColors, Path], scene: OccluderScene, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from gsvis.report.pvs_document import pvs_document, still_growing, write_pvs_rep
 from gsvis.scene.content import scene_hash
 from gsvis.scene.procedural import two_rooms
 
+pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 PICTURES = {"map_visible", "visible", "viewpoints", "growth", "missing", "map_missing", "classes"}
 PICTURES |= {"worst_full", "worst_set", "worst_difference"}

@@ -20,6 +20,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.procedural import two_rooms
 
+pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 
 
@@ -86,6 +87,7 @@ def test_the_folder_holds_the_page_the_document_and_the_pictures(folder: Path) -
             assert path.name != "view_most.png" or image.size == (32, 24)
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_other_files_stay_and_pictures_of_an_earlier_report_go(tmp_path: Path) -> None:
     for name in ("notes.txt", "settling.png", "cdf.png"):
         (tmp_path / name).write_text("old")
@@ -95,6 +97,7 @@ def test_other_files_stay_and_pictures_of_an_earlier_report_go(tmp_path: Path) -
     assert (tmp_path / "cdf.png").read_bytes()[1:4] == b"PNG"
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_a_kill_while_files_move_leaves_no_report_and_the_next_run_cleans_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,6 +170,7 @@ def test_resolution_and_field_of_view_stand_beside_the_fractions(folder: Path) -
     assert "80.4%" in text
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_the_paper_stands_apart_where_it_does_not_compare(tmp_path: Path) -> None:
     found, subject, pictures = made()
     document = write_report(tmp_path, found, replace(subject, differs="made of <air>"), pictures)
@@ -200,6 +204,7 @@ def test_one_camera_without_tracing_still_makes_a_report(tmp_path: Path) -> None
     assert "One view" in text
 
 
+@pytest.mark.usefixtures("blank_plots")
 def test_nothing_is_written_when_writing_is_interrupted(tmp_path: Path) -> None:
     def stop(stage: str, done: int, total: int) -> None:
         if done == 2:
@@ -219,13 +224,13 @@ def test_a_report_is_the_same_every_time(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (0.6, 0.0, 0.8)])
 def test_a_map_is_seen_from_above(up: tuple[float, float, float]) -> None:
     g = made()[1].gaussians
-    ground = Ground.of(g, up)
+    ground = Ground.from_scene(g, up)
     assert np.cross(ground.right, ground.onward) == pytest.approx(up)
     assert ground.project(g.means.astype(float)) == pytest.approx(ground.places)
 
 
 def test_a_map_holds_eyes_far_outside() -> None:
-    ground = Ground.of(made()[1].gaussians, (0, 0, 1), np.array([[100.0, -50.0, 3.0]]))
+    ground = Ground.from_scene(made()[1].gaussians, (0, 0, 1), np.array([[100.0, -50.0, 3.0]]))
     assert np.all(ground.box[1] > [100.0, -1.0])
     assert np.all(ground.box[0] < [0.0, -50.0])
 

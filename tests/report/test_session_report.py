@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from gsvis.simulate import Adaptive, Link, MortonProgressive, Visit, WholeFile, 
 from tests.report.test_color_report import Outline
 from tests.simulate.streets import QUICK, street, walk
 
+pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"streets\" & 'squares'</b> $title"
 PLOTS = {"qoe", "psnr", "latency", "bandwidth", "shares", "bytes", "start"}
 LINK = Link(BandwidthTrace([1.0, 4.0], [0.4, 0.2], name="<a link> & more"))
@@ -43,14 +45,21 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]
         yield Simulation(tuple(visits), LINK, "gsvis simulate <x> & y", "0", {"a<b": "<c>"}, {"watching": 1.0})
 
 
-def test_the_folder_is_complete(simulation: Simulation, tmp_path: Path) -> None:
-    (tmp_path / "shown_9_500_0.png").write_bytes(b"of an earlier report")
-    document = write_session_report(tmp_path, simulation)
+@pytest.fixture(scope="module")
+def written(simulation: Simulation, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    """The document and the folder of a report, in which another one was."""
+    folder = tmp_path_factory.mktemp("session")
+    (folder / "shown_9_500_0.png").write_bytes(b"of an earlier report")
+    return write_session_report(folder, simulation), folder
+
+
+def test_the_folder_is_complete(written: tuple[dict[str, Any], Path]) -> None:
+    document, folder = written
     pictures = {f"shown_{v}_1000_{k}" for v in (0, 1) for k in (0, 1, 3)}  # of the whole file there is none
-    assert {path.stem for path in tmp_path.glob("*.png")} == PLOTS | pictures
-    for path in tmp_path.glob("*.png"):
+    assert {path.stem for path in folder.glob("*.png")} == PLOTS | pictures
+    for path in folder.glob("*.png"):
         Image.open(path).verify()
-    assert document == json.loads((tmp_path / "report.json").read_text())
+    assert document == json.loads((folder / "report.json").read_text())
 
 
 def test_the_document_says_what_was_measured(simulation: Simulation) -> None:
@@ -66,9 +75,8 @@ def test_the_document_says_what_was_measured(simulation: Simulation) -> None:
     assert ours["about"]["policy"] == "utility"
 
 
-def test_the_page_stands_alone(simulation: Simulation, tmp_path: Path) -> None:
-    write_session_report(tmp_path, simulation)
-    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+def test_the_page_stands_alone(written: tuple[dict[str, Any], Path]) -> None:
+    html = (written[1] / "report.html").read_text(encoding="utf-8")
     outline = Outline(html)
     assert outline.open == []
     assert all(link.startswith("data:image/png;base64,") for link in outline.links)
@@ -76,16 +84,18 @@ def test_the_page_stands_alone(simulation: Simulation, tmp_path: Path) -> None:
     assert not {"script", "link"} & set(outline.tags)
     assert outline.tags.count("img") == len(PLOTS) + 6
     text = " ".join(" ".join(outline.words).split())
-    for told in (f"{AWKWARD} 0", "<a link> & more", "whole file", "never", "0 dB", "gsvis simulate <x> & y", "<kept>"):
-        assert told in text
+    for label in (f"{AWKWARD} 0", "<a link> & more", "whole file", "never", "0 dB", "gsvis simulate <x> & y", "<kept>"):
+        assert label in text
     assert "$" not in text.replace("$title", "")
 
 
-def test_the_same_sessions_give_the_same_files(simulation: Simulation, tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        write_session_report(tmp_path / name, simulation)
-    for path in (tmp_path / "one").iterdir():
-        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
+def test_the_same_sessions_give_the_same_files(
+    simulation: Simulation, written: tuple[dict[str, Any], Path], tmp_path: Path
+) -> None:
+    write_session_report(tmp_path, simulation)
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in written[1].iterdir()}
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (written[1] / path.name).read_bytes()
 
 
 def test_a_simulation_of_nothing_is_refused(tmp_path: Path) -> None:

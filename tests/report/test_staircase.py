@@ -113,10 +113,10 @@ def test_the_pictures_come_back_without_loss_and_equal_ones_are_stored_once(outl
 
 
 def test_the_page_tells_how_far_to_sit(outline: Outline) -> None:
-    told = " ".join("".join(outline.words).split())
+    text = " ".join("".join(outline.words).split())
     degrees = 16 / 67.0
-    assert f"{0.5 / math.tan(math.radians(0.5 * degrees)):.2g} picture widths" in told
-    assert "67 pixels then fill one degree" in told
+    assert f"{0.5 / math.tan(math.radians(0.5 * degrees)):.2g} picture widths" in text
+    assert "67 pixels then fill one degree" in text
 
 
 def test_the_same_input_gives_the_same_bytes(page: Path, tmp_path: Path) -> None:

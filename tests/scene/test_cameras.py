@@ -102,7 +102,7 @@ def test_rays_pass_through_the_centers_of_their_pixels() -> None:
 
 def test_resizing_samples_the_same_view() -> None:
     cameras = Cameras.orbit([0, 0, 0], 3.0, 2, width=8, height=6)
-    small = cameras.resized(4, 3)
+    small = cameras.resize(4, 3)
     points = np.random.default_rng(0).normal(size=(10, 3))
     np.testing.assert_allclose(project(small, points)[0], project(cameras, points)[0] / 2)
     assert (small.width, small.height, small.names) == (4, 3, cameras.names)
@@ -140,7 +140,7 @@ SHEAR = np.eye(4)[None] + np.eye(4, k=1)[None]
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"viewmats": np.eye(3)[None]}, r"viewmats: expected shape \(C, 4, 4\)"),
         ({"viewmats": SHEAR}, "viewmats: expected rotations"),
@@ -154,13 +154,13 @@ SHEAR = np.eye(4)[None] + np.eye(4, k=1)[None]
         ({"names": ["a", "b"]}, "names: expected 1 names"),
     ],
 )
-def test_a_bad_argument_names_itself(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match="^" + told):
+def test_a_bad_argument_names_itself(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
         Cameras(**{**GOOD, **change})
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: Cameras.look_at([[0, 0, 0]], [0, 0, 0]), "eyes: expected eyes apart from their targets"),
         (lambda: Cameras.look_at([[0, 0, 0]], [np.nan, 0, 0]), "targets: expected finite"),
@@ -178,11 +178,11 @@ def test_a_bad_argument_names_itself(change: dict[str, Any], told: str) -> None:
         (lambda: Cameras.orbit([0, 0], 1.0, 3), "center: expected"),
         (lambda: Cameras.cubemap([0, 0, 0], 4), "viewpoints: expected"),
         (lambda: Cameras.cubemap([[0, 0, 0]], 0), "size: expected"),
-        (lambda: Cameras.cubemap([[0, 0, 0]], 4).resized(0, 4), "width: expected"),
+        (lambda: Cameras.cubemap([[0, 0, 0]], 4).resize(0, 4), "width: expected"),
     ],
 )
-def test_a_bad_argument_of_a_constructor_names_itself(make: Any, told: str) -> None:
-    with pytest.raises(ValueError, match="^" + told):
+def test_a_bad_argument_of_a_constructor_names_itself(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
         make()
 
 

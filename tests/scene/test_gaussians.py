@@ -79,7 +79,7 @@ def test_quaternions_of_any_length_are_normalized() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "message"),
     [
         ("means", np.zeros((6, 2)), r"means: expected shape \(N, 3\)"),
         ("means", np.full((6, 3), np.nan), "means: expected finite values, got nan at index"),
@@ -95,8 +95,8 @@ def test_quaternions_of_any_length_are_normalized() -> None:
         ("shN", "junk", "shN: expected numbers"),
     ],
 )
-def test_a_bad_argument_names_itself(name: str, value: Any, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_bad_argument_names_itself(name: str, value: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         Gaussians(**{**arrays(), name: value})
 
 
@@ -210,7 +210,7 @@ def test_moving_commutes_with_selecting() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"rotation": 2 * np.eye(3)}, "rotation: expected an orthonormal"),
         ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation: expected an orthonormal"),
@@ -220,13 +220,13 @@ def test_moving_commutes_with_selecting() -> None:
         ({"scale": np.nan}, "scale: expected a finite number > 0"),
     ],
 )
-def test_a_bad_motion_names_itself(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_bad_motion_names_itself(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         Gaussians(**arrays()).transform(**{"rotation": np.eye(3), **change})
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "told"),
+    ("name", "change", "message"),
     [
         ("scales", np.log, "did you pass log scales? pass np.exp(log_scales), or use gsvis.from_gsplat"),
         ("opacities", lambda p: np.log(p / (1 - p)), "did you pass logits? pass 1 / (1 + np.exp(-logit_opacities))"),
@@ -234,12 +234,12 @@ def test_a_bad_motion_names_itself(change: dict[str, Any], told: str) -> None:
         ("quats", np.zeros_like, "got a zero one at index 0; pass (1, 0, 0, 0) for no rotation"),
     ],
 )
-def test_raw_values_get_the_remedy(name: str, change: Any, told: str) -> None:
+def test_raw_values_get_the_remedy(name: str, change: Any, message: str) -> None:
     given_ = arrays()
     given_["opacities"] = np.linspace(0.2, 0.9, len(given_["means"]), dtype=np.float32)
     with pytest.raises(ValueError, match=f"^{name}: expected") as caught:
         Gaussians(**{**given_, name: change(given_[name])})
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_tensors_that_train_make_a_scene_that_stays_as_it_is() -> None:

@@ -145,7 +145,7 @@ def test_upright_is_what_is_known_or_the_mean_of_the_head() -> None:
 
 
 @pytest.mark.parametrize(
-    ("times", "told"),
+    ("times", "message"),
     [
         ([0.0, 1.0, 1.0], "index 2"),
         ([0.0, 2.0, 1.0], "rising"),
@@ -153,8 +153,8 @@ def test_upright_is_what_is_known_or_the_mean_of_the_head() -> None:
         ([0.0, 1.0], "one length"),
     ],
 )
-def test_times_that_do_not_rise_from_zero_are_refused(times: list[float], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_times_that_do_not_rise_from_zero_are_refused(times: list[float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         HeadPath(times, np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))  # type: ignore[arg-type]
 
 

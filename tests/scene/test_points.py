@@ -9,13 +9,13 @@ from gsvis.scene.points import PointCloud
 
 
 def test_points_are_checked_and_cannot_be_written_to() -> None:
-    for means, colors, told in (
+    for means, colors, message in (
         ([[0, 0]], None, "means: expected shape"),
         ([[0, 0, np.nan]], None, "means: expected finite"),
         ([[0, 0, 0]], [[0, 0, 2]], "colors: expected values in"),
         ([[0, 0, 0]], np.zeros((2, 3)), "expected one length for all"),
     ):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             PointCloud(means, colors)
     cloud = PointCloud(np.zeros((2, 3), np.float32))
     with pytest.raises(ValueError, match="read-only"):

@@ -231,9 +231,9 @@ def test_connections_without_hello_take_no_seat(plain: Path) -> None:
 def test_what_trusted_proxies_say_is_the_address_and_what_others_say_is_not(plain: Path) -> None:
     limits = limits_of(connections=5, per_address=1)
 
-    def fault(server: Server, told: str) -> int:
+    def fault(server: Server, message: str) -> int:
         with plain_socket(server) as found:
-            found.sendall(UPGRADE + f"X-Forwarded-For: {told}\r\n\r\n".encode())
+            found.sendall(UPGRADE + f"X-Forwarded-For: {message}\r\n\r\n".encode())
             head = b""
             while b"\r\n\r\n" not in head:
                 head += found.recv(1)

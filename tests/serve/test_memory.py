@@ -18,7 +18,7 @@ from gsvis.serve import Server
 from gsvis.serve._guard import Guard
 from gsvis.serve._protocols import Plain, Socket
 from gsvis.serve.connection import Connection
-from gsvis.stream import Bye, Hello, Sender
+from gsvis.stream import Bye, Hello, Session
 from tests.serve.certificates import certificate
 from tests.serve.servers import (
     PATIENCE,
@@ -37,7 +37,7 @@ from tests.serve.servers import (
     upgraded,
 )  # fmt: skip
 
-KINDS = Connection, Guard, Plain, SSLProtocol, Sender, Socket
+KINDS = Connection, Guard, Plain, Session, Socket, SSLProtocol
 
 
 def kept() -> list[str]:

@@ -122,14 +122,14 @@ def test_steps_stand_for_all_ticks(sessions: dict[str, Viewing]) -> None:
 
 def test_curves_rise_and_end_where_the_figures_say(sessions: dict[str, Viewing]) -> None:
     for found in sessions.values():
-        told = found.as_dict()
+        record = found.as_dict()
         for name in ("bytes", "gaussian_share", "term_share"):
-            curve = told["curves"][name]
+            curve = record["curves"][name]
             assert curve == sorted(curve)
-            assert curve[-1] <= told["figures"][name] + 1e-4
-        assert len({len(curve) for curve in told["curves"].values()}) == 1
-        assert min(told["curves"]["psnr"]) == 0.0
-        assert max(told["curves"]["psnr"]) <= 50.0
+            assert curve[-1] <= record["figures"][name] + 1e-4
+        assert len({len(curve) for curve in record["curves"].values()}) == 1
+        assert min(record["curves"]["psnr"]) == 0.0
+        assert max(record["curves"]["psnr"]) <= 50.0
 
 
 def test_what_is_served_first_is_what_is_in_view(sessions: dict[str, Viewing]) -> None:

@@ -52,8 +52,8 @@ def recorded() -> dict[str, Any]:
         session, receiver = Session(scene, view, config), Receiver(scene.header)
         steps: list[dict[str, Any]] = []
 
-        def said(side: str, data: bytes, **told: Any) -> None:
-            steps.append({"from": side, **told, "bytes": data.hex()})
+        def said(side: str, data: bytes, **text: Any) -> None:
+            steps.append({"from": side, **text, "bytes": data.hex()})
 
         said("client", Hello(view).to_bytes())
         said("server", session.welcome(0.0).data)
@@ -150,10 +150,10 @@ def test_a_server_of_the_record_says_the_same_bytes(vector: dict[str, Any], tmp_
 def test_the_page_shows_the_bytes_around_the_rows(vector: dict[str, Any]) -> None:
     page = (Path(__file__).parents[2] / "docs" / "streaming.md").read_text(encoding="utf-8")
     (data, *_) = (bytes.fromhex(step["bytes"]) for step in vector["steps"] if "gaussians" in step)
-    told = page.split("```")[1].split("\n160  ")[0]
+    text = page.split("```")[1].split("\n160  ")[0]
     for name, place in (("body", 48), ("rows", 136)):
-        told = told.replace(f"[{name}, i64]", data[place : place + 8].hex())
-    lines = [line.partition(" ")[2].replace(" ", "") for line in told.strip().splitlines()]
+        text = text.replace(f"[{name}, i64]", data[place : place + 8].hex())
+    lines = [line.partition(" ")[2].replace(" ", "") for line in text.strip().splitlines()]
     assert "".join(lines) == data[8:168].hex()
 
 

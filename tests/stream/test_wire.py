@@ -104,7 +104,7 @@ def test_what_is_written_is_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "code", "told"),
+    ("data", "code", "message"),
     [
         (b"", "malformed", "got nothing"),
         (b"\x09abc", "malformed", "got 9"),
@@ -117,8 +117,8 @@ def test_what_is_written_is_read() -> None:
         (b"\x03\x00\x01\x00abcd", "malformed", "zeros"),
     ],
 )
-def test_what_is_refused_says_why(data: bytes, code: str, told: str) -> None:
-    with pytest.raises(ProtocolError, match=told) as caught:
+def test_what_is_refused_says_why(data: bytes, code: str, message: str) -> None:
+    with pytest.raises(ProtocolError, match=message) as caught:
         parse_client(data)
     assert caught.value.code == FAULTS[code]
 

@@ -44,7 +44,7 @@ def test_what_is_set_apart_is_named_in_full_and_is_there(tool: ModuleType) -> No
         ("gsvis.files.sections", "SectionWriter.append", True),  # of a class that writes
         ("gsvis.stream.drawn", "Rows.append", False),  # rows that a server sent
         ("gsvis.io.checkpoint", "_Ignored.append", False),
-        ("gsvis.package.contents", "Contents.of", True),
+        ("gsvis.package.contents", "Contents.from_levels", True),
         ("gsvis.package.manifest", "Manifest._of", False),
         ("gsvis.package.active_terms", "ActiveTerms.check", True),
         ("gsvis.io.levels", "check", False),

@@ -128,7 +128,7 @@ def test_other_steps_change_nothing(step: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"every": 0}, "every: expected at least 1"),
         ({"threshold": 0.0}, "threshold: expected a finite number > 0"),
@@ -137,6 +137,6 @@ def test_other_steps_change_nothing(step: int) -> None:
         ({"start": -1}, "start: expected at least 0"),
     ],
 )
-def test_rules_that_make_no_sense_are_refused(change: dict[str, float], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_rules_that_make_no_sense_are_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         DensifyConfig(**change)  # type: ignore[arg-type]

@@ -77,7 +77,7 @@ def test_gradient_is_the_slope_of_the_error_by_size() -> None:
 
 def test_gradient_asks_for_photographs() -> None:
     with pytest.raises(
-        ValueError, match=r"^method: expected photographs for 'gradient', got cameras alone; .* 'removal'"
+        ValueError, match=r"^method: expected photographs for 'gradient', got cameras only; .* 'removal'"
     ):
         importance(scene("one"), views(), method="gradient")
     with pytest.raises(ValueError, match=r"^method: expected one of 'removal', "):

@@ -177,8 +177,8 @@ def test_colors_without_bands_stay_so(views: PosedImages) -> None:
 
 
 def stopping(stage: str, at: int) -> Callable[[str, int, int], None]:
-    def stop(told: str, done: int, total: int) -> None:
-        if told == stage and done == at:
+    def stop(message: str, done: int, total: int) -> None:
+        if message == stage and done == at:
             raise KeyboardInterrupt
 
     return stop
@@ -195,11 +195,11 @@ def test_a_stopped_run_goes_on_to_the_same_bits(
         train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping(stage, at))
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]  # nothing half-written
     calls: list[tuple[str, int]] = []
-    again = train_levels(scene, views, BRIEF, work=tmp_path, progress=lambda *told: calls.append(told[:2]))
+    again = train_levels(scene, views, BRIEF, work=tmp_path, progress=lambda *call: calls.append(call[:2]))
     assert equal(again.levels, brief)
     if stage != "prune":
-        assert "prune" not in {told for told, _ in calls}
-        assert next(done for told, done in calls if told == stage) == at
+        assert "prune" not in {call for call, _ in calls}
+        assert next(done for call, done in calls if call == stage) == at
 
 
 def test_a_finished_run_is_not_worked_out_again(
@@ -207,7 +207,7 @@ def test_a_finished_run_is_not_worked_out_again(
 ) -> None:
     first = train_levels(scene, views, BRIEF, work=tmp_path / "new" / "work")
     calls: list[tuple[str, int, int]] = []
-    again = train_levels(scene, views, BRIEF, work=tmp_path / "new" / "work", progress=lambda *told: calls.append(told))
+    again = train_levels(scene, views, BRIEF, work=tmp_path / "new" / "work", progress=lambda *call: calls.append(call))
     assert calls == [("train low", 6, 6), ("train medium", 6, 6)]
     assert equal(first.levels, brief)
     assert equal(again.levels, brief)
@@ -264,7 +264,7 @@ def test_damaged_subsets_are_told(scene: Gaussians, views: PosedImages, tmp_path
     with pytest.raises(KeyboardInterrupt):
         train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping("train low", 0))
     damaged(tmp_path / "subsets.npz", how)
-    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to begin anew"):
+    with pytest.raises(FormatError, match=r"subsets\.npz.*delete it to start again"):
         train_levels(scene, views, BRIEF, work=tmp_path)
 
 
@@ -278,7 +278,7 @@ def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"shares": (0.0, 0.5)}, r"shares: expected shares in \(0, 1\], got 0.0"),
         ({"shares": (0.5, 1.5)}, r"shares: expected shares in \(0, 1\], got 1.5"),
@@ -305,8 +305,8 @@ def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views:
         ({"evaluate_every": -1}, "evaluate_every: expected"),
     ],
 )
-def test_configurations_that_make_no_sense_are_refused(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_configurations_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         LevelsConfig(**change)
 
 

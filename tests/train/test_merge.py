@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train.merge import _cells_for, merge_by_cell, merged, occupied_voxels
+from gsvis.train.merge import _cells_for, merge_by_cell, merge_gaussians, occupied_voxels
 
 
 def cloud(n: int = 600, seed: int = 3, degree: int = 1) -> Gaussians:
@@ -24,14 +24,14 @@ def cloud(n: int = 600, seed: int = 3, degree: int = 1) -> Gaussians:
 @pytest.mark.parametrize("count", [1, 7, 150, 300, 599, 600])
 @pytest.mark.parametrize("degree", [0, 1])
 def test_a_merged_scene_has_the_count_asked_for(count: int, degree: int) -> None:
-    level = merged(cloud(degree=degree), count)
+    level = merge_gaussians(cloud(degree=degree), count)
     assert len(level) == count
     assert level.sh_degree == degree
 
 
 def test_a_merged_scene_with_a_voxel_for_each_is_the_scene() -> None:
     g = cloud()
-    level = merged(g, len(g))
+    level = merge_gaussians(g, len(g))
     back = np.lexsort(level.means.T), np.lexsort(g.means.T)
     for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(getattr(level, name)[back[0]], getattr(g, name)[back[1]])
@@ -88,16 +88,16 @@ def test_what_covers_little_counts_little_and_opacity_has_a_top() -> None:
 
 def test_a_merged_scene_follows_a_scale_of_the_scene_and_a_shuffle() -> None:
     g = cloud()
-    level, larger = merged(g, 200), merged(g.transform(np.eye(3), scale=4.0), 200)
+    level, larger = merge_gaussians(g, 200), merge_gaussians(g.transform(np.eye(3), scale=4.0), 200)
     np.testing.assert_allclose(larger.means, 4.0 * level.means, rtol=1e-4, atol=1e-5)
-    shuffled = merged(g[np.random.default_rng(0).permutation(len(g))], 200)
+    shuffled = merge_gaussians(g[np.random.default_rng(0).permutation(len(g))], 200)
     np.testing.assert_allclose(shuffled.means, level.means, atol=1e-5)
 
 
 def test_a_merged_scene_follows_a_shift_of_the_scene() -> None:
     g = cloud()
     exact = Gaussians(np.round(64.0 * g.means) / 64.0, g.quats, g.scales, g.opacities, g.sh0, g.shN)
-    level, moved = merged(exact, 200), merged(exact.transform(np.eye(3), [40.0, -8.0, 24.0]), 200)
+    level, moved = merge_gaussians(exact, 200), merge_gaussians(exact.transform(np.eye(3), [40.0, -8.0, 24.0]), 200)
     np.testing.assert_allclose(moved.means - [40.0, -8.0, 24.0], level.means, atol=1e-5)
 
 
@@ -114,7 +114,7 @@ def test_the_voxels_that_cover_least_are_left_out() -> None:
     coverage = np.array([3.0, 9.0, 4.0, 7.0, 2.0, 8.0, 5.0, 6.0]) / 1000.0
     opacities = coverage / radii**2
     g = Gaussians(corners, [[1, 0, 0, 0]] * 8, np.repeat(radii[:, None], 3, 1), opacities, np.zeros((8, 1, 3)))
-    np.testing.assert_array_equal(merged(g, 5).means, corners[[1, 5, 3, 7, 6]])
+    np.testing.assert_array_equal(merge_gaussians(g, 5).means, corners[[1, 5, 3, 7, 6]])
 
 
 @pytest.mark.parametrize("side", [0.3, 1.0, 7.0])
@@ -132,6 +132,6 @@ def test_voxels_far_away_do_not_overflow() -> None:
 
 def test_centers_that_coincide_cannot_be_told_apart() -> None:
     same = Gaussians(np.zeros((3, 3)), [[1, 0, 0, 0]] * 3, np.ones((3, 3)), [0.5] * 3, np.zeros((3, 1, 3)))
-    assert len(merged(same, 1)) == 1
+    assert len(merge_gaussians(same, 1)) == 1
     with pytest.raises(ValueError, match="count: expected at most 1 of 3"):
-        merged(same, 2)
+        merge_gaussians(same, 2)

@@ -179,7 +179,7 @@ def test_damaged_images_are_told(tmp_path: Path) -> None:
     (tmp_path / "images" / "photo_005.png").write_bytes(whole[:100])
     file.write_bytes(whole[:100])
     with pytest.raises(
-        FormatError, match=r"expected whole images, got 2 that cannot be read: 'photo_004.png', 'photo_005"
+        FormatError, match=r"expected complete images, got 2 that cannot be read: 'photo_004.png', 'photo_005"
     ):
         load_photos(tmp_path)
     Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint16)).save(file)
@@ -229,7 +229,7 @@ def test_names_that_leave_the_folder_are_not_followed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         ({"size": (24, 16), "downscale": 2}, "expected one of them"),
         ({"size": (24, 8)}, "size: height: expected an integer of at least 16"),
@@ -240,9 +240,9 @@ def test_names_that_leave_the_folder_are_not_followed(tmp_path: Path) -> None:
         ({"downscale": 4}, "expected images of at least 16 pixels a side, got 12 x 8"),
     ],
 )
-def test_sizes_out_of_range_are_refused(tmp_path: Path, asked: dict, told: str) -> None:
+def test_sizes_out_of_range_are_refused(tmp_path: Path, asked: dict, message: str) -> None:
     write_photos(tmp_path)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         load_photos(tmp_path, **asked)
 
 
@@ -256,9 +256,9 @@ def test_what_would_not_fit_into_memory_is_refused(tmp_path: Path, monkeypatch: 
 
 def test_progress_is_told_and_may_stop_the_work(tmp_path: Path) -> None:
     write_photos(tmp_path)
-    told = []
-    load_photos(tmp_path, progress=lambda *words: told.append(words))
-    assert told == [("photos", i, 10) for i in range(11)]
+    lines = []
+    load_photos(tmp_path, progress=lambda *words: lines.append(words))
+    assert lines == [("photos", i, 10) for i in range(11)]
 
     def stop(stage: str, done: int, total: int) -> None:
         if done == 3:

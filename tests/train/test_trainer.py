@@ -116,7 +116,7 @@ def test_a_checkpoint_of_another_run_is_refused(views: PosedImages, start: Gauss
     brief = replace(CONFIG, iterations=2)
     train(views, start, brief, checkpoint=path)
     for others in ((views[:5], start, brief), (views, start[:30], brief), (views, start, replace(brief, seed=1))):
-        with pytest.raises(ValueError, match=r"checkpoint: expected .* of the same images, Gaussians and config"):
+        with pytest.raises(ValueError, match=r"checkpoint: expected .* to the same images, Gaussians and config"):
             train(*others, checkpoint=path)
 
 
@@ -176,7 +176,7 @@ def test_what_cannot_be_trained_is_refused(views: PosedImages, start: Gaussians)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"iterations": 0}, "iterations: expected"),
         ({"sh_degree": 4}, "sh_degree: expected 0 to 3, got 4"),
@@ -185,8 +185,8 @@ def test_what_cannot_be_trained_is_refused(views: PosedImages, start: Gaussians)
         ({"means_rate_end": float("nan")}, "means_rate_end: expected a finite number > 0"),
     ],
 )
-def test_configurations_that_make_no_sense_are_refused(change: dict[str, float], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_configurations_that_make_no_sense_are_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         replace(CONFIG, **change)  # type: ignore[arg-type]
 
 

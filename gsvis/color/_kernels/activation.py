@@ -1,7 +1,7 @@
-"""Kernels that tell what each term adds from an eye, and which terms can matter from anywhere in a box.
+"""Kernels for what each term adds from an eye, and for which terms can matter from anywhere in a box.
 
-A term matters within a cap around its center, so a box needs no exponential: the directions from a box to a Gaussian
-lie in a cone, and the term can matter if cone and cap meet. Directions run from the eye to the Gaussian.
+A term matters within a cap around its center, so a box needs no exponential. The directions from a box to a Gaussian
+lie in a cone; the term can matter if cone and cap meet. Directions run from the eye to the Gaussian.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ _SLACK = 2e-6  # in cosines: centers are float32
 
 @njit(cache=True, nogil=True)
 def responses(means, offsets, centers, decays, factors, eye, out):
-    """`factors` (T,) times the value of each term's lobe as the eye (3,) sees it, into out (T,)."""
+    """Write `factors` (T,) times the value of each term's lobe, as the eye (3,) sees it, into out (T,)."""
     for i in range(len(offsets) - 1):
         first, last = offsets[i], offsets[i + 1]
         if first == last:
             continue
         x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
         length = np.sqrt(x * x + y * y + z * z)
-        if length == 0.0:  # an eye at the very center looks along +z
+        if length == 0.0:  # an eye at the exact center looks along +z
             z, length = 1.0, 1.0
         x, y, z = x / length, y / length, z / length
         for t in range(first, last):
@@ -35,12 +35,12 @@ def responses(means, offsets, centers, decays, factors, eye, out):
 
 @njit(cache=True, nogil=True)
 def changes(space, base, scales, offsets, amplitudes, lobes, out):
-    """What leaving out each term changes in the color of its Gaussian, largest of the channels, into out (T,).
+    """Write the color change of a Gaussian without each of its terms, the largest over channels, into out (T,).
 
     Args:
-        space: Code of `_kernels_rgb.SPACES`.
+        space: Code of `_kernels.rgb.SPACES`.
         base: (N, 3) base colors in that space.
-        scales: (N,) what brings RGB back to scale.
+        scales: (N,) factors that undo the scaling of RGB.
         offsets: (N + 1,) terms of each Gaussian.
         amplitudes: (T, 3) what a term adds where its lobe is 1.
         lobes: (T,) values of the lobes.
@@ -72,13 +72,13 @@ def changes(space, base, scales, offsets, amplitudes, lobes, out):
 
 @njit(cache=True, nogil=True)
 def _cone(x, y, z, half_x, half_y, half_z):
-    """Cosine of half the angle of a cone around (x, y, z) that holds the directions from a box to a point.
+    """Return the cosine of half the angle of a cone around (x, y, z) that holds the directions from a box to a point.
 
-    The point lies at (x, y, z), of length > 0, from the middle of a box of these half sides. Cones below 90 degrees are
-    convex, so one with the directions from all corners has those from the whole box. At most 0: any direction.
+    The point lies at (x, y, z), of length > 0, from the middle of a box with these half sides. Cones below 90 degrees
+    are convex, so a cone with the directions from all corners holds those from the whole box. At most 0: any direction.
     """
     length = x * x + y * y + z * z
-    part, whole = length, 1.0  # squared cosine times squared length as a fraction: corners cost no root, no division
+    part, whole = length, 1.0  # squared cosine times squared length as a fraction: corners need no root, no division
     for corner in range(8):
         dx = x - half_x if corner & 1 else x + half_x
         dy = y - half_y if corner & 2 else y + half_y
@@ -98,15 +98,15 @@ def mark_terms(ids, faint, means, offsets, centers, logs, widths, low, high, out
 
     Args:
         ids: (V,) Gaussians.
-        faint: (V,) minus the logarithm of the factor of each Gaussian's terms, or (0,) for none.
+        faint: (V,) minus the logarithm of the factor on each Gaussian's terms, or (0,) for no factor.
         means: (N, 3) centers.
         offsets: (N + 1,) terms of each Gaussian.
         centers: (T, 3) unit vectors.
-        logs: (T,) logarithm of the largest contribution over the least that matters.
-        widths: (T,) one over the decay.
+        logs: (T,) logarithm of the largest contribution over the threshold.
+        widths: (T,) 1 / decay.
         low: (3,) lowest corner.
         high: (3,) highest corner.
-        out: (T,) bool, only ever set.
+        out: (T,) bool; entries are set, never cleared.
     """
     middle_x, middle_y, middle_z = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
     half_x, half_y, half_z = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])

@@ -1,6 +1,6 @@
-"""Kernel that finds the lobes of many Gaussians: greedy choice from a dictionary, all lobes refined after each choice.
+"""Kernel that fits the lobes of many Gaussians: greedy choice from a dictionary, all lobes refined after each choice.
 
-One Gaussian after the other within a block, blocks in parallel; what one Gaussian gets depends on no other.
+Gaussians run in sequence within a block, blocks in parallel. The result of a Gaussian depends on no other.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ __all__ = ["fit_lobes", "settle_lobes"]
 
 _BLOCK = 64
 _PATIENCE = 4
-"""Refinements after one choice, each with more emphasis on shorter prefixes, until the error falls along them."""
+"""Refinements after a choice, each with more emphasis on shorter prefixes, until the error falls along them."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _gather(directions, weights, targets, points, seen, rows):
-    """Directions of weight > 0 next to each other, padded with weight 0; their number, and the sum of the weights."""
+    """Gather the directions of weight > 0, padded with weight 0; return their number and the sum of the weights."""
     count, total = 0, 0.0
     channels = targets.shape[0]
     for d in range(len(weights)):
@@ -44,7 +44,7 @@ def _gather(directions, weights, targets, points, seen, rows):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _choose(atoms, norms, left, channels, count):
-    """The atom that explains most of what is left."""
+    """Return the atom that explains most of the residual."""
     best, chosen = np.float32(-1.0), 0
     for a in range(len(norms)):
         explained = np.float32(0.0)
@@ -73,11 +73,11 @@ def _take_away(rows, targets, intensities, terms, channels, count, left):
                 row[d] -= factor * lobe[d]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # as in a parallel loop
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # the same as in a parallel loop
 def _fit_block(
     block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves
 ):
-    """One block of `fit_lobes`: a function of its own, as numba takes long over the body of a parallel loop."""
+    """Fit one block of `fit_lobes`; a separate function, because numba compiles the body of a parallel loop slowly."""
     n, channels, size = targets.shape
     width = (size + LANES - 1) // LANES * LANES
     terms_at_most = v.shape[1]
@@ -138,19 +138,19 @@ def _fit_block(
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True)
 def fit_lobes(directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves):
-    """Lobes of n Gaussians: as many as are worth their price.
+    """Fit lobes to n Gaussians: as many as are worth their price.
 
     Args:
         directions: (3, D) float32 unit vectors.
         dictionary: (A, D) float32, values of the atoms.
         starts: (A, 3) decay times center of each atom.
-        targets: (n, C, D) float32, C at most 4; what is left once the base color is taken away.
-        weights: (n, D) float32 >= 0; a direction of weight 0 is not looked at.
-        importance: (n,) float64, what a unit of weighted mean squared error costs.
-        most: (n,) int64, most lobes of each.
-        price: What a lobe costs.
-        limits: Of `refine`; the ridge is relative to the sum of the weights.
-        v: (n, K, 3) float32, written: decay times center, in the order in which to send.
+        targets: (n, C, D) float32, C at most 4; the residual after subtraction of the base color.
+        weights: (n, D) float32 >= 0; a direction of weight 0 is ignored.
+        importance: (n,) float64, cost of a unit of weighted mean squared error.
+        most: (n,) int64, maximum number of lobes of each.
+        price: Cost of a lobe.
+        limits: Those of `refine`; the ridge is relative to the sum of the weights.
+        v: (n, K, 3) float32, written: decay times center, in sending order.
         a: (n, K, C) float32, written: intensities.
         counts: (n,) int64, written: lobes worth their price.
         curves: (n, K + 1) float32, written: weighted mean squared error (summed over channels) with 0, 1, ... lobes.
@@ -162,9 +162,9 @@ def fit_lobes(directions, dictionary, starts, targets, weights, importance, most
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # as in a parallel loop
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # the same as in a parallel loop
 def _settle_block(block, directions, targets, weights, limits, counts, v, a, errors):
-    """One block of `settle_lobes`."""
+    """Settle one block of `settle_lobes`."""
     n, channels, size = targets.shape
     width = (size + LANES - 1) // LANES * LANES
     most = max(v.shape[1], 1)
@@ -192,14 +192,14 @@ def _settle_block(block, directions, targets, weights, limits, counts, v, a, err
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True)
 def settle_lobes(directions, targets, weights, limits, counts, v, a, errors):
-    """Intensities of given lobes, best for all of them, and such that the error falls from each to the next.
+    """Fit the best joint intensities of given lobes, such that the error falls from each to the next.
 
     Args:
         directions: (3, D) float32 unit vectors.
         targets: (n, C, D) float32.
         weights: (n, D) float32.
-        limits: Of `refine`; the ridge is relative to the sum of the weights.
-        counts: (n,) int64, lobes of each.
+        limits: Those of `refine`; the ridge is relative to the sum of the weights.
+        counts: (n,) int64, number of lobes of each.
         v: (n, K, 3) float32, decay times center.
         a: (n, K, C) float32, written: intensities.
         errors: (n,) float32, written: weighted mean squared error.

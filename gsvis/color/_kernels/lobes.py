@@ -1,6 +1,6 @@
-"""Lobes over many directions at once and the inner products between them, as explicit vectors of 16 directions.
+"""Lobes over many directions at once and their inner products, as explicit vectors of 16 directions.
 
-Rows are float32 over directions, padded to whole vectors; `points` holds x, y, z and the square root of the weight.
+Rows are float32 over directions, padded to whole vectors. `points` holds x, y, z and the square root of the weight.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _I64 = ir.IntType(64)
 
 @intrinsic
 def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
-    """Sixteen values of one weighted lobe and of its three slopes.
+    """Compute sixteen values of one weighted lobe and of its three slopes.
 
     Args:
-        typing_context: numba's, unused.
+        typing_context: The typing context of numba, unused.
         points: (4, D) float32.
         place: First direction.
         v: Three float32, decay times center.
@@ -66,7 +66,7 @@ def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
 
 @intrinsic
 def _block(typing_context, left, i, right, j, count, out):
-    """The 4 x 4 inner products of rows i.. of left and j.. of right over `count` entries, into out (16,)."""
+    """Write 4 x 4 inner products of rows i.. of left and j.. of right over `count` entries into out (16,)."""
     del typing_context
     i64 = types.int64
     signature = types.void(left, i64, right, i64, i64, out)
@@ -104,7 +104,7 @@ def _block(typing_context, left, i, right, j, count, out):
 
 @njit(cache=True, nogil=True)
 def lobes(points, count, v, terms, rows):
-    """Rows 0..terms-1: weighted lobes exp(v.x - |v|); rows terms + 3k..: their slopes by v_k. `count` is padded."""
+    """Write weighted lobes exp(v.x - |v|) into rows 0..terms-1 and their slopes by v_k into rows terms + 3k..."""
     for k in range(terms):
         decay = np.sqrt(v[k, 0] * v[k, 0] + v[k, 1] * v[k, 1] + v[k, 2] * v[k, 2])
         vector = (np.float32(v[k, 0]), np.float32(v[k, 1]), np.float32(v[k, 2]))
@@ -114,7 +114,7 @@ def lobes(points, count, v, terms, rows):
 
 @njit(cache=True, nogil=True)
 def gram(rows, number, count, scratch, out):
-    """Inner products of the first `number` rows, a multiple of four, into out (number, number)."""
+    """Write inner products of the first `number` rows, a multiple of four, into out (number, number)."""
     for i in range(0, number, 4):
         for j in range(0, i + 4, 4):
             _block(rows, i, rows, j, count, scratch)
@@ -126,7 +126,7 @@ def gram(rows, number, count, scratch, out):
 
 @njit(cache=True, nogil=True)
 def dots(rows, number, targets, channels, count, scratch, out):
-    """Inner products of the first `number` rows, a multiple of four, with up to four targets, into out (number, .)."""
+    """Write inner products of the first `number` rows, a multiple of 4, with up to 4 targets, into out (number, .)."""
     for i in range(0, number, 4):
         _block(rows, i, targets, 0, count, scratch)
         for p in range(4):

@@ -1,7 +1,7 @@
-"""Kernels of orthogonal matching pursuit: blocks of signals, all of a block one term further at a time.
+"""Kernels of orthogonal matching pursuit on blocks of signals; all signals of a block gain one term at a time.
 
-Correlations are float32, the chosen atoms are orthogonalised in float64. What comes out for a signal does not depend on
-its neighbors, on blocks or on threads.
+Correlations are float32; the chosen atoms are orthogonalized in float64. The result of a signal does not depend on its
+neighbors, on blocks or on threads.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from gsvis.color._kernels.products import BLOCK, best_atom, inner, multiply_rows
 __all__ = ["BAD_SIGNAL", "BAD_WEIGHTS", "Atoms", "Chunk", "Codes", "pursue"]
 
 BAD_SIGNAL, BAD_WEIGHTS = -1, -2
-"""Counts of signals that are not finite, or whose weights are not finite or negative."""
+"""Error codes in counts: signals that are not finite, or weights that are not finite or negative."""
 
-_NOISE = 1e-6  # of a signal's norm: correlations below it are rounding
-_DEPENDENT = 1e-10  # of an atom's squared norm: what is left of it outside the span of the others is rounding
+_NOISE = 1e-6  # of a signal's norm: correlations below it are rounding errors
+_DEPENDENT = 1e-10  # of an atom's squared norm: a smaller part outside the span of the others is a rounding error
 _REASSOCIATE = {"reassoc", "contract"}
 
 F32 = NDArray[np.float32]
@@ -29,18 +29,18 @@ F64 = NDArray[np.float64]
 
 
 class Atoms(NamedTuple):
-    """A dictionary made ready. P panels hold the A atoms; those beyond A are zero.
+    """A prepared dictionary. P panels hold the A atoms; entries beyond A are zero.
 
     Attributes:
         unit: (A, D) float64, atoms over their lengths, times `roots`.
         lengths: (A,) float64.
         panels: (P, D, WIDTH) float32, `unit` panel by panel.
-        squares: (P, D, WIDTH) float32, squares of `panels`; (0, D, WIDTH) where no signal has weights of its own.
-        gram: (A, P * WIDTH) float32, inner products of `unit`; (0, P * WIDTH) where signals have weights of their own.
-        gains: (1, P * WIDTH) float32, 1 over the squared lengths of `unit`, 0 for atoms passed over.
-        roots: (1, D) float32, square roots of the weights that all signals share, over the largest.
-        scale: The largest weight that all signals share.
-        least_share: Atoms whose squared length falls below this share of itself, under weights, are passed over.
+        squares: (P, D, WIDTH) float32, squares of `panels`; (0, D, WIDTH) if no signal has weights of its own.
+        gram: (A, P * WIDTH) float32, inner products of `unit`; (0, P * WIDTH) if signals have weights of their own.
+        gains: (1, P * WIDTH) float32, 1 over the squared lengths of `unit`, 0 for skipped atoms.
+        roots: (1, D) float32, square roots of the shared weights over the largest.
+        scale: The largest shared weight.
+        least_share: Atoms whose squared length falls below this share of itself, under weights, are skipped.
     """
 
     unit: F64
@@ -55,13 +55,13 @@ class Atoms(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """M signals.
+    """M signals and their limits.
 
     Attributes:
-        signals: (M, D * C) float32, the channels of a direction together.
-        weights: (M, D) float32; (0, D) where the signals share them.
-        limits: (M,) int64, most terms of each.
-        tolerances: (M,) float64, weighted squared errors that are good enough.
+        signals: (M, D * C) float32, the channels of a direction adjacent.
+        weights: (M, D) float32; (0, D) if the signals share them.
+        limits: (M,) int64, maximum number of terms of each.
+        tolerances: (M,) float64, weighted squared errors at which to stop.
     """
 
     signals: F32
@@ -71,7 +71,7 @@ class Chunk(NamedTuple):
 
 
 class Codes(NamedTuple):
-    """What is found: atoms (M, K) int32, coefficients (M, K, C) float32, counts (M,) int32, errors (M, K + 1)."""
+    """Results: atoms (M, K) int32, coefficients (M, K, C) float32, counts (M,) int32, errors (M, K + 1)."""
 
     atoms: NDArray[np.int32]
     coefficients: F32
@@ -80,28 +80,28 @@ class Codes(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """Room for one block: B signals, C channels, K terms. Row b * K + k belongs to term k of signal b."""
+    """Buffers of one block: B signals, C channels, K terms. Row b * K + k belongs to term k of signal b."""
 
-    raw: Any  # (1, D) float32, one channel of one signal as it comes
+    raw: Any  # (1, D) float32, one channel of one signal as given
     rows: Any  # (C * B, D) float32, weighted and scaled signals; row c * B + b belongs to channel c of signal b
     roots: Any  # (B or 0, D) float32, square roots of the signals' own weights
     correlations: Any  # (C * B, P * WIDTH) float32, of the residuals with the atoms
-    gains: Any  # (B, P * WIDTH) float32, what squared correlations are multiplied with; 0 for atoms not to be chosen
+    gains: Any  # (B, P * WIDTH) float32, factors on squared correlations; 0 for atoms that must not be chosen
     basis: Any  # (B * K, D) float64, chosen atoms made orthonormal
     triangle: Any  # (B * K, K) float64: chosen atom k = sum over i of triangle[k, i] basis[i]
     parts: Any  # (B * K, C) float64, signal along the basis
-    sent: Any  # (B, D) float32, newest basis vectors of the signals that go on
+    sent: Any  # (B, D) float32, newest basis vectors of the active signals
     spread: Any  # (B, P * WIDTH) float32, their inner products with all atoms
-    spreads: Any  # (B * K or 0, P * WIDTH) float32, all such products, where recursion gives them
+    spreads: Any  # (B * K or 0, P * WIDTH) float32, all such products, if recursion is used
     scales: Any  # (B,) float64: weighted squared error = scales * that of the rows
     sizes: Any  # (B,) float64: weighted signal = sizes * row
     energies: Any  # (B,) float64, squared norms of the rows
-    active: Any  # (B,) int64, signals that go on
+    active: Any  # (B,) int64, signals that may gain more terms
 
 
 @inner(fastmath=_REASSOCIATE)
 def _dot(a, i, b, j):
-    """a[i] . b[j]. Rows go by their numbers here: making a slice costs as much as what is done with it."""
+    """Return a[i] . b[j]. Rows are passed by index: making a slice costs as much as the product."""
     total = 0.0
     for d in range(a.shape[1]):
         total += np.float64(a[i, d]) * np.float64(b[j, d])
@@ -110,35 +110,35 @@ def _dot(a, i, b, j):
 
 @inner(fastmath={"contract"})
 def _subtract(a, i, factor, b, j):
-    """a[i] -= factor * b[j]."""
+    """Compute a[i] -= factor * b[j]."""
     for d in range(a.shape[1]):
         a[i, d] -= factor * b[j, d]
 
 
 @inner()
 def _scale(a, i, factor):
-    """a[i] *= factor."""
+    """Compute a[i] *= factor."""
     for d in range(a.shape[1]):
         a[i, d] *= factor
 
 
 @inner()
 def _copy(a, i, out, j):
-    """out[j] = a[i]."""
+    """Copy a[i] into out[j]."""
     for d in range(out.shape[1]):
         out[j, d] = a[i, d]
 
 
 @inner()
 def _product(a, i, b, j, out, k):
-    """out[k] = a[i] * b[j], entry by entry."""
+    """Write a[i] * b[j], entry by entry, into out[k]."""
     for d in range(out.shape[1]):
         out[k, d] = a[i, d] * b[j, d]
 
 
 @inner(fastmath={"nnan", "nsz", "reassoc"})
 def _least_and_most(a, i):
-    """Least and largest of a[i], if all are finite."""
+    """Return the least and the largest entry of a[i]; valid only if all entries are finite."""
     least, most = a[i, 0], a[i, 0]
     for d in range(a.shape[1]):
         least = min(least, a[i, d])
@@ -148,7 +148,7 @@ def _least_and_most(a, i):
 
 @inner(error_model="numpy")
 def _take_weights(weights, m, roots, b):
-    """Square roots of weights[m] over their largest, into roots[b]; the largest, or -1 where they cannot be."""
+    """Write square roots of weights[m] over their largest into roots[b]; return the largest, or -1 if invalid."""
     least, most = _least_and_most(weights, m)
     if not math.isfinite(_dot(weights, m, weights, m)) or least < 0.0:
         return np.float32(-1.0)
@@ -160,7 +160,7 @@ def _take_weights(weights, m, roots, b):
 
 @inner()
 def _load(chunk, start, count, atoms, work, codes):
-    """Signals start .. start + count of the chunk, weighted and scaled, into the block; counts 0, or BAD_*."""
+    """Load signals start .. start + count of the chunk, weighted and scaled, into the block; counts: 0 or BAD_*."""
     signals, weights, raw, rows, counts = chunk.signals, chunk.weights, work.raw, work.rows, codes.counts
     energies, sizes, scales = work.energies, work.sizes, work.scales
     channels, own = codes.coefficients.shape[2], len(weights) > 0
@@ -196,7 +196,7 @@ def _reciprocals(shares, b, least_share, gains):
 
 @inner()
 def _correlate(atoms, work, count):
-    """Correlations of all atoms with the signals of the block."""
+    """Correlate all atoms with the signals of the block."""
     rows, roots, sent, correlations = work.rows, work.roots, work.sent, work.correlations
     for first in range(0, len(rows), BLOCK):
         out = correlations[first : first + BLOCK]
@@ -210,7 +210,7 @@ def _correlate(atoms, work, count):
 
 @inner()
 def _weigh(atoms, work, count):
-    """Gains of all atoms under the weights of each signal of the block."""
+    """Compute the gains of all atoms under the weights of each signal of the block."""
     roots, sent, shares, gains = work.roots, work.sent, work.spread, work.gains
     if len(roots) == 0:
         for b in range(count):
@@ -225,9 +225,9 @@ def _weigh(atoms, work, count):
 
 @inner()
 def _orthogonalise(basis, first, k, triangle):
-    """Make row first + k of the basis orthonormal to rows first .. first + k, with what it was in triangle[first + k].
+    """Orthonormalize row first + k of the basis against rows first .. first + k.
 
-    False where nothing but rounding would be left of it.
+    Stores the coefficients in triangle[first + k]. Returns False if only rounding errors would be left.
     """
     new = first + k
     whole = _dot(basis, new, basis, new)
@@ -245,9 +245,9 @@ def _orthogonalise(basis, first, k, triangle):
 
 @inner()
 def _choose(atoms, work, going, k, codes, start):
-    """Choose term k of the `going` active signals: atom, place in the basis, parts along it, error left.
+    """Choose term k of the `going` active signals: atom, place in the basis, parts along it, remaining error.
 
-    A signal for which nothing is left to choose keeps its count.
+    A signal keeps its count if there is nothing left to choose.
     """
     unit, roots, gains, rows, correlations = atoms.unit, work.roots, work.gains, work.rows, work.correlations
     basis, triangle, parts, energies, active = work.basis, work.triangle, work.parts, work.energies, work.active
@@ -278,7 +278,7 @@ def _choose(atoms, work, going, k, codes, start):
 
 @inner()
 def _keep_active(chunk, start, going, k, codes, work):
-    """Active signals that found k terms and may go on; their number."""
+    """Keep the active signals that found k terms and may gain more; return their number."""
     active, scales, counts, errors = work.active, work.scales, codes.counts, codes.errors
     limits, tolerances = chunk.limits, chunk.tolerances
     kept = 0
@@ -293,10 +293,9 @@ def _keep_active(chunk, start, going, k, codes, work):
 
 @inner()
 def _spread(atoms, work, going, k, codes, start):
-    """Inner products of all atoms with the newest basis vector of active signal s, into row s of work.spread.
+    """Write inner products of all atoms with the newest basis vector of active signal s into row s of work.spread.
 
-    By recursion from the inner products of the atoms among each other; by a matrix product where those depend on the
-    signal.
+    Uses recursion from the inner products between atoms, or a matrix product if those depend on the signal.
     """
     found, roots, gram, active = codes.atoms, work.roots, atoms.gram, work.active
     basis, triangle, sent, spread, spreads = work.basis, work.triangle, work.sent, work.spread, work.spreads
@@ -318,7 +317,7 @@ def _spread(atoms, work, going, k, codes, start):
 
 @inner()
 def _follow(work, going, k, terms):
-    """Correlations of the active signals after term k."""
+    """Update the correlations of the active signals after term k."""
     active, parts, correlations, spread = work.active, work.parts, work.correlations, work.spread
     channels = parts.shape[1]
     for s in range(going):
@@ -329,7 +328,7 @@ def _follow(work, going, k, terms):
 
 @inner()
 def _finish(atoms, work, count, codes, start):
-    """Coefficients of the chosen atoms, from the parts along the basis; what stands beyond; errors in their unit."""
+    """Compute the coefficients of the chosen atoms from the parts along the basis; clear the rest; rescale errors."""
     found, coefficients, counts, errors = codes.atoms, codes.coefficients, codes.counts, codes.errors
     parts, triangle, sizes, scales, lengths = work.parts, work.triangle, work.sizes, work.scales, atoms.lengths
     terms, channels = found.shape[1], parts.shape[1]
@@ -356,7 +355,7 @@ def _finish(atoms, work, count, codes, start):
 
 @inner()
 def _pursue_block(chunk, start, count, atoms, codes, work):
-    """All terms of signals start .. start + count."""
+    """Find all terms of signals start .. start + count."""
     terms = codes.atoms.shape[1]
     _load(chunk, start, count, atoms, work, codes)
     for b in range(count):
@@ -378,7 +377,7 @@ def _pursue_block(chunk, start, count, atoms, codes, work):
 
 @njit(cache=True, nogil=True)
 def pursue(chunk, atoms, codes):
-    """Orthogonal matching pursuit for all signals of a chunk, into codes."""
+    """Run orthogonal matching pursuit for all signals of a chunk, into codes."""
     number, depth = len(chunk.signals), chunk.signals.shape[1] // codes.coefficients.shape[2]
     terms, channels = codes.coefficients.shape[1:]
     columns, own = atoms.gains.shape[1], BLOCK if len(chunk.weights) > 0 else 0

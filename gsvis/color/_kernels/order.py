@@ -1,7 +1,7 @@
-"""Kernel that puts the lobes of several functions into one order along which the RGB error never rises.
+"""Kernel that merges the lobes of several functions into one order along which the RGB error never rises.
 
-The error is that of the colors as shown, so that what two functions do together counts. A lobe that would make it rise
-where it stands is dropped.
+The error is that of the displayed colors, so the joint effect of two functions counts. A lobe that would raise the
+error at its place is dropped.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["measure_shown_errors", "order_lobes"]
 
 @njit(cache=True, nogil=True)
 def _shown_error(space, summed, factors, count, colors, weights, shown):
-    """Weighted squared RGB error of the first `count` directions."""
+    """Return the weighted squared RGB error of the first `count` directions."""
     copy(summed, 3, count, shown)
     to_rgb(space, shown[:, :count], factors[:count])
     error = 0.0
@@ -38,7 +38,7 @@ def _add(directions, count, v, amplitude, summed, out):
 
 @njit(cache=True, nogil=True)
 def _gather(directions, colors, weights, seen, target, heavy):
-    """Directions of weight > 0 next to each other; their number."""
+    """Gather the directions of weight > 0; return their number."""
     count = 0
     for d in range(len(weights)):
         if weights[d] > 0.0:
@@ -51,7 +51,7 @@ def _gather(directions, colors, weights, seen, target, heavy):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _order_one(g, space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
-    """Gaussian g of `order_lobes`."""
+    """Order the lobes of Gaussian g for `order_lobes`."""
     functions, most = v.shape[0], v.shape[2]
     width = directions.shape[1]
     seen, target, heavy = (
@@ -93,13 +93,13 @@ def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes,
     Args:
         space: Code of the space the base lives in.
         directions: (3, D) float32.
-        colors: (n, 3, D) RGB to be met.
-        weights: (n, D) of the directions.
+        colors: (n, 3, D) RGB targets.
+        weights: (n, D) weights of the directions.
         base: (n, 3) in the space.
         scales: (n,).
         v: (F, n, K, 3) float32, decay times center, the lobes of a function in the order to keep.
         amplitudes: (F, n, K, 3) float32, what a lobe adds in the space.
-        counts: (F, n) lobes of each.
+        counts: (F, n) number of lobes of each.
         order: (n, F K) int64, written: f K + k for the lobes kept.
         kept: (n,) int64, written.
     """
@@ -109,7 +109,7 @@ def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _errors_of_one(g, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
-    """Gaussian g of `measure_shown_errors`."""
+    """Measure the errors of Gaussian g for `measure_shown_errors`."""
     most = v.shape[2]
     width = directions.shape[1]
     seen, target, heavy = (
@@ -133,7 +133,7 @@ def _errors_of_one(g, space, directions, colors, weights, base, scales, v, ampli
 
 @njit(cache=True, nogil=True, parallel=True)
 def measure_shown_errors(space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
-    """Weighted mean squared RGB errors (n,) of the bases alone and with all lobes kept; arguments as above."""
+    """Write weighted mean squared RGB errors (n,) of the bases alone and with all kept lobes; see `order_lobes`."""
     for g in prange(v.shape[1]):
         _errors_of_one(
             np.int64(g), space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after

@@ -1,7 +1,7 @@
 """Products of rows with all atoms, and the best atom, as explicit vectors.
 
-A product goes tile by tile, ROWS x WIDTH numbers that stay in registers; each is a sum over directions in their order,
-whatever stands in the other rows. Atoms come in panels, (P, D, WIDTH): WIDTH of them along each direction.
+A product runs tile by tile, ROWS x WIDTH numbers that stay in registers. Each is a sum over directions in their order,
+independent of the other rows. Atoms come in panels, (P, D, WIDTH): WIDTH atoms along each direction.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ __all__ = ["BLOCK", "WIDTH", "best_atom", "inner", "multiply", "multiply_rows"]
 
 _WIDE = bool(llvm.get_host_cpu_features().get("avx512f"))
 LANES, ROWS, VECTORS = (16, 8, 3) if _WIDE else (8, 6, 2)
-"""A tile is ROWS x VECTORS vectors of LANES: as many as stay in registers."""
+"""A tile is ROWS x VECTORS vectors of LANES: as many as fit in registers."""
 
 WIDTH = LANES * VECTORS
-"""Atoms in a panel."""
+"""Number of atoms in a panel."""
 
 BLOCK = 4 * ROWS
-"""Signals that go one term further together."""
+"""Number of signals that gain a term together."""
 
 _I64 = ir.IntType(64)
 
 inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""For functions that only kernels call: without what Python would need, they compile in half the time."""
+"""Compiler options of functions that only kernels call: without the Python wrapper they compile in half the time."""
 
 
 @intrinsic
 def _multiply_tile(typing_context, rows, first, panels, panel, out):
-    """out[first + s, panel * WIDTH + a] = rows[first + s] . panels[panel, :, a] for the ROWS x WIDTH of a tile."""
+    """Compute out[first + s, panel * WIDTH + a] = rows[first + s] . panels[panel, :, a] for a tile ROWS x WIDTH."""
     del typing_context
     signature = types.void(rows, types.int64, panels, types.int64, out)
 
@@ -74,17 +74,17 @@ def _multiply_tile(typing_context, rows, first, panels, panel, out):
 
 @intrinsic
 def best_atom(typing_context, correlations, channels, gains, signal):
-    """The largest sum over channels of a signal's correlations^2 * gains, and its first place.
+    """Return the largest sum over channels of a signal's correlations^2 * gains, and its first index.
 
     Args:
         typing_context: numba's, unused.
         correlations: (C * B, P * WIDTH) float32, a block of signals for each channel.
         channels: C.
         gains: (B, P * WIDTH) float32, not negative.
-        signal: Which signal of the block.
+        signal: Index of the signal in the block.
 
     Returns:
-        float32 and int64; 0.0 and 0 where nothing is above 0.
+        float32 and int64; 0.0 and 0 if nothing is above 0.
     """
     del typing_context
     pair = types.Tuple((types.float32, types.int64))
@@ -124,7 +124,7 @@ def best_atom(typing_context, correlations, channels, gains, signal):
 
 @inner()
 def multiply_rows(rows, count, panels, out):
-    """The first `count` rows (B, D), rounded up to whole tiles, times the panels, into out (B, P * WIDTH)."""
+    """Multiply the first `count` rows (B, D), rounded up to whole tiles, by the panels, into out (B, P * WIDTH)."""
     for panel in range(len(panels)):
         for first in range(0, count, ROWS):
             _multiply_tile(rows, first, panels, panel, out)
@@ -132,6 +132,6 @@ def multiply_rows(rows, count, panels, out):
 
 @njit(cache=True, nogil=True)
 def multiply(rows, panels, out):
-    """Rows (N, D), N a multiple of BLOCK, times the panels (P, D, WIDTH), into out (N, P * WIDTH)."""
+    """Multiply rows (N, D), N a multiple of BLOCK, by the panels (P, D, WIDTH), into out (N, P * WIDTH)."""
     for first in range(0, len(rows), BLOCK):
         multiply_rows(rows[first : first + BLOCK], BLOCK, panels, out[first : first + BLOCK])

@@ -1,7 +1,7 @@
-"""Kernels that find intensities for SRBFs whose centers and decays have been rounded.
+"""Kernels that fit intensities to SRBFs whose centers and decays have been rounded.
 
-Inner products are means over the whole sphere, so nothing but the terms themselves is needed. Terms of different
-functions do not mix. float64; T terms of N Gaussians, Gaussian i from offsets[i] to offsets[i + 1].
+Inner products are means over the whole sphere, so the terms alone suffice. Terms of different functions do not mix.
+float64; T terms of N Gaussians, Gaussian i from offsets[i] to offsets[i + 1].
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from numba import njit
 __all__ = ["project", "round_jointly"]
 
 RIDGE = 1e-4
-"""Pull toward the intensities as they were, relative to each term's own energy."""
+"""Regularization toward the original intensities, relative to each term's own energy."""
 
 
 @njit(cache=True, nogil=True)
 def _product(a, b):
-    """Mean over the sphere of two SRBFs, each as decay times center (3,) and the decay."""
+    """Return the mean over the sphere of the product of two SRBFs, each decay times center (3,) and the decay."""
     x, y, z = a[0] + b[0], a[1] + b[1], a[2] + b[2]
     length = np.sqrt(x * x + y * y + z * z)
     # sinh(length) / length exp(-both decays), without overflow
@@ -27,7 +27,7 @@ def _product(a, b):
 
 @njit(cache=True, nogil=True)
 def _cholesky(matrix, count):
-    """Lower triangle in place, of a symmetric positive definite matrix."""
+    """Factorize a symmetric positive definite matrix in place into a lower triangle."""
     for j in range(count):
         for k in range(j):
             matrix[j, j] -= matrix[j, k] * matrix[j, k]
@@ -40,9 +40,9 @@ def _cholesky(matrix, count):
 
 @njit(cache=True, nogil=True)
 def project(offsets, functions, lobes, rounded, intensities, out):
-    """The intensities (T, I) with which rounded SRBFs come nearest to the given ones, in the mean over the sphere.
+    """Write the intensities (T, I) with which rounded SRBFs best match the given ones, in the mean over the sphere.
 
-    lobes, rounded: (T, 4) decay times center and decay, before and after rounding.
+    `lobes` and `rounded` are (T, 4) decay times center and decay, before and after rounding.
     """
     most = 0
     for g in range(len(offsets) - 1):
@@ -77,10 +77,11 @@ def project(offsets, functions, lobes, rounded, intensities, out):
 
 @njit(cache=True, nogil=True)
 def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
-    """Intensities as places (T, I) in a table, each term making up for what rounding did to larger ones.
+    """Write intensities as indices (T, I) into a table; each term compensates for the rounding of larger ones.
 
-    The largest term of a Gaussian has the largest step and goes first; what its rounding changed is spread over those
-    that follow by least squares in the mean over the sphere. Where that is no better, each is rounded by itself.
+    The largest term of a Gaussian has the largest step and is rounded first. Its rounding error is spread over the
+    following terms by least squares in the mean over the sphere. If the result is not better, each term is rounded on
+    its own.
     """
     most = 0
     for g in range(len(offsets) - 1):

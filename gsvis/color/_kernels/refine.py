@@ -1,7 +1,7 @@
 """Kernels that move the lobes of one Gaussian until their sum fits best: variable projection with damping.
 
 A lobe is exp(v.x - |v|): v is its center times its decay, free in three dimensions. Intensities are always the best for
-the lobes (ridge added), so that only the v are searched: Levenberg-Marquardt on them with the intensities eliminated.
+the lobes (with a ridge), so only the v are searched: Levenberg-Marquardt with the intensities eliminated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Work = namedtuple(
 
 @njit(cache=True, nogil=True)
 def work(most_terms, directions, channels):
-    """Arrays for fits of at most `most_terms` lobes over `directions`, a multiple of 16."""
+    """Allocate arrays for fits of at most `most_terms` lobes over `directions`, a multiple of 16."""
     p, n, k = 4 * most_terms, 3 * most_terms, most_terms
     z = np.zeros
     return Work(
@@ -38,7 +38,7 @@ def work(most_terms, directions, channels):
 def copy(source, rows, columns, target):
     """Copy a corner of a matrix.
 
-    An assignment of slices would compile numba's checks of shapes into every kernel, and those take longer than it.
+    An assignment of slices would compile numba's shape checks into every kernel, which takes longer than the copy.
     """
     for i in range(rows):
         for j in range(columns):
@@ -47,7 +47,7 @@ def copy(source, rows, columns, target):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _solve(matrix, size, right, columns):
-    """Cholesky in place of a symmetric matrix, then the solutions in place of `right`; False if it is not definite."""
+    """Factorize (Cholesky) a symmetric matrix in place and solve in place of `right`; return whether it is definite."""
     for i in range(size):
         for j in range(i + 1):
             s = matrix[i, j]
@@ -78,9 +78,9 @@ def _solve(matrix, size, right, columns):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _count_prefixes(terms, emphasis, factors):
-    """What each row, the lobes and then three slopes of each, counts in the error summed over all prefixes.
+    """Compute the weight of each row, the lobes and then three slopes of each, in the error summed over all prefixes.
 
-    The prefix of all lobes counts 1, each shorter one `emphasis`, and a lobe is part of those that reach it.
+    The prefix of all lobes counts 1, each shorter one `emphasis`. A lobe belongs to the prefixes that reach it.
     """
     for i in range(4 * terms):
         k = i if i < terms else (i - terms) // 3
@@ -89,10 +89,10 @@ def _count_prefixes(terms, emphasis, factors):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _weigh_prefixes(inner, outer, number, channels, factors):
-    """Make inner products those of the error summed over all prefixes.
+    """Convert inner products to those of the error summed over all prefixes.
 
-    The error of a prefix is a quadratic form in the same inner products, so that two lobes matter together in as many
-    prefixes as hold both.
+    The error of a prefix is a quadratic form in the same inner products, so two lobes count together in as many
+    prefixes as contain both.
     """
     for i in range(number):
         for c in range(channels):
@@ -104,7 +104,7 @@ def _weigh_prefixes(inner, outer, number, channels, factors):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
-    """Least-squares intensities, and how much of the squared target (with the ridge's cost) they explain."""
+    """Solve for least-squares intensities; return the part of the squared target explained, less the ridge's cost."""
     for i in range(terms):
         for j in range(terms):
             small[i, j] = inner[i, j]
@@ -122,7 +122,7 @@ def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _normal_equations(w, terms, channels, ridge, intensities):
-    """Slope and curvature of the error by the v, intensities eliminated (Kaufman's approximation); largest diagonal."""
+    """Compute slope and curvature of the error by the v, intensities eliminated (Kaufman); return the top diagonal."""
     n = 3 * terms
     for i in range(terms):
         for j in range(terms):
@@ -160,7 +160,7 @@ def _normal_equations(w, terms, channels, ridge, intensities):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _try_step(w, v, terms, damping, largest, least_decay, most_decay):
-    """Where a damped step leads, into w.trial; False if the step cannot be solved for."""
+    """Write the result of a damped step into w.trial; return False if the step cannot be solved."""
     n = 3 * terms
     for p in range(n):
         w.step[p, 0] = w.slope[p, 0]
@@ -183,19 +183,19 @@ def _try_step(w, v, terms, damping, largest, least_decay, most_decay):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def refine(w, points, targets, count, total, terms, channels, v, intensities, limits):
-    """Move `terms` lobes (v, intensities, in place) to a nearby optimum; rows, inner and outer in w are left valid.
+    """Move `terms` lobes (v, intensities, in place) to a nearby optimum; leave rows, inner and outer in w valid.
 
     Args:
         w: Work space.
         points: (4, D) x, y, z, root of the weight.
         targets: (4, D) weighted targets; rows beyond `channels` are 0.
-        count: Directions, a multiple of 16.
+        count: Number of directions, a multiple of 16.
         total: Sum of the squared targets.
         terms: Number of lobes.
         channels: Number of targets.
         v: (K, 3).
         intensities: (K, channels).
-        limits: ridge, least decay, most decay, relative gain below which it stops, most steps.
+        limits: Ridge, least decay, most decay, relative gain below which to stop, maximum number of steps.
     """
     ridge, least_decay, most_decay, tolerance, steps, emphasis = limits
     total *= 1.0 + emphasis * (terms - 1)
@@ -240,7 +240,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _change(w, k, channels, intensities):
-    """What lobe k adds to the squared error that its predecessors leave; below 0 where it helps."""
+    """Return what lobe k adds to the squared error of its predecessors; below 0 if it helps."""
     change = 0.0
     for c in range(channels):
         left = w.outer[k, c]
@@ -252,7 +252,7 @@ def _change(w, k, channels, intensities):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def falls_along(w, total, terms, channels, intensities):
-    """Whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
+    """Return whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
     k = np.int64(0)  # a literal would compile the function once more
     while k < terms and _change(w, k, channels, intensities) <= 1e-7 * total:
         k += 1
@@ -261,19 +261,20 @@ def falls_along(w, total, terms, channels, intensities):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def settle(w, total, terms, channels, limits, intensities, anew):
-    """Make the squared error fall from each lobe to the next; the error after all of them.
+    """Make the squared error fall from each lobe to the next; return the error after all of them.
 
-    Lobes that cancel each other can let it rise on the way. Then intensities are fitted anew with more emphasis on the
-    shorter prefixes: in the limit each lobe has the intensity best for it and its predecessors alone.
+    Lobes that cancel each other can raise the error on the way. The intensities are then fitted again with more
+    emphasis on the shorter prefixes: in the limit each lobe has the intensity that is best for it and its predecessors
+    alone.
 
     Args:
         w: Work space; inner and outer hold plain inner products of the lobes.
         total: Sum of the squared targets.
         terms: Number of lobes.
         channels: Number of targets.
-        limits: As for `refine`.
+        limits: Those of `refine`.
         intensities: (K, channels), changed in place.
-        anew: Whether to fit the intensities before the first look.
+        anew: Whether to fit the intensities before the first check.
     """
     emphasis, error = limits[5], total
     for attempt in range(_ATTEMPTS_TO_SETTLE):
@@ -290,7 +291,7 @@ def settle(w, total, terms, channels, limits, intensities, anew):
             change = _change(w, k, channels, intensities)
             if change > 1e-7 * total:
                 falls = False
-                if attempt == _ATTEMPTS_TO_SETTLE - 1:  # what rounding has left of them is worth nothing
+                if attempt == _ATTEMPTS_TO_SETTLE - 1:  # rounding has destroyed what is left of them
                     intensities[k:terms] = 0.0
                 break
             error += change

@@ -1,7 +1,7 @@
-"""Kernels that turn colors of the spaces of `gsvis.color.variants` into RGB, many at a time and in place.
+"""Kernels that convert colors of the spaces of `gsvis.color.variants` to RGB, many at a time and in place.
 
-The formulas have no branches, so that loops over them become vectors. `tests/color/test_evaluate.py` holds them to
-those of `gsvis.color.spaces`.
+The formulas have no branches, so that loops vectorize. `tests/color/test_evaluate.py` compares them with those of
+`gsvis.color.spaces`. those of `gsvis.color.spaces`.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _from_yuv(colors):
 
 @njit(cache=True)
 def to_rgb(space, colors, factors):
-    """RGB of colors (3, D) float32, in place; brought back to scale by factors (D,); nothing below 0 is left."""
+    """Convert colors (3, D) float32 to RGB in place; rescale by factors (D,); clip below 0."""
     if space == 1:
         _from_hsl(colors)
     elif space == 2:

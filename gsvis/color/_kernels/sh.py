@@ -1,7 +1,7 @@
-"""Kernels that turn SH coefficients into colors from one eye, and carry gradients back.
+"""Kernels that evaluate SH colors from one eye and propagate gradients back.
 
-Directions run from the eye to the Gaussian; color = max(0.5 + SH, 0). The basis is that of `gsvis.scene.sh`, here
-with its derivatives; `tests/color/test_sh_kernels.py` compares the two.
+Directions run from the eye to the Gaussian; color = max(0.5 + SH, 0). The basis is that of `gsvis.scene.sh`, with
+derivatives. `tests/color/test_sh_kernels.py` compares the two.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _band_3(x, y, z, f):
 
 @njit(cache=True)
 def basis(x, y, z, degree, out):
-    """SH basis at a unit vector into out (16,), in float64."""
+    """Write the SH basis at a unit vector into out (16,), in float64."""
     out[0] = SH_C0
     if degree >= 1:
         out[1], out[2], out[3] = _band_1(x, y, z, _FACTORS)
@@ -52,7 +52,7 @@ def basis(x, y, z, degree, out):
 
 @njit(cache=True)
 def basis_slopes(x, y, z, degree, out):
-    """Derivatives of the polynomials of `basis` by x, y, z into out (16, 3)."""
+    """Write derivatives of the polynomials of `basis` by x, y, z into out (16, 3)."""
     out[:] = 0.0
     if degree < 1:
         return
@@ -79,7 +79,7 @@ def basis_slopes(x, y, z, degree, out):
 
 @njit(cache=True)
 def _direction(x, y, z):
-    """Unit vector along the offset from the eye, and the offset's length; +z for an eye at the very center."""
+    """Return the unit vector along the offset from the eye and the offset's length; +z for an eye at the center."""
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
         return 0.0, 0.0, 1.0, 1.0
@@ -89,7 +89,7 @@ def _direction(x, y, z):
 
 @njit(cache=True, fastmath={"contract"})
 def _plus_band(color, band, higher, i, first):
-    """Color plus the terms of one band, the coefficients of which start at higher[i, first]; the loop unrolls."""
+    """Return the color plus the terms of one band, whose coefficients start at higher[i, first]; the loop unrolls."""
     red, green, blue = color
     for k in range(len(band)):
         red += band[k] * higher[i, first + k, 0]
@@ -100,7 +100,7 @@ def _plus_band(color, band, higher, i, first):
 
 @njit(cache=True, fastmath={"contract"}, inline="always")  # a call would count references to the arrays each time
 def _color(i, means, sh0, higher, degree, eye):
-    """Red, green, blue of Gaussian i, unclipped: the direction in float64, the rest in float32."""
+    """Return red, green, blue of Gaussian i, not clipped: the direction in float64, the rest in float32."""
     f, half = _FACTORS_32, np.float32(0.5)
     color = half + f[0] * sh0[i, 0, 0], half + f[0] * sh0[i, 0, 1], half + f[0] * sh0[i, 0, 2]
     if degree == 0:
@@ -117,7 +117,7 @@ def _color(i, means, sh0, higher, degree, eye):
 
 @njit(cache=True, parallel=True, nogil=True)
 def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
-    """Colors of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
+    """Write colors of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
     for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
         for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
             red, green, blue = _color(ids[j], means, sh0, higher, degree, eye)
@@ -126,12 +126,12 @@ def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
 
 @njit(cache=True, parallel=True, nogil=True)
 def colors_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means):
-    """Gradients by sh0, shN and means (through the direction), added into the last three."""
+    """Add gradients by sh0, shN and means (through the direction) into the last three arguments."""
     for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
         values, slopes = np.empty(16), np.zeros((16, 3))
         for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
             i = ids[j]
-            if degree == 0:  # no direction matters
+            if degree == 0:  # color does not depend on direction
                 for c in range(3):
                     if features[j, c] > 0.0:
                         v_sh0[i, 0, c] += v_features[j, c] * SH_C0

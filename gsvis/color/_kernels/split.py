@@ -1,7 +1,7 @@
 """Kernels that split the colors of Gaussians over directions into a base and the functions that are left to fit.
 
-Colors come as (n, 3, D) RGB, nowhere below 0, with weights (n, D); a direction of weight 0 has no say. Residuals carry
-the weight that they have in RGB.
+Colors are (n, 3, D) RGB >= 0, with weights (n, D); a direction of weight 0 is ignored. Residuals carry the weight that
+they have in RGB.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["hold_saturation", "split_hsl", "split_hsv", "split_linear"]
 
 @njit(cache=True, nogil=True)
 def _hue_chroma(r, g, b):
-    """Hue in turns and the spread between the largest and the smallest component."""
+    """Return the hue in turns and the spread between the largest and the smallest component."""
     high, low = max(r, g, b), min(r, g, b)
     spread = high - low
     if spread <= 0.0:
@@ -31,7 +31,7 @@ def _hue_chroma(r, g, b):
 
 @njit(cache=True, nogil=True)
 def _pure(hue, shift):
-    """Component of the fully saturated color of a hue; shift 5, 3, 1 for red, green, blue."""
+    """Return a component of the fully saturated color of a hue; shift 5, 3, 1 for red, green, blue."""
     k = (shift + 6.0 * hue) % 6.0
     return 1.0 - max(0.0, min(k, 4.0 - k, 1.0))
 
@@ -48,7 +48,7 @@ def _largest(colors, weights):
 
 @njit(cache=True, nogil=True, parallel=True)
 def split_linear(colors, weights, base, covariance):
-    """Weighted mean into base (n, 3), subtracted from the colors in place; their covariance (n, 3, 3)."""
+    """Write the weighted mean into base (n, 3), subtract it from the colors; write their covariance (n, 3, 3)."""
     for g in prange(len(colors)):
         total = 0.0
         for d in range(weights.shape[1]):
@@ -71,7 +71,7 @@ def split_linear(colors, weights, base, covariance):
 
 @njit(cache=True, nogil=True, parallel=True)
 def split_hsl(colors, weights, scales, base, saturation, by_saturation, lightness, by_lightness):
-    """HSL of RGB / scale: bases (n, 3); S - S_ref, L - L_ref (n, D) and the weights of their errors in RGB (n, D)."""
+    """Compute HSL of RGB / scale: bases (n, 3), S - S_ref and L - L_ref (n, D), weights of their RGB errors (n, D)."""
     for g in prange(len(colors)):
         largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
@@ -116,7 +116,7 @@ def split_hsl(colors, weights, scales, base, saturation, by_saturation, lightnes
 
 @njit(cache=True, nogil=True)
 def _nearest_lightness(color, offsets, saturation):
-    """L for which HSL with this hue and saturation comes nearest to a color in RGB, and what a step in L changes.
+    """Return the L at which HSL with this hue and saturation is nearest to a color in RGB, and the effect of a step.
 
     RGB is linear in L below and above 1/2: L (1 + 2 S q) and L (1 - 2 S q) + 2 S q with q = h - 1/2.
     """
@@ -141,7 +141,7 @@ def _nearest_lightness(color, offsets, saturation):
 
 @njit(cache=True, nogil=True, parallel=True)
 def hold_saturation(colors, weights, scales, base, lightness, by_lightness):
-    """Replace lightness by what is nearest in RGB with hue and saturation held at their bases; arguments as above."""
+    """Replace lightness by the nearest in RGB with hue and saturation held at their bases; arguments as above."""
     for g in prange(len(colors)):
         turn, scale = base[g, 0], scales[g]
         offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
@@ -162,9 +162,9 @@ def hold_saturation(colors, weights, scales, base, lightness, by_lightness):
 
 @njit(cache=True, nogil=True, parallel=True)
 def split_hsv(colors, weights, scales, base, value, by_value):
-    """HSV of RGB / scale: bases (n, 3); V - V_ref (n, D) and the weights of its errors in RGB (n, D).
+    """Compute HSV of RGB / scale: bases (n, 3), V - V_ref (n, D) and the weights of its errors in RGB (n, D).
 
-    With hue and saturation held, RGB is V times a tint: V is what comes nearest to the color.
+    With hue and saturation held, RGB is V times a tint: V is the nearest to the color.
     """
     for g in prange(len(colors)):
         largest = _largest(colors[g], weights[g])

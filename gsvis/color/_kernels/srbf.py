@@ -1,8 +1,8 @@
 """Kernels that turn a base and its SRBF terms into colors: all Gaussians from one eye, or each along many directions.
 
-Gaussians go in windows of WINDOW, sorted in each by their number of terms and cut into groups of LANES: a vector holds
-the k-th terms of the Gaussians of a group. Directions run from the eye to the Gaussian. The exponent is taken from the
-chord, decay (x.c - 1) = -decay/2 |x - c|^2, which keeps its digits in float32 where the lobe is narrow.
+Gaussians are processed in windows of WINDOW, sorted in each by their number of terms and split into groups of LANES: a
+vector holds the k-th terms of the Gaussians of a group. Directions run from the eye to the Gaussian. The exponent comes
+from the chord, decay (x.c - 1) = -decay/2 |x - c|^2, which keeps its digits in float32 for narrow lobes.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _I64 = ir.IntType(64)
 
 
 def _row(builder: Any, array: Any, row: Any) -> Any:
-    """Place of the first entry of row `row` of a two-dimensional array."""
+    """Return the address of the first entry of row `row` of a two-dimensional array."""
     return builder.mul(row, cgutils.unpack_tuple(builder, array.shape, 2)[1])
 
 
 def _lobe(terms: list[Vector], x: list[Vector], factor: Vector | float) -> Vector:
-    """exp2 of the exponent of terms (rows of SLOT) at x, times a factor."""
+    """Return exp2 of the exponent of terms (rows of SLOT) at x, times a factor."""
     chord = [a - b for a, b in zip(x, terms[:3], strict=True)]
     square = chord[0].times_plus(chord[0], chord[1].times_plus(chord[1], chord[2] * chord[2]))
     return (square * terms[3]).exp2() * factor
@@ -48,14 +48,14 @@ def _add_group(typing_context, slots, first, count, x, gates, sums, group):
     """Add the terms in slots first .. first + count to the sums of the LANES Gaussians of a group.
 
     Args:
-        typing_context: numba's, unused.
+        typing_context: The typing context of numba, unused.
         slots: (S * SLOT, LANES) float32.
-        first: Which slot.
-        count: How many.
+        first: Index of the first slot.
+        count: Number of slots.
         x: (3, WINDOW) float32, unit directions.
         gates: (>= count, LANES) float32, factors of the terms.
         sums: (3, WINDOW) float32, changed in place.
-        group: Which LANES of the window.
+        group: Index of the group in the window.
     """
     del typing_context
     i64 = types.int64
@@ -90,10 +90,10 @@ def _add_along(typing_context, slots, slot, lane, x, sums):
     """Add one term, lane `lane` of slot `slot`, to the sums over all directions.
 
     Args:
-        typing_context: numba's, unused.
+        typing_context: The typing context of numba, unused.
         slots: (S * SLOT, LANES) float32.
-        slot: Which slot.
-        lane: Which lane of it.
+        slot: Index of the slot.
+        lane: Index of the lane in the slot.
         x: (3, D) float32, unit directions, D a multiple of LANES.
         sums: (3, D) float32, changed in place.
     """
@@ -121,7 +121,7 @@ def _add_along(typing_context, slots, slot, lane, x, sums):
 
 @njit(cache=True)
 def _pack_group(order, first, starts, offsets, terms, slots):
-    """The terms of one group; `order` is its part of all, `first` the Gaussian its window begins with."""
+    """Pack the terms of one group; `order` is its part of the whole order, `first` the first Gaussian of its window."""
     centers, decays, amplitudes = terms
     for lane in range(len(order)):
         i = first + order[lane]
@@ -140,10 +140,10 @@ def _pack_group(order, first, starts, offsets, terms, slots):
 
 @njit(cache=True, parallel=True, nogil=True)
 def pack(order, offsets, starts, terms, slots):
-    """Terms into slots.
+    """Pack terms into slots.
 
     Args:
-        order: (N,) uint8, the Gaussians of each window by falling numbers of terms, from 0 in each window.
+        order: (N,) uint8, the Gaussians of each window by falling number of terms, from 0 in each window.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
         starts: (groups + 1,) int64, first slot of each group.
         terms: Centers (T, 2), decays (T,) and amplitudes (T, 3), float32.
@@ -156,7 +156,7 @@ def pack(order, offsets, starts, terms, slots):
 
 @njit(cache=True)
 def _offsets_from_eye(means, order, eye, x):
-    """means[order] - eye into x (3, WINDOW) float64."""
+    """Write means[order] - eye into x (3, WINDOW) float64."""
     for j in range(len(order)):
         i = order[j]
         x[0, j], x[1, j], x[2, j] = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
@@ -164,7 +164,7 @@ def _offsets_from_eye(means, order, eye, x):
 
 @njit(cache=True, error_model="numpy")
 def _to_unit(x, unit):
-    """Unit vectors along x (3, WINDOW) float64 into float32; +z where there is no length, as for SH."""
+    """Write unit vectors along x (3, WINDOW) float64 as float32; +z for length 0, as for SH."""
     for j in range(x.shape[1]):
         square = x[0, j] * x[0, j] + x[1, j] * x[1, j] + x[2, j] * x[2, j]
         here = square == 0.0
@@ -174,7 +174,7 @@ def _to_unit(x, unit):
 
 @njit(cache=True)
 def _open_gates(order, first, offsets, active, gates):
-    """1.0 for the active terms of a group, 0.0 for the others, into gates."""
+    """Write 1.0 for the active terms of a group and 0.0 for the others into gates."""
     for lane in range(len(order)):
         i = first + order[lane]
         for k in range(offsets[i + 1] - offsets[i]):
@@ -183,7 +183,7 @@ def _open_gates(order, first, offsets, active, gates):
 
 @njit(cache=True)
 def _put(sums, order, out):
-    """Column j of sums (3, WINDOW) into row order[j] of out."""
+    """Copy column j of sums (3, WINDOW) into row order[j] of out."""
     for j in range(len(order)):
         i = order[j]
         out[i, 0], out[i, 1], out[i, 2] = sums[0, j], sums[1, j], sums[2, j]
@@ -191,7 +191,7 @@ def _put(sums, order, out):
 
 @njit(cache=True)
 def _window_from_eye(window, means, eye, space, packed, active, out):
-    """Colors of one window into out (WINDOW or fewer, 3)."""
+    """Write colors of one window into out (WINDOW or fewer, 3)."""
     order, offsets, starts, slots, base, scales = packed
     first = window * WINDOW
     own = order[first : first + WINDOW]
@@ -212,16 +212,16 @@ def _window_from_eye(window, means, eye, space, packed, active, out):
 
 @njit(cache=True, parallel=True, nogil=True)
 def colors_from_eye(windows, means, eye, space, packed, active, out):
-    """Colors from one eye.
+    """Compute colors from one eye.
 
     Args:
-        windows: (W,) int64, which windows; their colors lie behind each other in `out`.
+        windows: (W,) int64, the windows to compute; their colors are consecutive in `out`.
         means: (N, 3) float32.
         eye: Three float64.
-        space: Code of the space, of `SPACES`.
-        packed: order, offsets, starts, slots as for `pack`; base (windows, 3, WINDOW) and scales (windows, WINDOW)
-            float32, ordered as `order`.
-        active: (T,) bool, which terms there are; (0,) for all.
+        space: Code of the space, from `SPACES`.
+        packed: order, offsets, starts, slots as in `pack`; base (windows, 3, WINDOW) and scales (windows, WINDOW)
+            float32, in the order of `order`.
+        active: (T,) bool, the terms to use; (0,) for all.
         out: (at least W * WINDOW, or N, 3) float32, written.
     """
     for w in prange(len(windows)):
@@ -248,12 +248,12 @@ def _group_along(group, x, space, packed, out):
 
 @njit(cache=True, parallel=True, nogil=True)
 def colors_along(x, space, packed, out):
-    """Colors along directions that all Gaussians share.
+    """Compute colors along directions that all Gaussians share.
 
     Args:
         x: (3, D) float32, unit directions, padded to a multiple of LANES.
         space: Code of the space.
-        packed: As for `colors_from_eye`.
+        packed: Packed terms, as in `colors_from_eye`.
         out: (N, D without padding, 3) float32, written.
     """
     for group in prange(len(packed[2]) - 1):

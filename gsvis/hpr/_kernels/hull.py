@@ -1,8 +1,8 @@
-"""Kernels of hidden point removal: the spherical flip, extremes per direction, and the place of points under a hull.
+"""Kernels of hidden point removal: the spherical flip, extremes per direction, and point location in a hull.
 
-All arrays are checked and contiguous float64, the eye is the origin. A *cell* is one square of a cubemap of `size` x
-`size` cells a face. A hull is `corners` (F, 3), positions in `points`, anticlockwise seen from outside, and `neighbors`
-(F, 3), the facet across the side opposite each corner.
+All arrays are checked and contiguous float64; the eye is the origin. A *cell* is one square of a cubemap of `size` x
+`size` cells per face. A hull is `corners` (F, 3), indices into `points`, counter-clockwise seen from outside, and
+`neighbors` (F, 3), the facet across the side opposite each corner.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import numpy as np
 from numba import njit, prange
 
 _BLOCK = 4096
-_MOST_STEPS = 96  # of a walk from facet to facet; what takes longer is given up, which is always safe
+_MOST_STEPS = 96  # of a walk from facet to facet; longer walks are abandoned, which is always safe
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def distances(points, eye, out):
-    """Distance of each point from the eye, into out (N,), in the order of operations that Open3D uses."""
+    """Write the distance of each point from the eye into out (N,), in Open3D's order of operations."""
     for i in prange(len(points)):
         x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
         out[i] = np.sqrt((x * x + y * y) + z * z)
@@ -24,7 +24,7 @@ def distances(points, eye, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def flip(points, eye, lengths, radius, out):
-    """Spherical flip p + 2 (R - |p|) p / |p| of points seen from the eye, into out (N, 3); same rounding as Open3D."""
+    """Write the spherical flip p + 2 (R - |p|) p / |p| of points seen from the eye into out (N, 3)."""
     for i in prange(len(points)):
         x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
         twice = 2.0 * (radius - lengths[i])
@@ -35,7 +35,7 @@ def flip(points, eye, lengths, radius, out):
 
 @njit(cache=True, inline="always")
 def cell_of(x, y, z, size):
-    """Cell of a direction (any length; a zero vector is given the first cell of the third face)."""
+    """Return the cell of a direction (any length; a zero vector belongs to the first cell of the third face)."""
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az and ax > 0.0:
         face, u, v = (0 if x > 0.0 else 1), y / ax, z / ax
@@ -51,7 +51,7 @@ def cell_of(x, y, z, size):
 
 @njit(cache=True, inline="always")
 def direction_on_face(face, u, v):
-    """Direction of a place (u, v) in [-1, 1]^2 on a face of the cubemap, not of unit length."""
+    """Return the direction of a place (u, v) in [-1, 1]^2 on a face of the cubemap, not of unit length."""
     sign = 1.0 if face % 2 == 0 else -1.0
     if face < 2:
         return sign, u, v
@@ -62,23 +62,23 @@ def direction_on_face(face, u, v):
 
 @njit(cache=True, inline="always")
 def direction_of(cell, size):
-    """Direction of a cell's center, not of unit length."""
+    """Return the direction of a cell's center, not of unit length."""
     face, rest = cell // (size * size), cell % (size * size)
     return direction_on_face(face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0)
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def cells_of(flipped, size, out):
-    """Cell of each of the flipped points (M, 3), into out (M,)."""
+    """Write the cell of each flipped point (M, 3) into out (M,)."""
     for i in prange(len(flipped)):
         out[i] = cell_of(flipped[i, 0], flipped[i, 1], flipped[i, 2], size)
 
 
 @njit(cache=True, nogil=True)
 def in_order_of_cells(cells, count, out):
-    """Points in the order of their cells (M,), those of one cell in their own order, into out (M,).
+    """Write the indices of the points in the order of their cells (M,) into out (M,); stable within a cell.
 
-    Returns (count + 1,) where each cell begins.
+    Returns (count + 1,), the beginning of each cell.
     """
     begins = np.zeros(count + 1, np.int64)
     for cell in cells:
@@ -94,7 +94,7 @@ def in_order_of_cells(cells, count, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def gather(points, order, out):
-    """Points in the given order, into the first rows of out."""
+    """Copy points in the given order into the first rows of out."""
     for i in prange(len(order)):
         for k in range(3):
             out[i, k] = points[order[i], k]
@@ -102,9 +102,9 @@ def gather(points, order, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def farthest_in_cells(flipped, begins, out_position, out_squared):
-    """The farthest flipped point of each cell and its squared distance, -1 in empty cells.
+    """Find the farthest flipped point of each cell and its squared distance, -1 in empty cells.
 
-    Points lie in the order of cells; of equally far ones the first counts.
+    Points are in the order of cells; the first of a tie counts.
     """
     for cell in prange(len(begins) - 1):
         out_position[cell], out_squared[cell] = -1, -1.0
@@ -116,9 +116,9 @@ def farthest_in_cells(flipped, begins, out_position, out_squared):
 
 @njit(cache=True, inline="always")
 def _above(points, a, b, c, x, y, z, band):
-    """On which side of the plane of a, b, c (anticlockwise from outside) a place lies: 1 above, -1 below, 0 within.
+    """Return on which side of the plane of a, b, c a place lies: 1 above, -1 below, 0 within `band`.
 
-    `band` is a distance; a plane without a direction (a sliver) says 0.
+    a, b, c are counter-clockwise from outside. `band` is a distance. A degenerate plane (a sliver) gives 0.
     """
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
@@ -131,7 +131,7 @@ def _above(points, a, b, c, x, y, z, band):
 
 @njit(cache=True, inline="always")
 def _outside_cone(points, a, b, inner, x, y, z):
-    """How far (x, y, z) - inner lies on the outer side of the plane through inner, a and b; not to scale."""
+    """Return how far (x, y, z) - inner lies on the outer side of the plane through inner, a and b; not to scale."""
     ax, ay, az = points[a, 0] - inner[0], points[a, 1] - inner[1], points[a, 2] - inner[2]
     bx, by, bz = points[b, 0] - inner[0], points[b, 1] - inner[1], points[b, 2] - inner[2]
     return -(
@@ -143,9 +143,9 @@ def _outside_cone(points, a, b, inner, x, y, z):
 
 @njit(cache=True)
 def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
-    """The facet through which the ray from `inner` toward a place leaves the hull; -1 after too many steps.
+    """Return the facet through which the ray from `inner` toward a place leaves the hull; -1 after too many steps.
 
-    `slack` is what rounding does to a product of three lengths: without it a ray through a corner goes round for ever.
+    `slack` is the rounding error of a product of three lengths: without it a ray through a corner circles forever.
     """
     f = start
     for _ in range(most):
@@ -166,16 +166,16 @@ def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
 
 @njit(cache=True, nogil=True)
 def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtful):
-    """Add the points chosen (M,) to a convex hull, one after the other, in place.
+    """Add the points chosen (M,) to a convex hull, one by one, in place.
 
-    corners (F, 3) are positions in `points`, anticlockwise seen from outside; neighbors[f, k] lies across the side
-    opposite corner k. `state` is [facets, facet to start from, doubtful]: the first facets rows are in use. A point
-    within `band` of the hull's boundary is left out and noted in `doubtful`, unless it coincides with a corner.
-    Returns 0, or 1 where rounding has spoiled the topology.
+    corners (F, 3) index `points`, counter-clockwise seen from outside; neighbors[f, k] lies across the side opposite
+    corner k. `state` is [facets, facet to start from, doubtful]: the first `facets` rows are in use. A point within
+    `band` of the hull's boundary is left out and recorded in `doubtful`, unless it coincides with a corner. Returns 0,
+    or 1 if rounding has broken the topology.
     """
     facets, last, doubts = state[0], state[1], state[2]
-    visited = np.zeros(len(corners), np.int32)  # stamp, negative: seen and not visible
-    first_at = np.zeros(len(points), np.int32)  # new facet that starts at a point, where stamped
+    visited = np.zeros(len(corners), np.int32)  # stamp; negative: tested and not visible
+    first_at = np.zeros(len(points), np.int32)  # new facet that starts at a point, if stamped
     next_at = np.zeros(len(points), np.int32)
     stamp_at = np.full(len(points), -1, np.int32)
     visible = np.empty(64, np.int32)
@@ -224,7 +224,7 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
                 rim[edges, 0], rim[edges, 1] = corners[f, (corner + 1) % 3], corners[f, (corner + 2) % 3]
                 rim[edges, 2] = g
                 edges += 1
-        while free + found < edges:  # facets that died earlier come first, then new rows
+        while free + found < edges:  # removed facets come first, then new rows
             if facets == len(corners):
                 return 1
             if free == len(holes):
@@ -269,7 +269,7 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
 
 @njit(cache=True)
 def _close_up(corners, neighbors, facets, last):
-    """Move the facets that live (first corner not -1) together; their number, and where facet `last` is now."""
+    """Compact the live facets (first corner not -1); return their number, and the new index of facet `last`."""
     place = np.empty(facets, np.int32)
     count = 0
     for f in range(facets):
@@ -286,10 +286,10 @@ def _close_up(corners, neighbors, facets, last):
 
 @njit(cache=True, nogil=True)
 def count_creases(points, corners, neighbors, band, out):
-    """Sides of facets at which the hull bends by more than `band`, counted at both their ends into out (N,).
+    """Count sides of facets at which the hull bends by more than `band`, at both their ends, into out (N,).
 
-    Fewer than three at a corner: it lies within about the band of the hull of the others. Returns 1 where the hull
-    bends inwards by more than the band, that is where rounding has spoiled it.
+    A corner with fewer than three lies within about the band of the hull of the others. Returns 1 if the hull bends
+    inward by more than the band: rounding has broken it.
     """
     for f in range(len(corners)):
         a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
@@ -313,7 +313,7 @@ def count_creases(points, corners, neighbors, band, out):
 
 @njit(cache=True, nogil=True)
 def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
-    """A facet near the direction of each cell, into out (6 size^2,): one with a corner there, or that at its center."""
+    """Write a facet near the direction of each cell into out (6 size^2,): one with a corner there, or at its center."""
     out[:] = -1
     for f in range(len(corners)):
         for k in range(3):
@@ -330,7 +330,7 @@ def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out):
-    """Whether each of the first points may lie outside the hull, into out (M,); False is certain by the band."""
+    """Write whether each of the first points may lie outside the hull into out (M,); False is certain by the band."""
     most = np.int64(_MOST_STEPS)  # a literal would compile `locate` once more
     for block in prange((len(out) + _BLOCK - 1) // _BLOCK):
         for i in range(block * _BLOCK, min(len(out), (block + 1) * _BLOCK)):
@@ -342,7 +342,7 @@ def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out
 
 @njit(cache=True, nogil=True, parallel=True)
 def radial(directions, points, corners, neighbors, starts, size, inner, slack, out):
-    """Distance of the hull's boundary from the eye along unit directions (D, 3), into out (D,); 0 where unknown."""
+    """Write distances of the hull's boundary from the eye along unit directions (D, 3) into out (D,); 0 if unknown."""
     for i in prange(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         out[i] = 0.0

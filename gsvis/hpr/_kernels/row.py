@@ -1,6 +1,6 @@
-"""Sixteen pixels of a row meet one Gaussian, as explicit vectors: light is taken, the largest weight is kept.
+"""Blend one Gaussian into sixteen pixels of a row, as explicit vectors: update transmittance, keep the largest weight.
 
-The row comes as `p(k) = c + l k + a k^2` = log2 alpha over its pixels k = 0..15, which float32 knows well wherever the
+The row is `p(k) = c + l k + a k^2` = log2 alpha over its pixels k = 0..15, which is accurate in float32 wherever the
 Gaussian's center lies.
 """
 
@@ -23,20 +23,20 @@ _I64 = ir.IntType(64)
 
 @intrinsic
 def pass_row(typing_context, light, offset, c, slope, a, spent, most):
-    """Let 16 pixels pass a Gaussian.
+    """Blend a Gaussian into 16 pixels.
 
     Args:
-        typing_context: numba's, unused.
+        typing_context: The typing context of numba, unused.
         light: float32 array, C-contiguous; the transmittance of the pixels, changed in place.
-        offset: Place of the first pixel in it.
+        offset: Index of the first pixel in it.
         c: log2 alpha at the first pixel.
         slope: Linear term of log2 alpha.
         a: Quadratic term.
         spent: Transmittance below which a pixel is spent.
-        most: (32,) float32, changed in place: largest weight and largest light found, lane by lane.
+        most: (32,) float32, changed in place: largest weight and largest light, lane by lane.
 
     Returns:
-        int64, bit k set where pixel k became spent.
+        int64, bit k set if pixel k became spent.
     """
     del typing_context
     f32 = types.float32
@@ -65,7 +65,7 @@ def pass_row(typing_context, light, offset, c, slope, a, spent, most):
 
 @intrinsic
 def largest_of(typing_context, most, which):
-    """The largest of lanes 16 * which .. 16 * which + 15, which are set to 0."""
+    """Return the largest of lanes 16 * which .. 16 * which + 15, and set them to 0."""
     del typing_context
     signature = types.float32(most, types.int64)
 

@@ -1,6 +1,6 @@
-"""Kernels of the occlusion hull: what Gaussians look like from an eye, and where light is spent in each direction.
+"""Kernels of the occlusion hull: Gaussians as seen from an eye, and where light is spent in each direction.
 
-All arrays are checked and contiguous; world frame, relative to the eye, scene units. Cells are those of `_kernels.py`.
+All arrays are checked and contiguous; world frame, relative to the eye, scene units. Cells are those of `hull.py`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _LEAST_ALPHA = 1.0 / 64.0
 
 @njit(cache=True, inline="always")
 def _whitening(quats, scales, i):
-    """Rows of diag(1/scales) R^T of Gaussian i: nine numbers."""
+    """Return the rows of diag(1/scales) R^T of Gaussian i: nine numbers."""
     w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
     a, b, c = 1.0 / scales[i, 0], 1.0 / scales[i, 1], 1.0 / scales[i, 2]
     return (
@@ -34,14 +34,14 @@ def _whitening(quats, scales, i):
 
 @njit(cache=True, nogil=True, parallel=True)
 def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, faces, out):
-    """What the eye needs of each Gaussian: centers relative to it into toward (N, 3), and a row of out (N, 5).
+    """Compute the shape of each Gaussian from the eye: relative centers in toward (N, 3), and a row of out (N, 5).
 
-    The face of the cubemap it is on goes into faces (N,): 6 for those so wide that they are on many, 7 for those too
-    faint to be seen.
+    Its face of the cubemap goes into faces (N,): 6 for Gaussians so wide that they lie on many, 7 for those too faint
+    to be visible.
 
-    The row is: distance of the center, distance of the nearest point where alpha reaches min_alpha in that direction
-    (0 where the eye is inside), largest angle between the center and the ring of one standard deviation, solid angle
-    times opacity of the whole Gaussian, and squared distance of the eye in standard deviations.
+    The row is: distance of the center, distance of the nearest point where alpha reaches min_alpha in that direction (0
+    if the eye is inside), largest angle between the center and the ring of one standard deviation, solid angle times
+    opacity of the whole Gaussian, and squared distance of the eye in standard deviations.
     """
     for i in prange(len(means)):
         x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
@@ -72,7 +72,7 @@ def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, fac
 def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
     """Add -log(1 - alpha) of optical thickness at a depth to the histogram of a cell.
 
-    Bin 0 is the eye itself, bin 1 what is not beyond `nearest`; equal steps of log depth follow, the last without end.
+    Bin 0 is the eye itself, bin 1 ends at `nearest`; equal steps of log depth follow; the last bin has no end.
     """
     bins = thickness.shape[1]
     k = 0 if depth <= 0.0 else 1
@@ -83,11 +83,11 @@ def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
 
 @njit(cache=True, nogil=True, parallel=True)
 def thicken(toward, quats, scales, opacities, shapes, order, begins, size, nearest, steps_per_log, thickness):
-    """Optical thickness that Gaussians put into each cell at each depth, into thickness (6 size^2, bins).
+    """Add the optical thickness of Gaussians in each cell and at each depth to thickness (6 size^2, bins).
 
-    Small ones are spread over the cell they lie in, larger ones taken at the centers of cells of their face where
-    their alpha is above 1/64, and very wide ones at the centers of blocks of 4 x 4 cells of all faces. `order` and
-    `begins` list the Gaussians of each face, then the wide ones. One thread works on one face.
+    Small ones are spread over their cell. Larger ones are evaluated at the centers of cells of their face where their
+    alpha is above 1/64, very wide ones at the centers of blocks of 4 x 4 cells of all faces. `order` and `begins` list
+    the Gaussians of each face, then the wide ones. One thread works on one face.
     """
     cell_angle = 2.0 / size
     for face in prange(6):
@@ -154,9 +154,9 @@ def _place_on_face(x, y, z, face):
 
 @njit(cache=True, nogil=True, parallel=True)
 def find_spent_depths(thickness, limit, nearest, steps_per_log, out):
-    """Far end of the bin in which each cell's summed thickness reaches the limit, into out (cells,).
+    """Write the far end of the bin in which each cell's summed thickness reaches the limit into out (cells,).
 
-    0 where it does at the eye itself, infinite where it does not before the last bin, which has no end.
+    0 if it does at the eye itself, infinite if it does not before the last bin, which has no end.
     """
     for cell in prange(len(thickness)):
         total = 0.0
@@ -170,7 +170,7 @@ def find_spent_depths(thickness, limit, nearest, steps_per_log, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def centers_of_cells(size, out):
-    """Unit directions of the centers of all cells, into out (6 size^2, 3)."""
+    """Write unit directions of the centers of all cells into out (6 size^2, 3)."""
     for cell in prange(len(out)):
         x, y, z = direction_of(cell, size)
         length = np.sqrt(x * x + y * y + z * z)
@@ -179,7 +179,7 @@ def centers_of_cells(size, out):
 
 @njit(cache=True, inline="always")
 def _deepest_near(depths, x, y, z, size):
-    """Largest depth of the up to four cells whose centers surround a direction; those of other faces do not count."""
+    """Return the largest depth of the up to four cells whose centers surround a direction; skips other faces."""
     ax, ay, az = abs(x), abs(y), abs(z)
     face = cell_of(x, y, z, 1)
     u, v = _place_on_face(x, y, z, face) if max(ax, ay, az) > 0.0 else (0.0, 0.0)
@@ -194,10 +194,10 @@ def _deepest_near(depths, x, y, z, size):
 
 @njit(cache=True, nogil=True, parallel=True)
 def nearness(toward, quats, scales, opacities, shapes, min_alpha, depths, size, out):
-    """Distance of each Gaussian's nearest point over the depth to which the eye sees there, the least, into out (N,).
+    """Write each Gaussian's least distance over the depth to which the eye sees there into out (N,).
 
-    Looked up toward the center and, for those larger than half a cell, the six ends of the ellipsoid of one standard
-    deviation; 0 where the eye is inside, infinite for what is too faint to be seen.
+    Tested toward the center and, for Gaussians larger than half a cell, the six ends of the ellipsoid of one standard
+    deviation. 0 if the eye is inside, infinite if the Gaussian is too faint to be visible.
     """
     for i in prange(len(toward)):
         if opacities[i] < min_alpha:

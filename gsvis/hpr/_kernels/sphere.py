@@ -1,8 +1,8 @@
 """Kernels of the hierarchical z-buffer: Gaussians splatted front to back onto the six faces of a cube around an eye.
 
-A face is S x S pixels that look along one axis of the world with a field of view of 90 degrees. The light that is left
-at each pixel stands in a buffer, an upper bound of it over each block of 4 x 4 pixels beside it, so that what comes
-behind spent blocks costs one look. World frame, scene units; faces in the order +x, -x, +y, -y, +z, -z; on each,
+A face is S x S pixels that look along one axis of the world with a field of view of 90 degrees. A buffer holds the
+remaining light of each pixel; a second one holds its upper bound over each block of 4 x 4 pixels, so that a Gaussian
+behind spent blocks costs one test. World frame, scene units; faces in the order +x, -x, +y, -y, +z, -z; on each,
 columns run along the first and rows along the second of the other two axes. Rows have LANES dark pixels more.
 """
 
@@ -18,16 +18,16 @@ from gsvis.hpr._kernels.row import LANES, largest_of, pass_row
 BLOCK = 4
 NEAR = 0.01
 DILATION = 0.3
-CLAMP = 1.3  # of x/z and y/z in the Jacobian, as the rasterizer does for a field of view of 90 degrees
+CLAMP = 1.3  # of x/z and y/z in the Jacobian, as in the rasterizer for a field of view of 90 degrees
 _LOG2_E = 1.4426950408889634
-_RECOUNT = 4  # Gaussians after which the bound of a block is taken anew
+_RECOUNT = 4  # number of Gaussians after which the bound of a block is recomputed
 _CHUNK = 4096
 _ONE = np.float32(1.0)
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def sort_out(near, eye, focal, masks, keys):
-    """For each Gaussian the faces it may reach, one bit each, and its squared distance from the eye.
+    """Write for each Gaussian the faces it may reach, one bit each, and its squared distance from the eye.
 
     `near` (M, 8) float32 holds mean, largest scale, reach in standard deviations, opacity, and two unused numbers.
     """
@@ -45,7 +45,7 @@ def sort_out(near, eye, focal, masks, keys):
 
 @njit(cache=True)
 def _reaches(w, u, v, scale, reach, blur):
-    """1 or 2 if the splat may reach the face that looks along w or along -w, else 0."""
+    """Return 1 or 2 if the splat may reach the face that looks along w or along -w, else 0."""
     z = abs(w)
     if z <= NEAR:
         return np.uint8(0)
@@ -60,7 +60,7 @@ def _reaches(w, u, v, scale, reach, blur):
 
 @njit(cache=True)
 def _members(masks, keys, bit):
-    """The Gaussians with that bit, nearest first; equal distances stay in the order of the table."""
+    """Return the Gaussians with that bit, nearest first; ties keep the order of the table."""
     count = 0
     for i in range(len(masks)):
         count += (masks[i] & bit) != 0
@@ -97,10 +97,10 @@ def _members(masks, keys, bit):
 def splat_faces(near, covars, eye, size, masks, keys, faces, spent, light, depths, out_ids, out_values, counts):
     """Splat what each face may see, front to back.
 
-    `covars` (M, 6) float32; `keys` are the squared distances as uint32 bits, `faces` the six in the order of work.
-    `light` (6, S, S + LANES) starts as 1, its margin as 0, and ends as the transmittance behind everything; `depths`
-    (6, S, S) starts as inf and ends as the distance at which it fell below `spent`. Face k finds counts[k] Gaussians
-    that some light reaches: out_ids[k], and in out_values[k] the largest weight and the largest light in front.
+    `covars` is (M, 6) float32; `keys` are the squared distances as uint32 bits; `faces` are the six in processing
+    order. `light` (6, S, S + LANES) starts as 1, its margin as 0, and ends as the transmittance behind everything.
+    `depths` (6, S, S) starts as inf and ends as the distance at which the light fell below `spent`. Some light reaches
+    counts[k] Gaussians on face k: out_ids[k], and in out_values[k] the largest weight and the largest light in front.
     """
     for n in prange(6):
         face = faces[n]
@@ -113,7 +113,7 @@ def splat_faces(near, covars, eye, size, masks, keys, faces, spent, light, depth
 
 @njit(cache=True)
 def _any_lit(bounds, x0, x1, y0, y1, spent):
-    """Whether a block under the pixels x0..x1, y0..y1 may hold light."""
+    """Return whether a block under the pixels x0..x1, y0..y1 may hold light."""
     for by in range(y0 // BLOCK, y1 // BLOCK + 1):
         for bx in range(x0 // BLOCK, x1 // BLOCK + 1):
             if bounds[by, bx] >= spent:
@@ -132,7 +132,7 @@ def _bound(light, size, bx, by):
 
 @njit(cache=True)
 def _pixels(center, radius, size):
-    """First and last pixel with its center within the radius."""
+    """Return the first and the last pixel with its center within the radius."""
     return (
         max(math.ceil(center - radius - np.float32(0.5)), 0),
         min(math.floor(center + radius - np.float32(0.5)), size - 1),
@@ -180,7 +180,7 @@ def _splat(near, covars, eye, size, face, ids, spent, light, depths, out_ids, ou
         sxy = np.float64(ax * jv[0] + ay * jv[1] + az * jv[2])
         syy = np.float64(bx * jv[0] + by * jv[1] + bz * jv[2]) + DILATION
         level = np.float64(near[i, 4]) * near[i, 4]
-        # A thin splat far off the axis: rounding must not make its determinant vanish.
+        # A thin splat far off the axis: rounding must not make its determinant 0.
         det = max(sxx * syy - sxy * sxy, DILATION * DILATION)
         a, b, c = syy / det, -sxy / det, sxx / det
         x0, x1 = _pixels(px, math.sqrt(level * sxx), size)
@@ -232,7 +232,7 @@ def _splat(near, covars, eye, size, face, ids, spent, light, depths, out_ids, ou
 
 @njit(cache=True, nogil=True)
 def join_faces(ids, values, counts, joined, found):
-    """Largest values over the faces into joined (M, 2), which starts as 0; the Gaussians met into found, how many."""
+    """Write the largest values over the faces into joined (M, 2) and their Gaussians into found; return how many."""
     total = 0
     for face in range(len(counts)):
         for n in range(counts[face]):
@@ -247,7 +247,7 @@ def join_faces(ids, values, counts, joined, found):
 
 @njit(cache=True)
 def _span(w, u, radius, distance):
-    """Least and largest tangent u / w over a sphere, seen along w; (1, -1) if it lies outside the field of view."""
+    """Return the least and largest tangent u / w over a sphere, seen along w; (1, -1) outside the field of view."""
     if radius >= distance:
         return -1.0, 1.0
     angle, spread = math.atan2(u, w), math.asin(radius / distance)
@@ -259,10 +259,10 @@ def _span(w, u, radius, distance):
 
 @njit(cache=True, parallel=True, nogil=True)
 def hidden_behind(near, eye, pyramid, first_row, size, out):
-    """Whether the ball around each Gaussian lies wholly behind the depths under its footprint, into out (M,).
+    """Write whether the ball around each Gaussian lies fully behind the depths under its footprint into out (M,).
 
     `pyramid` (6, rows, S) stacks the levels of largest depths: level k, of side ceil(S / 2^k), begins at row
-    first_row[k]. A ball that holds the eye is never hidden.
+    first_row[k]. A ball that contains the eye is never hidden.
     """
     levels = len(first_row)
     for chunk in prange((len(near) + _CHUNK - 1) // _CHUNK):

@@ -1,6 +1,6 @@
-"""Kernels that unpack what SPZ and compressed PLY hold of a Gaussian: one pass each, no temporaries.
+"""Kernels that unpack SPZ and compressed PLY: one pass per attribute, no temporaries.
 
-They take checked contiguous arrays, run on one thread and release the interpreter. They know no file.
+They take checked contiguous arrays, run on one thread and release the GIL. They know no file.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def unpack_quats(bits, table, columns, signs, out):
-    """(N, 4) unit quaternions of (N,) 32 bits: place of the largest component, then 10 bits for each other.
+    """Write (N, 4) unit quaternions from (N,) 32 bits: index of the largest component, then 10 bits for each other.
 
-    `table` has the value of each of the 1,024 codes; component k of the file goes to column `columns[k]`, times
+    `table` has the value of each of the 1,024 codes. Component k of the file goes to column `columns[k]`, times
     `signs[k]`.
     """
     for i in range(len(bits)):
@@ -27,14 +27,14 @@ def unpack_quats(bits, table, columns, signs, out):
                 out[i, columns[place]] = value * signs[place]
                 shift -= np.uint32(10)
         out[i, columns[largest]] = np.float32(np.sqrt(max(0.0, 1.0 - total))) * signs[largest]
-        if total > 1.0:  # only damaged or careless files: as long as the three are
+        if total > 1.0:  # only in damaged or careless files: normalize the three
             for place in range(4):
                 out[i, place] = np.float32(out[i, place] / np.sqrt(total))
 
 
 @njit(cache=True, nogil=True)
 def unpack_fixed_points(stream, factors, out):
-    """(N, 3) coordinates of (9 N,) bytes: signed 24-bit integers, lowest byte first, times `factors` of each axis."""
+    """Write (N, 3) coordinates of (9 N,) bytes: little-endian signed 24-bit integers, times `factors` of each axis."""
     at = 0
     for i in range(len(out)):
         for axis in range(3):
@@ -45,14 +45,14 @@ def unpack_fixed_points(stream, factors, out):
 
 @njit(cache=True, nogil=True)
 def look_up(stream, table, out):
-    """Values of bytes."""
+    """Write the table values of bytes."""
     for i in range(len(stream)):
         out[i] = table[stream[i]]
 
 
 @njit(cache=True, nogil=True)
 def unpack_higher(rows, factors, out):
-    """(N, K) coefficients of the first K of (N, J) bytes: their distance from 128, times `factors` of each."""
+    """Write (N, K) coefficients from the first K of (N, J) bytes: their distance from 128, times `factors` of each."""
     for i in range(len(out)):
         for k in range(len(factors)):
             out[i, k] = (np.float32(rows[i, k]) - np.float32(128.0)) * factors[k]
@@ -60,7 +60,7 @@ def unpack_higher(rows, factors, out):
 
 @njit(cache=True, nogil=True)
 def spread_111011(packed, low, high, chunk, out):
-    """(N, 3) values of 11, 10 and 11 bits, spread over the ranges (C, 3) of their chunks of `chunk` Gaussians."""
+    """Write (N, 3) values of 11, 10 and 11 bits, scaled to the ranges (C, 3) of their chunks of `chunk` Gaussians."""
     one = np.float32(1.0)
     for i in range(len(packed)):
         c, word = i // chunk, packed[i]
@@ -74,7 +74,7 @@ def spread_111011(packed, low, high, chunk, out):
 
 @njit(cache=True, nogil=True)
 def spread_8888(packed, low, high, chunk, rgb, alpha):
-    """(N, 3) colors over the ranges (C, 3) of their chunks, and (N,) opacities, of four bytes, red the highest."""
+    """Write (N, 3) colors in the ranges (C, 3) of their chunks, and (N,) opacities, of four bytes, red the highest."""
     one, most = np.float32(1.0), np.float32(255.0)
     for i in range(len(packed)):
         c, word = i // chunk, packed[i]

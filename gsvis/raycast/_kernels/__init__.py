@@ -1,1 +1,1 @@
-"""Kernels of the room `raycast`, one concept a file; they take checked, contiguous arrays."""
+"""Kernels of the room `raycast`, one concept per file. They take checked, contiguous arrays."""

@@ -1,7 +1,7 @@
 """Kernels that build an eight-wide bounding volume hierarchy over boxes.
 
-A node holds eight children side by side, so that one vector instruction tests a ray against all of them. A child is
-another node or a single Gaussian; the boxes are float32, rounded outwards. World frame, scene units. Knows only boxes.
+A node stores eight children together, so that one vector instruction tests a ray against all of them. A child is
+another node or a single Gaussian. The boxes are float32, rounded outward. World frame, scene units. Knows only boxes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numba import njit
 
 WIDTH = 8
 _BINS = 16
-MOST_LEVELS = 56  # what `build` promises: _DEEP by area, then at most log2 of 2^31 boxes by halving
+MOST_LEVELS = 56  # bound that `build` keeps: _DEEP by area, then at most log2 of 2^31 boxes by halving
 _DEEP = 24
 
 
@@ -34,7 +34,7 @@ def _bounds(order, start, stop, lo, hi, out_lo, out_hi):
 
 @njit(cache=True)
 def _split(order, start, stop, lo, hi):
-    """Partition order[start:stop] by the binned surface area heuristic; returns the first index of the right part."""
+    """Partition order[start:stop] by the binned surface area heuristic; return the first index of the right part."""
     c_lo = np.full(3, np.inf)
     c_hi = np.full(3, -np.inf)
     for i in range(start, stop):
@@ -109,8 +109,8 @@ def build(lo, hi):
         boxes: (M, 6, 8) float32; lowest x y z and highest x y z of the eight children of each node.
         children: (M, 8) int64; a node if >= 0, else box number -1 - position; empty children have +inf in all six.
 
-    No path is longer than MOST_LEVELS: below _DEEP levels ranges are halved, so that no input can outgrow the stack of
-    those who walk the hierarchy.
+    No path is longer than MOST_LEVELS: below _DEEP levels ranges are halved, so that no input can overflow the stack of
+    a traversal.
     """
     n = len(lo)
     order = np.arange(n)

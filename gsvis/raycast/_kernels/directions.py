@@ -1,4 +1,4 @@
-"""Kernels of the direction sets: which face holds a direction, sets from viewpoints, sets traced outward.
+"""Kernels of direction sets: the face of a direction, sets from viewpoints, sets traced outward.
 
 Arrays are checked and contiguous; world frame.
 """
@@ -15,7 +15,7 @@ from gsvis.raycast._kernels.trace import STACK, weight_of
 
 @njit(cache=True, parallel=True, nogil=True)
 def faces_of(directions, centers, planes, out):
-    """Faces of directions (D, 3) into out (D,)."""
+    """Write faces of directions (D, 3) into out (D,)."""
     for i in prange(len(directions)):
         out[i] = face_of(directions[i, 0], directions[i, 1], directions[i, 2], centers, planes)
 
@@ -38,9 +38,9 @@ def gather(means, weights, viewpoints, tau, centers, planes, sets):
 
 @njit(cache=True)
 def first_free(mean, direction, free, origin, size, out):
-    """Walk the grid from `mean`; put the middle of the stretch inside the first free voxel into `out`.
+    """Walk the grid from `mean`; write the middle of the stretch inside the first free voxel into `out`.
 
-    Returns False where the ray leaves the grid before it meets one.
+    Returns False if the ray leaves the grid before it meets a free voxel.
     """
     enter, leave = 0.0, np.inf
     for a in range(3):
@@ -83,7 +83,7 @@ def first_free(mean, direction, free, origin, size, out):
 
 @njit(cache=True, parallel=True, nogil=True)
 def trace_outward(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
-    """Direction sets of targets (M,) hierarchy positions (-1 never matters) along rays (80, K, 3)."""
+    """Trace direction sets of targets (M,) hierarchy positions (-1: never visible) along rays (80, K, 3)."""
     for i in prange(len(targets)):
         g = targets[i]
         if g < 0:

@@ -1,6 +1,6 @@
-"""The ray-box test of eight boxes as explicit vectors; the loop form is not vectorized reliably.
+"""Test a ray against eight boxes with explicit vectors; the loop form is not vectorized reliably.
 
-`tests/raycast/test_kernels.py` compares it with the loop it stands for. World frame, scene units.
+`tests/raycast/test_kernels.py` compares it with the loop. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ __all__ = ["meets_eight"]
 
 @intrinsic
 def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
-    """Slab test of a ray against the eight child boxes of a node.
+    """Test a ray (slab test) against the eight child boxes of a node.
 
     Args:
-        typing_context: numba's, unused.
+        typing_context: The typing context of numba, unused.
         boxes: (M, 6, 8) float32 lowest x y z, highest x y z; empty children have +inf in all six.
         node: Index into `boxes`.
         origin: Tuple of three float64.
         inverse: Tuple of three float64, 1 / direction, finite.
-        t_stop: float64; boxes entered beyond it are missed.
-        t_near: (8,) float64, receives the entry depths (>= 0), meaningful where the bit is set.
+        t_stop: float64; boxes entered beyond it are not hit.
+        t_near: (8,) float64, receives the entry depths (>= 0), valid where the bit is set.
 
     Returns:
-        int64 with bit k set where the ray meets box k.
+        int64 with bit k set if the ray meets box k.
     """
     del typing_context
     triple = types.UniTuple(types.float64, 3)

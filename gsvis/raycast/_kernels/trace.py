@@ -1,6 +1,6 @@
-"""Kernels that walk the hierarchy: what a ray meets, how much light is left, what each Gaussian weighs.
+"""Kernels that traverse the hierarchy: what a ray meets, how much light is left, the weight of each Gaussian.
 
-All arrays are checked and contiguous; world frame, scene units, float64 arithmetic. `table` holds one row of 16 per
+All arrays are checked and contiguous; world frame, scene units, float64 arithmetic. `table` has one row of 16 per
 Gaussian in hierarchy order: mean (3), whitening matrix (9), squared reach, opacity, and two unused numbers.
 """
 
@@ -12,14 +12,14 @@ from numba import get_thread_id, njit, prange
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
 from gsvis.raycast._kernels.simd import meets_eight
 
-STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a walk leaves at most seven children waiting on each level
+STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a traversal leaves at most seven children waiting on each level
 _PRUNE_EVERY = 16
 TINY = 1e-300
 
 
 @njit(cache=True, inline="always")
 def _peak(table, g, ox, oy, oz, dx, dy, dz):
-    """Squared distance in standard deviations at the largest response, and the t of the line's largest response.
+    """Return the least squared distance on the ray, in standard deviations, and the t of the line's largest response.
 
     A negative t lies behind the origin; the half-line's largest response is then at the origin, at depth 0.
     """
@@ -41,7 +41,7 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
 
 @njit(cache=True)
 def before(table, content, i, depth_i, j, depth_j):
-    """Whether hit i comes before hit j: by float32 depth, and at equal depth by content, never by index."""
+    """Return whether hit i comes before hit j: by float32 depth, and at equal depth by content, never by index."""
     if depth_i != depth_j:
         return depth_i < depth_j
     for c in range(3):
@@ -68,7 +68,7 @@ def sort_hits(table, content, ids, alphas, depths, count):
 
 @njit(cache=True)
 def count_until_spent(alphas, count, min_transmittance):
-    """How many of the sorted hits count: up to the one at which transmittance falls below the bound."""
+    """Return how many of the sorted hits count: up to the one where transmittance falls below the bound."""
     transmittance = 1.0
     for i in range(count):
         transmittance *= 1.0 - alphas[i]
@@ -81,10 +81,10 @@ def count_until_spent(alphas, count, min_transmittance):
 def trace_ray(
     table, content, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
 ):
-    """All hits of one ray, sorted and cut where transmittance is spent.
+    """Find all hits of one ray, sorted and cut where transmittance is spent.
 
-    `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers, which are
-    replaced by larger ones where a ray meets more than they hold.
+    `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers. Full buffers are
+    replaced by larger ones.
     """
     min_alpha, max_alpha, min_transmittance = limits
     ox, oy, oz = ray_o[0], ray_o[1], ray_o[2]
@@ -141,9 +141,9 @@ def trace_ray(
 
 @njit(cache=True)
 def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
-    """Weight of one Gaussian on one ray; 0 where it is below `floor`, so that hidden ones end early.
+    """Return the weight of one Gaussian on one ray, or 0 below `floor`, so that hidden Gaussians end early.
 
-    Transmittance is a product, so what lies in front needs no order and no list.
+    Transmittance is a product, so occluders need no order and no list.
     """
     min_alpha, max_alpha, min_transmittance = limits
     ox, oy, oz = ray_o[0], ray_o[1], ray_o[2]
@@ -193,7 +193,7 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
 
 @njit(cache=True, parallel=True, nogil=True)
 def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):
-    """Weight of targets[r] on ray r, into out (R,)."""
+    """Write the weight of targets[r] on ray r into out (R,)."""
     blocks = (len(rays_o) + 255) // 256
     for block in prange(blocks):
         stack_node = np.empty(STACK, np.int64)
@@ -220,7 +220,7 @@ def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits,
 def trace_rays(
     table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas, out_weights, out_depths
 ):
-    """Hits of many rays into (R, capacity) arrays; `out_count` holds the true number, which may exceed the capacity."""
+    """Trace many rays into (R, capacity) arrays; `out_count` holds the true number, which may exceed the capacity."""
     capacity = out_ids.shape[1]
     blocks = (len(rays_o) + 63) // 64
     for block in prange(blocks):
@@ -253,7 +253,7 @@ def trace_rays(
 
 @njit(cache=True)
 def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_depths):
-    """Sorted hits of one ray with their weights into its output row."""
+    """Store the sorted hits of one ray with their weights in its output row."""
     transmittance = 1.0
     for i in range(count):
         out_ids[i], out_alphas[i], out_depths[i] = ids[i], alphas[i], max(depths[i], np.float32(0.0))
@@ -302,7 +302,7 @@ def weigh_candidates(
 
 @njit(cache=True, parallel=True, nogil=True)
 def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
-    """Largest weight of every Gaussian over the rays, into out (threads, N) float32, one row per thread."""
+    """Write the largest weight of every Gaussian over the rays into out (threads, N) float32, one row per thread."""
     blocks = (len(rays_o) + 63) // 64
     for block in prange(blocks):
         row = out[get_thread_id()]
@@ -336,7 +336,7 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
 
 @njit(cache=True, parallel=True, nogil=True)
 def pack(owners, offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):
-    """Copy padded rows into CSR arrays, positions turned into Gaussians by `owners`.
+    """Copy padded rows into CSR arrays, with positions converted to Gaussians by `owners`.
 
     Row i holds ray rays[i]; rows too short for their ray are skipped.
     """

@@ -1,4 +1,4 @@
-"""Kernel of points inside Gaussians. Arrays are checked and contiguous; scene frame."""
+"""Kernel for the alpha of Gaussians at points. Arrays are checked and contiguous; scene frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def largest_alpha(means, whitening, opacities, points, out):
-    """Largest alpha at each point over the given Gaussians, into out (P,); `whitening` (K, 3, 3)."""
+    """Write the largest alpha at each point over the given Gaussians into out (P,); `whitening` is (K, 3, 3)."""
     for p in range(len(points)):
         best = 0.0
         for i in range(len(means)):

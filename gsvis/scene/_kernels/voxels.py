@@ -1,6 +1,6 @@
-"""Numba kernels of the scene room: splatting Gaussians into a voxel grid.
+"""Numba kernels of the scene room: splat Gaussians into a voxel grid.
 
-They take checked, contiguous arrays, never raise and know no classes; `navigable.py` prepares and calls them.
+They take checked, contiguous arrays, never raise and know no classes. `navigable.py` prepares and calls them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def splat_depth(
         means: (N, 3) centers in voxel units; voxel i has its center at i + 0.5.
         precisions: (N, 6) inverse covariances in voxel units: xx, xy, xz, yy, yz, zz.
         alphas: (N,) alpha at the center, < 1.
-        reach: Standard deviations after which a Gaussian ends.
+        reach: Standard deviations at which a Gaussian is cut off.
     """
     nx, ny, nz = depth.shape
     limit = reach * reach

@@ -10,9 +10,9 @@ _BLOCK = 1 << 14
 
 @njit(cache=True, parallel=True, nogil=True, error_model="numpy")
 def adam_step(values, gradients, first, second, rate, beta1, beta2, eps, root):
-    """One step in place; `rate` and `root` hold the corrections for moments that began at 0.
+    """Take one step in place: values -= rate * first / (sqrt(second) / root + eps).
 
-    values -= rate * first / (sqrt(second) / root + eps)
+    `rate` and `root` contain the bias corrections for moments that started at 0.
     """
     rate, beta1, beta2 = np.float32(rate), np.float32(beta1), np.float32(beta2)
     eps, scale, one = np.float32(eps), np.float32(1.0 / root), np.float32(1.0)

@@ -1,7 +1,7 @@
 """The training loss and its gradient by the image: |difference| and SSIM in two passes over rows of all channels.
 
-Images are (H, 3 W) float32, channels interleaved, so that a step across is three values. Windows reach over black
-surroundings ("same" padding). Sums are taken by bands of rows and do not depend on the number of threads.
+Images are (H, 3 W) float32, channels interleaved, so that a step to the next pixel is three values. Windows extend over
+black surroundings ("same" padding). Sums are taken by bands of rows and do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-ROWS = 16  # of one task
+ROWS = 16  # rows of one task
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy", inline="always")
 def _across(row, window, reach, out):
-    """Blur a row that has `reach` zeros on either side, three values a step."""
+    """Blur a row that has `reach` zeros on either side, with a stride of three values."""
     out[:] = 0
     for k in range(len(window)):
         weight = window[k]
@@ -25,10 +25,10 @@ def _across(row, window, reach, out):
 
 @njit(cache=True, parallel=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def compare(image, target, window, slopes, sums):
-    """SSIM of every value, as sums and as what its gradient is made of.
+    """Compute SSIM of every value: its sums, and its derivatives by the moments.
 
-    slopes: (3, H, 3 W), out: of SSIM by the windows' mean of the image, of its square and of the product.
-    sums: (bands, 2), out: of |image - target| and of SSIM.
+    slopes: (3, H, 3 W), out: derivatives of SSIM by the windows' mean of the image, of its square and of the product.
+    sums: (bands, 2), out: sums of |image - target| and of SSIM.
     """
     height, width = image.shape
     taps = len(window)
@@ -72,7 +72,7 @@ def compare(image, target, window, slopes, sums):
 
 @njit(cache=True, parallel=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def slope(image, target, window, slopes, by_difference, by_likeness, out):
-    """Gradient (H, 3 W) of by_difference * sum |image - target| + by_likeness * sum of SSIM, into out."""
+    """Write the gradient (H, 3 W) of by_difference * sum |image - target| + by_likeness * sum of SSIM into out."""
     height, width = image.shape
     taps = len(window)
     margin, two = taps // 2, np.float32(2.0)

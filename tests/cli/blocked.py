@@ -1,0 +1,73 @@
+"""Run commands of gsvis in one process in which some packages cannot be imported: `python blocked.py PACKAGE...`.
+
+Reads a JSON list of commands, each a list of words, from standard input. Writes for each its exit code and what it said
+on stderr to standard output, as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from importlib.machinery import ModuleSpec
+from io import StringIO
+from types import ModuleType
+
+
+class Blocked:
+    """A finder that finds nothing for some packages, as if they were not installed."""
+
+    def __init__(self, packages: Sequence[str]) -> None:
+        self.packages = frozenset(packages)
+
+    def find_spec(self, name: str, path: object = None, target: ModuleType | None = None) -> ModuleSpec | None:
+        if name.partition(".")[0] in self.packages:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        return None
+
+
+def make_quick() -> None:
+    """Compile nothing ahead, draw few pixels, and let a server end as soon as it runs."""
+    from dataclasses import replace
+
+    import gsvis.cli.kernels as kernels
+    import gsvis.cli.terminal as terminal
+    from gsvis.prepare import PrepareConfig
+    from gsvis.serve import Server
+
+    for name in ("warm_sets", "warm_levels", "warm_colors"):
+        setattr(kernels, name, lambda config, status: None)
+    terminal._QUIET = float("inf")
+    before = PrepareConfig.__init__
+    serve = Server.run
+    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
+
+    def initialize(self: PrepareConfig, *words: object, **named: object) -> None:
+        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+        object.__setattr__(self, "colors", replace(self.colors, views=few))
+
+    def run(self: Server) -> None:
+        self.stop()  # ends as soon as it accepts
+        serve(self)
+
+    PrepareConfig.__init__ = initialize  # type: ignore[method-assign]
+    Server.run = run  # type: ignore[method-assign]
+
+
+def main() -> None:
+    sys.meta_path.insert(0, Blocked(sys.argv[1:]))  # type: ignore[arg-type]
+    make_quick()
+    from gsvis.cli import main as run
+
+    found = []
+    for words in json.load(sys.stdin):
+        out, err = StringIO(), StringIO()
+        with redirect_stdout(out), redirect_stderr(err):
+            code = run(words)
+        found.append((code, err.getvalue()))
+    json.dump(found, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

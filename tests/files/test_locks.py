@@ -1,0 +1,95 @@
+"""Locks exclude: with those of the system, with those of filelock where there is no fcntl, and with none at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsvis.files.locks import locked, try_lock
+from gsvis.prepare.work import WorkFolder
+
+ROOT = Path(__file__).parents[2]
+KINDS = ("system", "no fcntl", "no locks")
+KILLED = """
+import os, signal, sys
+import filelock
+
+def lock(descriptor, *, blocking):
+    raise OSError(38, "no such function")
+
+filelock.lock_descriptor, sys.modules["fcntl"] = lock, None
+from gsvis.files.locks import locked
+file = open(sys.argv[1], "a+")
+assert locked(file)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def refuse(descriptor: int, *, blocking: bool) -> bool:
+    raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The locks of this system, those that filelock has where there is no fcntl, or none."""
+    import filelock  # has its own, as on Windows
+
+    if request.param != "system":
+        monkeypatch.setitem(sys.modules, "fcntl", None)
+    if request.param == "no locks":
+        monkeypatch.setattr(filelock, "lock_descriptor", refuse)
+    return str(request.param)
+
+
+def test_one_holds_a_lock_until_the_file_is_closed(kind: str, tmp_path: Path) -> None:
+    first, second = (tmp_path / "a").open("a+"), (tmp_path / "a").open("a+")
+    assert locked(first)
+    assert not locked(second)
+    first.write("what a lock keeps is written by who holds it")
+    first.close()
+    del first
+    assert locked(second)
+    second.close()
+    del second
+    left = {"a"}
+    assert {path.name for path in tmp_path.iterdir()} == left
+    assert (tmp_path / "a").read_text().endswith("holds it")
+
+
+def test_locks_of_two_files_do_not_meet(kind: str, tmp_path: Path) -> None:
+    with (tmp_path / "a").open("a+") as first, (tmp_path / "b").open("a+") as second:
+        assert locked(first)
+        assert locked(second)
+
+
+def test_a_descriptor_tells_whether_there_are_locks(kind: str, tmp_path: Path) -> None:
+    with (tmp_path / "a").open("a+") as first, (tmp_path / "a").open("a+") as second:
+        states = [try_lock(first.fileno()), try_lock(second.fileno())]
+    assert states == (["none", "none"] if kind == "no locks" else ["held", "busy"])
+
+
+def test_work_of_two_runs_does_not_meet(kind: str, tmp_path: Path) -> None:
+    mine, theirs = (WorkFolder(tmp_path / "a.gsvis") for _ in range(2))
+    with mine.opened(), pytest.raises(ValueError, match=r"no other process"), theirs.opened():
+        pass
+    with theirs.opened():
+        pass
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills itself by a signal")
+def test_without_locks_what_a_killed_process_held_is_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import filelock
+
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ended = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a")], env=environment, check=False)
+    assert ended.returncode < 0
+    assert (tmp_path / "a.lock").exists()
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    monkeypatch.setattr(filelock, "lock_descriptor", refuse)
+    with (tmp_path / "a").open("a+") as file:
+        assert locked(file)
