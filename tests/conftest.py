@@ -28,7 +28,7 @@ settings.register_profile(
 )
 settings.load_profile("gsvis")
 
-PAGES = ("document", "color_document", "pvs_document", "session_document", "spheres")
+PAGES = ("document", "color_document", "pvs_document", "spheres", "theme")  # theme last: session_document asks it late
 """Modules of the room report that draw plots."""
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -58,6 +58,8 @@ def bare_plots(coarse_plots: None) -> Iterator[None]:
     """Draw the plots of reports without axes and words, which take most of the time."""
     from gsvis.report import theme
 
+    draw_png = theme.draw_png
+
     def drawn(
         draw: Callable[..., None], colors: theme.Theme = theme.LIGHT, size: tuple[float, float] = (5, 3)
     ) -> bytes:
@@ -68,7 +70,7 @@ def bare_plots(coarse_plots: None) -> Iterator[None]:
                 if part is not None:
                     part.set_visible(False)
 
-        return theme.draw_png(draw_marks, colors, size)
+        return draw_png(draw_marks, colors, size)
 
     with pytest.MonkeyPatch.context() as patch:
         for page in PAGES:
