@@ -28,8 +28,8 @@ settings.register_profile(
 )
 settings.load_profile("gsvis")
 
-PAGES = ("document", "color_document", "pvs_document", "session_document", "spheres")
-"""Modules of the room report that draw plots."""
+PAGES = ("document", "color_document", "pvs_document", "spheres", "theme")
+"""Modules of the room report in which plots are drawn; others import `draw_png` from theme when they need it."""
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -58,6 +58,8 @@ def bare_plots(coarse_plots: None) -> Iterator[None]:
     """Draw the plots of reports without axes and words, which take most of the time."""
     from gsvis.report import theme
 
+    draw_png = theme.draw_png
+
     def drawn(
         draw: Callable[..., None], colors: theme.Theme = theme.LIGHT, size: tuple[float, float] = (5, 3)
     ) -> bytes:
@@ -68,9 +70,10 @@ def bare_plots(coarse_plots: None) -> Iterator[None]:
                 if part is not None:
                     part.set_visible(False)
 
-        return theme.draw_png(draw_marks, colors, size)
+        return draw_png(draw_marks, colors, size)
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.report.theme.draw_png", drawn)  # of those that import it when they draw
         for page in PAGES:
             patch.setattr(f"gsvis.report.{page}.draw_png", drawn)
         yield

@@ -17,7 +17,7 @@ from gsvis.stream.batch import Sections
 from tests.stream.worlds import package_of
 
 
-@pytest.fixture(scope="module", params=["rgb", "axis"])
+@pytest.fixture(scope="module", params=["rgb", "hsl"])
 def visited(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Checker, Visit]:
     """A check of a package, and what a viewer who walks has received."""
     folder = tmp_path_factory.mktemp("visited") / "s.gsvis"
