@@ -63,7 +63,7 @@ class Case:
 
 
 def showroom(train: int, seed: int = TRAIN_SEED, anywhere: bool = False) -> Case:
-    """Showroom LOD 3, judged against renders of itself at standing height (DESIGN decision 6).
+    """Showroom LOD 3, judged against renders of itself at standing height.
 
     Args:
         train: Number of training cameras.

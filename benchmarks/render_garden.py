@@ -2,7 +2,7 @@
 
 `garden_points.npz`, camera 0, 648 x 420: opacity 0.8, isotropic scale = root mean square distance to the 3 nearest
 neighbors. OpenSplat's CPU code took 0.71 s forward with projection and 1.06 s forward plus backward there, on a
-machine of this size in another run (DESIGN.md); the target is ten times its speed. The portable figure is time over
+machine of this size in another run; the target is ten times its speed. The portable figure is time over
 that of a bare kernel that evaluates as many (pixel, Gaussian) exponentials as the image blends and blends them, in full
 vectors, from arrays that hold nothing but what it needs, on the same threads.
 

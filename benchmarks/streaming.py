@@ -5,7 +5,7 @@ headset (EyeNavGS), brought into the scenes. Each pair of a link and a walk is a
 scene and then 30 s in the second, which begins with nothing while the link goes on (SRBF-Gaussian, section 7.1.3).
 Images of what clients hold, 320 x 240, against the full scene before it was packaged: every 100 ms for 3 s, then every
 `--every`. Latency is the time from a pose until it is shown at 25 dB, in ticks of 100 ms, at most 1 s; QoE as in
-DESIGN decision 8. Round trip 40 ms. Systems are compared by paired differences over all links and walks; 10 Mbit/s
+`gsvis.abr.qoe`. Round trip 40 ms. Systems are compared by paired differences over all links and walks; 10 Mbit/s
 stands apart and is not among them.
 
 The baselines are given the benefit of every doubt: they fill the link without a pause; the whole file has the size of

@@ -1,9 +1,9 @@
-"""In which order records go: policies by name, and how they bend to the bandwidth (section 6.3, DESIGN decision 7).
+"""In which order records go: policies by name, and how they bend to the bandwidth (paper, section 6.3).
 
-A policy is a table: what is added to the bucket of a record's gain for its group (in view, out of view, rings 1 to 3
-of neighboring cells), the level at which it enters, and its kind (geometry, or active terms, which follow it). The
-smaller the sum, the sooner. The two orders of the paper add whole ranks, so that gain only decides within one;
-`utility` adds the logarithm of a factor, so that all is weighed in one currency, weight gained for each byte.
+A policy is a table of offsets. The sort key of a record is the bucket of its gain plus the offsets of its group (in
+view, out of view, rings 1 to 3 of neighboring cells), of the level at which it enters, and of its kind (geometry, or
+active terms, which follow it). Smaller keys go first. The two orders of the paper add whole ranks, so gain decides
+only within a rank; `utility` adds the logarithm of a factor, so all records compare by weight gained for each byte.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Quality of experience: equation 8 as normalized by DESIGN decision 8, its parts, and by what two systems differ.
+"""Compute quality of experience (equation 8 of the paper, normalized), its parts, and the difference of two systems.
 
 PSNR in dB against the full scene, latency in seconds. A session is what was shown at its steps; systems are compared
 by the paired differences of their sessions over the same links and walks, with confidence intervals.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -156,9 +155,5 @@ def _spread(values: Any) -> dict[str, float]:
 
 def _step(record: Record) -> dict[str, Any]:
     """One point of a curve; times differ from run to run and are left out."""
-    return {
-        "step": record.step,
-        "loss": None if math.isnan(record.loss) else record.loss,
-        "gaussians": record.count,
-        "psnr": None if math.isnan(record.psnr) else record.psnr,
-    }
+    point = record.as_json()
+    return {"step": point["step"], "loss": point["loss"], "gaussians": point["count"], "psnr": point["psnr"]}

@@ -36,7 +36,7 @@ def run_prepare(command: Prepare) -> None:
         ValueError: If an argument is wrong, or something else would be replaced.
         FileNotFoundError: If a file is missing.
         OSError: If the package cannot be written.
-        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     from gsvis.prepare import estimate_preparation, prepare_package
     from gsvis.prepare.work import WorkFolder
@@ -127,7 +127,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
 
 
 def _check_training(command: Prepare) -> None:
-    """Refuse what is asked of training where there is none."""
+    """Raise if options of training are given but no level will be trained, or if they conflict."""
     given = [name for name in _OF_TRAINING if getattr(command, name) != getattr(Prepare, name)]
     if is_levels(command.scene) and given:
         raise ValueError(

@@ -23,7 +23,6 @@ from gsvis.files.limits import open_regular
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress
-    from gsvis.train.history import Record
     from gsvis.train.images import PosedImages
     from gsvis.train.photos import Photos
     from gsvis.train.trainer import TrainConfig, Trainer
@@ -257,7 +256,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         "start": plan.start,
         "device": plan.device,
         "config": asdict(trainer.config),
-        "curve": [_point(record) for record in result.history],
+        "curve": [record.as_json() for record in result.history],
         "quality": {"of": "trained on" if plan.held_out is None else "held out", **quality.as_dict()},
         "remarks": list(plan.photos.remarks),
         "timing": {  # all that differs between two runs of the same
@@ -297,12 +296,6 @@ def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: 
 
 def _thousands(count: int) -> str:
     return f"{count:,}" if count < 10_000 else f"{count / 1e3:.0f}k"
-
-
-def _point(record: Record) -> dict[str, Any]:
-    """A record without its time; NaN, which JSON does not know, as null."""
-    values = {name: value for name, value in asdict(record).items() if name != "seconds"}
-    return {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
 
 
 def _write_record(command: Train, document: dict[str, Any]) -> None:

@@ -159,7 +159,7 @@ def fit_srbf(
         ValueError: If a shape or a value does not fit; the message names the argument.
 
     References:
-        SRBF-Gaussian, sections 5.1 and 5.2; DESIGN decisions 4 and 5.
+        SRBF-Gaussian, sections 5.1 and 5.2; docs/design/009-color-records.md.
     """
     config = config or FitConfig()
     n = len(g)

@@ -75,7 +75,7 @@ class Package:
 
     Attributes:
         path: The folder.
-        manifest: What it says of itself.
+        manifest: The parsed manifest.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
@@ -101,7 +101,7 @@ class Package:
         return cls(path)
 
     def close(self) -> None:
-        """Let go of the stores that were opened through it."""
+        """Close the stores that were opened through it."""
         self._opened.close()
 
     def __enter__(self) -> Package:

@@ -1,6 +1,6 @@
-"""Building the potentially visible sets of a whole scene: planned, shared out, kept as they come, written as one store.
+"""Build the visible sets of a whole scene: plan the work, give it to workers, keep each finished cell, write one store.
 
-The file is the same, byte by byte, whatever the number of workers, for a build that was killed and went on, and on a
+The file is the same, byte by byte, whatever the number of workers, for a build that was killed and resumed, and on a
 cluster: what a cell sees depends on the scene, the cell and the configuration alone.
 """
 
@@ -124,15 +124,16 @@ def build_pvs(
 ) -> VisibilityStore:
     """Find what each cell sees, and write it as a store.
 
-    With more than one worker, a script that calls this needs `if __name__ == "__main__":` around its doings, as all
+    With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard, as all
     Python programs that start processes do.
 
     Args:
-        g: The scene, N Gaussians; or levels, of whose union a cell sees what it sees in any level by itself.
+        g: The scene, N Gaussians; or its levels: a cell sees a Gaussian of the union if it sees it in at least one
+            level drawn alone.
         grid: The cells.
         space: The navigable space that the grid was cut from.
         path: The file to write. Finished cells are kept beside it until it is whole: an interrupted build of the same
-            scene, grid and configuration goes on where it stood.
+            scene, grid and configuration resumes.
         config: How; None means `PvsConfig()`.
         workers: Who does the work; None means this process.
         progress: Called with stages "cells" and "store".

@@ -2,7 +2,7 @@
 
 Ids are those of the scene, whatever order the file keeps. Positions and distances are in the scene's frame and units.
 Opening reads a few kilobytes; everything else is read, and checked, when it is first asked for. Safe to share
-between threads. Writing is in `_writer.py`, the coding in `_codec.py`.
+between threads. Writing is in `_writer.py`, the coding in `codec.py`.
 """
 
 from __future__ import annotations

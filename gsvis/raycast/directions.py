@@ -1,7 +1,7 @@
 """Compute direction sets: from which of the 80 faces of the once-subdivided icosahedron each Gaussian is visible.
 
 Directions point from the Gaussian to the eye, world frame. A set is 10 bytes: bit f % 8 of byte f // 8 is face f. Sets
-are gathered from viewpoints, or traced outward from the Gaussians into navigable space (DESIGN decision 3).
+are gathered from viewpoints, or traced outward from the Gaussians into navigable space.
 """
 
 from __future__ import annotations

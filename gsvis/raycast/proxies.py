@@ -40,7 +40,7 @@ def reaches(opacities: NDArray[np.float32], min_alpha: float = MIN_ALPHA) -> NDA
         (N,) float64: sqrt(2 ln(opacity / min_alpha)); NaN where opacity is below `min_alpha`.
 
     References:
-        DESIGN decision 1; solves opacity * exp(-r^2 / 2) = min_alpha.
+        docs/conventions.md; solves opacity * exp(-r^2 / 2) = min_alpha.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.sqrt(2.0 * np.log(opacities.astype(np.float64) / min_alpha)))

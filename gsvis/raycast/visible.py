@@ -1,6 +1,6 @@
 """Find the Gaussians that an eye sees: the largest weight of each over rays from viewpoints or cameras.
 
-Two samplings (DESIGN decision 2). Pixel rays give what an image of that size shows; they miss some Gaussians smaller
+There are two samplings. Pixel rays give what an image of that size shows; they miss some Gaussians smaller
 than a pixel. Gaussian rays run from the eye to each Gaussian and need no resolution. World frame, scene units.
 """
 

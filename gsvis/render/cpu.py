@@ -1,6 +1,6 @@
 """The CPU rasterizer with gradients: numba kernels behind one differentiable torch function, one camera at a time.
 
-Conventions are DESIGN decision 10 (docs/conventions.md). Nothing depends on the order of the Gaussians in the scene or
+Conventions: docs/conventions.md. Nothing depends on the order of the Gaussians in the scene or
 on the number of threads.
 """
 

@@ -1,6 +1,6 @@
 """The CUDA rasterizer: the same call through gsplat, where it and a GPU are present.
 
-gsplat's classic conventions are ours (DESIGN decision 10); median depth is the one output it does not offer.
+gsplat's classic conventions are ours (docs/conventions.md); median depth is the one output it does not offer.
 """
 
 from __future__ import annotations

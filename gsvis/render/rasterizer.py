@@ -1,6 +1,6 @@
 """Images of Gaussians from cameras: one call, arrays in and arrays out, tensors in and tensors out.
 
-Conventions: DESIGN decision 10, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
+Conventions: docs/conventions.md, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
 in speed alone: `cpu` (numba, float32), `reference` (plain NumPy or torch, slow), `cuda` (gsplat). Only tensors and
 `cuda` need torch; `gsvis.render.rasterizer_torch` draws them.
 """
@@ -44,8 +44,8 @@ class Rendering:
         images: (C, H, W, 3) RGB, 0 black, 1 white, brighter values kept.
         alphas: (C, H, W) in [0, 1], one minus the transmittance left.
         depths: (C, H, W) expected camera z, weighted by blending weights; 0 where nothing is seen.
-        median_depths: (C, H, W) camera z of the Gaussian behind which at most half of the light is left; 0 where more
-            is, NaN from gsplat, which has none.
+        median_depths: (C, H, W) camera z of the first Gaussian behind which at most half of the light is left; 0 if
+            more is left behind all of them; NaN with the backend `cuda`.
     """
 
     images: F32
@@ -104,8 +104,8 @@ def rasterize(
     """Draw Gaussians as the cameras see them; differentiable where the inputs are tensors that ask for gradients.
 
     Args:
-        gaussians: N Gaussians, as arrays or as tensors. Of tensors that gather gradients shapes alone are checked,
-            since a training step should not pay for more; a Gaussian with values that are not finite is then not drawn.
+        gaussians: N Gaussians, as arrays or as tensors. For tensors that require gradients only shapes are checked,
+            to keep training fast; a Gaussian with a NaN or an infinity is not drawn.
         cameras: C cameras of one size, without skew.
         backend: "cpu", "cuda", "reference", or "auto": cuda for tensors on a GPU, else cpu.
         background: (3,) RGB behind everything.

@@ -1,6 +1,6 @@
 """Images of Gaussians as tensors: the same call as for arrays, with gradients, and gsplat's kernels on a GPU.
 
-Conventions: DESIGN decision 10, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
+Conventions: docs/conventions.md, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
 in speed alone: `cpu` (numba, float32), `reference` (plain torch, any float type, slow), `cuda` (gsplat).
 """
 

@@ -1,6 +1,6 @@
 """The splats of one view: projection, sorting, tiles and blending of features, one camera at a time, in NumPy alone.
 
-Conventions are DESIGN decision 10 (docs/conventions.md). Nothing depends on the order of the Gaussians in the scene or
+Conventions: docs/conventions.md. Nothing depends on the order of the Gaussians in the scene or
 on the number of threads.
 """
 

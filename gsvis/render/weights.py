@@ -1,6 +1,6 @@
 """Who contributes to an image: blending weights of every Gaussian in every view, and the list behind one pixel.
 
-The weights are the rasterizer's own (EWA, DESIGN decision 10); `gsvis.raycast` has those along exact rays.
+The weights are the rasterizer's own (EWA); `gsvis.raycast` has those along exact rays.
 """
 
 from __future__ import annotations

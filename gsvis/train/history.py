@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
-__all__ = ["Record"]
+__all__ = ["MOST_PSNR", "Record"]
+
+MOST_PSNR = 100.0
+"""PSNR that stands for identical images, dB; their own is infinite, which JSON cannot hold."""
 
 
 @dataclass(frozen=True)
@@ -25,3 +29,9 @@ class Record:
     loss: float
     count: int
     psnr: float = math.nan
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the state without its time, ready for JSON: None is not measured, identical images have 100 dB."""
+        loss = self.loss if math.isfinite(self.loss) else None
+        psnr = None if math.isnan(self.psnr) else min(self.psnr, MOST_PSNR)
+        return {"step": self.step, "loss": loss, "count": self.count, "psnr": psnr}

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import psnr
 from gsvis.scene.levels import Levels
+from gsvis.train.history import MOST_PSNR
 from gsvis.train.images import PosedImages, display_image
 
 __all__ = ["LevelQuality", "measure_levels"]
-
-_MOST_PSNR = 100.0  # of identical images, dB
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,7 @@ def measure_levels(
             progress("measure", c * len(levels) + k + 1, count * len(levels))
         taken = np.clip(views.image(c), 0.0, 1.0)
         for k, drawn in enumerate(images):
-            scene[k, c] = min(float(psnr(drawn, images[top])), _MOST_PSNR)
+            scene[k, c] = min(float(psnr(drawn, images[top])), MOST_PSNR)
             if photo is not None:
-                photo[k, c] = min(float(psnr(drawn, taken)), _MOST_PSNR)
+                photo[k, c] = min(float(psnr(drawn, taken)), MOST_PSNR)
     return LevelQuality(scene, photo, brightness)

@@ -8,14 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsvis.render.metrics import ssim
+from gsvis.render.metrics import gaussian_window, ssim
 from gsvis.train._kernels import loss as _kernels_loss
 
 __all__ = ["photometric_loss"]
 
-_OFFSETS = np.arange(11) - 5
-_WINDOW = np.exp(-0.5 * (_OFFSETS / 1.5) ** 2)
-_WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
+_WINDOW = gaussian_window().astype(np.float32)
 
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) -> Tensor:
