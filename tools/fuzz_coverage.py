@@ -89,7 +89,7 @@ APART = {
     ],
     "no reader": [
         "gsvis.abr.holdings:Holdings.__repr__",
-        "gsvis.io._store:ZipStore.__exit__",
+        "gsvis.io._sog_files:ZipStore.__exit__",
         "gsvis.package.contents:Contents.__repr__",
         "gsvis.package.package:Package.__exit__",
         "gsvis.package.package:Package.__repr__",

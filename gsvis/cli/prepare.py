@@ -39,7 +39,7 @@ def run_prepare(command: Prepare) -> None:
         KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     from gsvis.prepare import estimate_preparation, prepare_package
-    from gsvis.prepare.work import WorkFolder
+    from gsvis.prepare.work_folder import WorkFolder
 
     config = _check_arguments(command)
     workers = local_workers(command.workers, command.max_memory)
@@ -90,7 +90,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
     from gsvis.prepare.colors import ColorConfig
-    from gsvis.prepare.work import WorkFolder
+    from gsvis.prepare.work_folder import WorkFolder
     from gsvis.scene.view_sampling import ViewSampling
 
     check_source(command.scene, command.lod)

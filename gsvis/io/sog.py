@@ -16,7 +16,7 @@ from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, inside, read_whole, safe_name
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three, sigmoid
-from gsvis.io._store import FolderStore, Store, ZipStore
+from gsvis.io._sog_files import FolderStore, Store, ZipStore
 from gsvis.io._webp import MAX_PIXELS, decode_plane, plane_size
 from gsvis.scene.gaussians import Gaussians
 

@@ -17,7 +17,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, inside, read_whole, safe_name
-from gsvis.io._store import FolderStore, ZipStore
+from gsvis.io._sog_files import FolderStore, ZipStore
 from gsvis.io.sog import SogMeta, read_sog
 from gsvis.scene.gaussians import Gaussians
 

@@ -23,7 +23,7 @@ from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages
-from gsvis.prepare.work import WorkFolder
+from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.build import Workers
 from gsvis.pvs.store import VisibilityStore

@@ -34,7 +34,7 @@ from gsvis.prepare.active_terms import build_active_terms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.levels import make_levels
-from gsvis.prepare.work import WorkFolder, digest_of_folder
+from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
 from gsvis.pvs.build import Workers, build_pvs
 from gsvis.pvs.cells import MAX_CELLS, CellGrid

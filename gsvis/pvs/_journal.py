@@ -8,8 +8,8 @@ import numpy as np
 import zstandard
 
 from gsvis.files.resume import KeptWork
+from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.codec import CodecError, decompress
-from gsvis.pvs.config import CellView
 
 __all__ = ["find_kept_cells", "name_entry", "pack_view", "read_view", "unpack_view"]
 

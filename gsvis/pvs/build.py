@@ -26,7 +26,7 @@ from gsvis.files.output import output_errors
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
-from gsvis.pvs._work import (
+from gsvis.pvs._workers import (
     Result,
     SceneArrays,
     Task,

@@ -14,7 +14,7 @@ from typing import Any
 
 from gsvis._extras import require
 from gsvis.errors import BackendError
-from gsvis.pvs import _work
+from gsvis.pvs import _workers
 from gsvis.pvs.build import Workers
 
 __all__ = ["check_address", "connect"]
@@ -63,15 +63,15 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
         idempotent = True
 
         def setup(self, worker: Any) -> None:
-            from gsvis.pvs import _work
+            from gsvis.pvs import _workers
 
-            _work.use_threads(worker.state.nthreads)
+            _workers.use_threads(worker.state.nthreads)
 
         def teardown(self, worker: Any) -> None:
-            from gsvis.pvs import _work
+            from gsvis.pvs import _workers
 
-            _work.use_threads(None)
-            _work.forget_scene()
+            _workers.use_threads(None)
+            _workers.forget_scene()
 
     with config.set({"distributed.comm.timeouts.connect": f"{timeout} s"}):
         try:
@@ -120,5 +120,5 @@ def _check_versions(client: Any) -> None:
 
 
 def _version() -> str:
-    assert _work  # what the tasks need can be imported
+    assert _workers  # what the tasks need can be imported
     return version("gsvis")

@@ -1,8 +1,4 @@
-"""Potentially visible sets: for each cell the Gaussians that some viewpoint in it sees (paper, section 6.2).
-
-Viewpoints are added to a cell, its rim first, until the set has stopped growing, so that the stopping rule and not
-luck decides how much is found. Here is what one cell sees; `build.py` does it for all cells. Scene frame and units.
-"""
+"""Options of a build of visible sets: how viewpoints look, and when a cell is done."""
 
 from __future__ import annotations
 
@@ -14,17 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.pvs._kernels import cell as kernels
-from gsvis.pvs.look import METHODS, Look
-from gsvis.raycast.directions import NUM_FACES, face_planes
+from gsvis.pvs.look import METHODS
 from gsvis.raycast.tracer import TAU
-from gsvis.scene.solid import buried
 
-__all__ = ["CellView", "PvsConfig", "see_cell"]
+__all__ = ["PvsConfig"]
 
 F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-I32 = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -78,50 +69,3 @@ class PvsConfig:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and strings."""
         return asdict(self)
-
-
-@dataclass(frozen=True, eq=False)
-class CellView:
-    """What one cell sees.
-
-    Attributes:
-        ids: (V,) int32, visible Gaussians, rising.
-        classes: (V,) uint8, class of the largest weight found.
-        directions: (V, 10) uint8, directions toward the viewpoints that saw each.
-        viewpoints: Viewpoints looked from; 0 if all were buried in something solid.
-        growth: Share by which the last of them made the set grow.
-    """
-
-    ids: I32
-    classes: U8
-    directions: U8
-    viewpoints: int
-    growth: float
-
-
-def see_cell(look: Look, viewpoints: F64, config: PvsConfig) -> CellView:
-    """The set of one cell.
-
-    Args:
-        look: The scene, ready.
-        viewpoints: (V, 3) in the order in which they are added; those buried in something solid are left out.
-        config: When to stop.
-    """
-    g = look.gaussians
-    best = np.zeros(len(g), np.float32)
-    sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
-    tau = np.float32(config.tau)
-    planes = face_planes()
-    used, visible, calm, share = 0, 0, 0, 0.0
-    for viewpoint in viewpoints[~buried(g, viewpoints)][: config.max_viewpoints]:
-        ids, weights = look(viewpoint)
-        new = kernels.add_viewpoint(ids, weights, tau, g.means, viewpoint, *planes, best, sets)
-        used, visible = used + 1, visible + new
-        share = new / visible if visible else 0.0
-        calm = calm + 1 if share <= config.growth else 0
-        if used >= config.min_viewpoints and calm >= config.patience:
-            break
-    found = np.flatnonzero(best >= tau)
-    edges = config.class_edges.astype(np.float32)
-    classes = np.searchsorted(edges, best[found], side="right") - 1
-    return CellView(found.astype(np.int32), classes.astype(np.uint8), sets[found], used, float(share))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.pvs.config import CellView
+from gsvis.pvs.cell_view import CellView
 from gsvis.raycast.directions import NUM_FACES
 
 __all__ = ["joined"]

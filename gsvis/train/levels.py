@@ -274,7 +274,7 @@ def _subsets(
         except (LookupError, TypeError, ValueError) as error:
             got = f"{type(error).__name__}: {error}"
             raise FormatError(
-                kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to choose again"
+                kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to start again"
             ) from error
         return dict(zip(counts, bits, strict=True))
     masks = choose()

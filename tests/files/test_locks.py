@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gsvis.files.locks import locked, try_lock
-from gsvis.prepare.work import WorkFolder
+from gsvis.prepare.work_folder import WorkFolder
 
 ROOT = Path(__file__).parents[2]
 KINDS = ("system", "no fcntl", "no locks")

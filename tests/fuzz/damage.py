@@ -93,17 +93,17 @@ def streams() -> Damaged:
     around = scenes.streams()[2]
     meta = json.loads(case["lod-meta.json"])
 
-    def case(**changes: Any) -> Case:
+    def changed(**changes: Any) -> Case:
         return {**case, "lod-meta.json": json.dumps({**meta, **changes}).encode()}
 
     def runs(*pairs: tuple[int, int]) -> Case:
         leaves = [{"lods": {"0": {"file": 0, "offset": a, "count": b}}} for a, b in pairs]
-        return case(tree={"children": leaves})
+        return changed(tree={"children": leaves})
 
     return {
         "no file at all": {"lod-meta.json": case["lod-meta.json"]},
         "no environment": {name: data for name, data in around.items() if name != "env/meta.json"},
-        "a file named twice": case(filenames=[meta["filenames"][0]] * 2),
+        "a file named twice": changed(filenames=[meta["filenames"][0]] * 2),
         "a run behind the end": runs((0, 5), (5, 90)),
         "runs that overlap": runs((0, 7), (5, 7)),
         "nothing in any run": runs((0, 0)),

@@ -191,7 +191,7 @@ def in_points(folder: Path, case: Case) -> None:
 
 FILES, IO = "gsvis.files.", "gsvis.io."
 _PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", FILES + "limits", IO + "scenes")
-_SOG = (IO + "sog", IO + "_store", IO + "_webp", FILES + "fields", FILES + "limits")
+_SOG = (IO + "sog", IO + "_sog_files", IO + "_webp", FILES + "fields", FILES + "limits")
 
 TARGETS = [
     Target("ply", plain_plys, in_one_file, modules=_PLY),

@@ -16,7 +16,7 @@ from gsvis.files.resume import KeptWork, seal
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package.active_terms import ActiveTerms
 from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
-from gsvis.pvs.config import CellView
+from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report import load_staircase_result
 from gsvis.scene.procedural import random_scene

@@ -141,7 +141,7 @@ OPENED_OTHERWISE = {
     "files/arrow.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
-    "pvs/_work.py": "memmap",  # what this run wrote for its workers
+    "pvs/_workers.py": "memmap",  # what this run wrote for its workers
     "cli/pictures.py": "load",  # what this run wrote
 }
 

@@ -23,8 +23,9 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs import build
 from gsvis.pvs._journal import name_entry
 from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.config import CellView, PvsConfig
+from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -77,14 +78,14 @@ class Stop:
 def looked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """A list that grows by one for each cell that is looked from in this process."""
     seen: list[int] = []
-    from gsvis.pvs import _work
+    from gsvis.pvs import _workers
 
     def counting(look: Any, viewpoints: Any, config: PvsConfig) -> CellView:
         seen.append(len(viewpoints))
         return see_cell(look, viewpoints, config)
 
-    see_cell = _work.see_cell
-    monkeypatch.setattr(_work, "see_cell", counting)
+    see_cell = _workers.see_cell
+    monkeypatch.setattr(_workers, "see_cell", counting)
     return seen
 
 
@@ -106,7 +107,7 @@ def test_workers_do_not_change_a_byte_even_if_they_die(job: Job, tmp_path: Path)
 
 
 def test_the_number_of_threads_does_not_change_a_byte(job: Job, tmp_path: Path) -> None:
-    from gsvis.pvs._work import use_threads
+    from gsvis.pvs._workers import use_threads
 
     use_threads(1)
     try:

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from gsvis.files.atomic import _host, atomic_path
 from gsvis.files.resume import KeptWork, seal, unseal
 from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view, unpack_view
-from gsvis.pvs.config import CellView
+from gsvis.pvs.cell_view import CellView
 
 N = 400
 """Gaussians of the scene."""

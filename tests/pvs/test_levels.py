@@ -14,8 +14,9 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
 from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.config import CellView, PvsConfig
+from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.levels import joined
 from gsvis.pvs.store import VisibilityStore
 from gsvis.raycast import EllipsoidProxies, Tracer

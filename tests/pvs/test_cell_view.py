@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gsvis.errors import SceneError
 from gsvis.pvs import PvsConfig
-from gsvis.pvs.config import see_cell
+from gsvis.pvs.cell_view import see_cell
 from gsvis.pvs.look import METHODS, Look
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import OccluderScene, box_in_room, nested_shells, random_scene, two_rooms, wall_with_hole

@@ -34,7 +34,8 @@ from gsvis.errors import GsvisError
 from gsvis.files.cache import Cache
 from gsvis.files.output import output_errors
 from gsvis.pvs._journal import pack_view
-from gsvis.pvs.config import CellView, PvsConfig, see_cell
+from gsvis.pvs.cell_view import CellView, see_cell
+from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.levels import joined
 from gsvis.pvs.look import Look
 from gsvis.scene.gaussians import Gaussians
