@@ -106,15 +106,16 @@ class ProtocolError(GsvisError):
     Args:
         message: What was expected and what came, in a line that is safe to send to the other end.
         code: Number of the fault, as ERROR messages carry it; `gsvis.stream.wire` names them.
+        remedy: What this end can do about it. May be empty.
     """
 
-    def __init__(self, message: str, code: int = 1) -> None:
-        self.code = code
-        super().__init__(message)
+    def __init__(self, message: str, code: int = 1, remedy: str = "") -> None:
+        self.message, self.code, self.remedy = message, code, remedy
+        super().__init__(message + (f"; {remedy}" if remedy else ""))
 
-    def __reduce__(self) -> tuple[type[ProtocolError], tuple[str, int]]:
+    def __reduce__(self) -> tuple[type[ProtocolError], tuple[str, int, str]]:
         """Pickled by its parts."""
-        return type(self), (str(self), self.code)
+        return type(self), (self.message, self.code, self.remedy)
 
 
 class BackendError(GsvisError):

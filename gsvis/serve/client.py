@@ -212,8 +212,9 @@ class StreamClient:
         try:
             return Receiver(welcome, most_bytes=self.config.scene_bytes)
         except ProtocolError as error:
-            line = str(error).replace("raise most_bytes", "raise scene_bytes of ClientConfig")
-            raise ProtocolError(line, error.code) from None
+            if error.code != FAULTS["too-large"]:
+                raise
+            raise ProtocolError(error.message, error.code, "raise scene_bytes of ClientConfig") from None
 
     async def _keep_alive(self, socket: ClientConnection) -> None:
         """Close the connection when the server does not answer any more."""

@@ -70,7 +70,7 @@ class Receiver:
         needed = 9 * self.about.gaussians + self.about.terms // 4  # two tables of int32, and packed sets twice
         if needed > most_bytes:
             expected, got = f"a scene for {most_bytes:,} bytes of memory", f"one for {needed:,}"
-            raise ProtocolError(f"WELCOME: expected {expected}, got {got}; raise most_bytes", FAULTS["too-large"])
+            raise ProtocolError(f"WELCOME: expected {expected}, got {got}", FAULTS["too-large"], "raise most_bytes")
         self.holdings = Holdings(self.about.gaussians, self.about.terms)
         self._drawn = Drawn(self.about)
         self._table = ChunkTable.concatenate([])
