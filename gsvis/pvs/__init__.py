@@ -1,11 +1,11 @@
-"""Potentially visible sets: the cells of a space, what each can see, the store of it, and how good the sets are.
+"""Potentially visible sets: cells of a space, the set of each cell, the store of all sets, and their quality.
 
     space = NavigableSpace.from_scene(scene)
     grid = CellGrid.over(space, max_cells=256)
     with build_pvs(scene, grid, space, "scene.pvs") as store:
         ids = store.visible_ids(store.cell_at(eye))
 
-Knows no color. Names are imported on first use: workers that look from cells need no ray tracer.
+This room knows no color. Names are imported on first use, so that workers need no ray tracer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What cells see as bytes: as workers send it and as a build keeps it until its store is whole."""
+"""The set of a cell as bytes. Workers send these bytes, and a build keeps them until its store is complete."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from gsvis.pvs.codec import CodecError, decompress
 __all__ = ["find_kept_cells", "name_entry", "pack_view", "read_view", "unpack_view"]
 
 _HEAD = struct.Struct("<IIf")
-_BYTES = 15  # a Gaussian: what changes from the id before, its class and the directions that it is seen from
-_MOST_PACKED = _BYTES + 1  # bytes a Gaussian that an entry may have: zstd adds little to what it cannot compress
+_BYTES = 15  # for each Gaussian: difference to the previous id, class, directions that it is seen from
+_MOST_PACKED = _BYTES + 1  # most bytes for each Gaussian in an entry: zstd adds little to data that does not compress
 _FREE = 1 << 12
 
 
 def pack_view(view: CellView) -> bytes:
-    """Return what one cell sees as bytes that `unpack_view` reads."""
+    """Return the set of one cell as bytes. `unpack_view` reads them."""
     deltas = np.diff(view.ids, prepend=np.int32(0)).astype("<i4")
     body = deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + view.classes.tobytes() + view.directions.T.tobytes()
     packed = zstandard.ZstdCompressor(level=1).compress(body)
@@ -28,12 +28,12 @@ def pack_view(view: CellView) -> bytes:
 
 
 def unpack_view(data: bytes, gaussians: int) -> CellView | None:
-    """Return what was packed; None if the bytes are no view.
+    """Return the packed view; None if the bytes are not a valid view.
 
     Args:
-        data: Of `pack_view`.
-        gaussians: Of the scene. A view of more of them, or of one that is not among them, is damaged; so memory is
-            bounded by the size of the scene, and a cell may see all of it.
+        data: Bytes from `pack_view`.
+        gaussians: N, the number of Gaussians in the scene. A view with more ids, or with an id outside [0, N), is
+            damaged. So the size of the scene bounds the memory.
     """
     if len(data) < _HEAD.size:
         return None
@@ -58,12 +58,12 @@ def name_entry(cell: int) -> str:
 
 
 def read_view(work: KeptWork, cell: int, gaussians: int) -> CellView | None:
-    """Return the view of a cell of a scene of N Gaussians, if it was kept and is whole."""
+    """Return the kept view of a cell; None if it is missing or damaged. The scene has N Gaussians."""
     data = work.read(name_entry(cell), at_most=_HEAD.size + _MOST_PACKED * gaussians + _FREE)
     return None if data is None else unpack_view(data, gaussians)
 
 
 def find_kept_cells(work: KeptWork, count: int, gaussians: int) -> list[int]:
-    """Return those of the first `count` cells that were kept and are whole."""
+    """Return the cells below `count` whose views are kept and undamaged."""
     names = work.names()
     return [cell for cell in range(count) if name_entry(cell) in names and read_view(work, cell, gaussians) is not None]

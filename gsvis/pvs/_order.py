@@ -1,8 +1,8 @@
-"""The stored order of the Gaussians, and the parents of cells: what makes a store small.
+"""The stored order of the Gaussians, and the parents of cells. Both make a store small.
 
-Gaussians that the same cells see get the same label, and are stored label by label, in scene order within one.
-Labels come from signatures, one bit for each of some key cells. All of it is integer arithmetic: the same input gives
-the same order on every machine, with any number of threads.
+Gaussians that the same cells see get the same label. The store sorts them by label, then by id. Labels come from
+signatures: one bit for each key cell. All arithmetic is on integers, so the same input gives the same order on
+every machine, with any number of threads.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from gsvis.pvs._kernels import store as kernels
 __all__ = ["KEY_CELLS", "MAX_DEPTH", "choose_labels", "key_cells", "order_of", "parents_of"]
 
 KEY_CELLS = 128
-"""Cells whose sets make the signatures; more gain little and cost memory, N / 8 bytes each."""
+"""Cells whose sets make the signatures. More cells gain little, and each costs N / 8 bytes of memory."""
 MAX_DEPTH = 4
-"""Longest chain of parents, so that no query for classes decodes more than five cells."""
+"""Longest chain of parents. A query for classes decodes at most five cells."""
 
-_SIDES = (0, 16, 64, 128)  # numbers of labels tried, as square roots; 0 leaves scene order as it is
-_SAMPLE = 131_072  # signatures that centers are found from
+_SIDES = (0, 16, 64, 128)  # square roots of the numbers of labels to try; 0 keeps scene order
+_SAMPLE = 131_072  # most signatures used to find centers
 _ROUNDS = 8
 _TRIAL_CELLS = 12
 
@@ -33,26 +33,26 @@ U64 = NDArray[np.uint64]
 
 
 def key_cells(cells: int) -> NDArray[np.int64]:
-    """Up to 128 cells, evenly spread over their numbers."""
+    """Return up to 128 cells, evenly spread over the cell numbers."""
     count = min(KEY_CELLS, cells)
     return np.arange(count) * cells // max(1, count)
 
 
 def order_of(labels: U16) -> NDArray[np.int32]:
-    """(N,) the Gaussian at each stored position: by label, then by id."""
+    """Return (N,) int32, the Gaussian at each stored position: sorted by label, then by id."""
     return np.argsort(labels, kind="stable").astype(np.int32)
 
 
 def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
-    """The labels that make the whole file smallest, judged by some of the cells.
+    """Return the labels that give the smallest file, estimated from some of the cells.
 
     Args:
         n: N Gaussians.
         cells: C.
-        read: Gives the set of a cell in scene order.
+        read: Returns the set of a cell in scene order, as packed words.
 
     Returns:
-        (N,) uint16; all 0 where no order beats that of the scene.
+        (N,) uint16; all 0 if no order beats scene order.
     """
     keys = key_cells(cells)
     signatures = np.zeros((n, -(-max(1, len(keys)) // 64)), np.uint64)
@@ -82,10 +82,10 @@ def _trial_size(trials: list[U64], labels: U16) -> int:
 
 
 def _cluster(signatures: U64, side: int) -> U16:
-    """Labels (N,), up to side x side of them: clusters of clusters, so that two short searches do for a long one.
+    """Return labels (N,), up to side x side different ones.
 
-    Label 0 has the fewest bits; each further one is the nearest to the one before that is left, first among the
-    large clusters and then inside each.
+    Signatures are clustered twice: first into large clusters, then inside each. Two short searches replace a long
+    one. At both steps the cluster with the fewest bits comes first. Each next cluster is the nearest one left.
     """
     seen = np.flatnonzero(signatures.any(axis=1))
     count = min(_SAMPLE, len(seen))
@@ -107,7 +107,10 @@ def _cluster(signatures: U64, side: int) -> U16:
 
 
 def _centers(sample: U64, count: int) -> U64:
-    """(K, W) centers by k-modes, in a chain: bitwise majorities, distances are counts of differing bits."""
+    """Return (K, W) centers by k-modes, ordered by `_chain`.
+
+    A center is the bitwise majority of its signatures. A distance is the number of differing bits.
+    """
     centers = np.ascontiguousarray(sample[np.arange(count) * len(sample) // count])
     for _ in range(_ROUNDS):
         centers = _majorities(sample, _nearest(sample, centers), centers)
@@ -138,7 +141,7 @@ def _majorities(sample: U64, labels: NDArray[np.int64], centers: U64) -> U64:
 
 
 def _chain(centers: U64) -> NDArray[np.int64]:
-    """(K,) the centers, from the one with the fewest bits always on to the nearest that is left."""
+    """Return (K,) an order of the centers: the one with the fewest bits, then always the nearest one left."""
     bits = np.unpackbits(centers.astype("<u8").view(np.uint8), axis=1).astype(np.int32)
     counts = bits.sum(axis=1)
     chain = np.empty(len(centers), np.int64)
@@ -152,10 +155,10 @@ def _chain(centers: U64) -> NDArray[np.int64]:
 
 
 def parents_of(edges: list[tuple[int, int, int]], cells: int) -> NDArray[np.int32]:
-    """A parent for each cell, -1 for none, so that cells share much with their parents and no chain is long.
+    """Return (C,) int32, a parent for each cell; -1 for none.
 
-    Grows trees from the cell that shares most with its neighbors, always along the strongest pair that reaches a new
-    cell and keeps the depth.
+    A cell shares many Gaussians with its parent, and no chain of parents is longer than `MAX_DEPTH`. Trees grow from
+    the cell that shares most with its neighbors. Each step takes the strongest pair that reaches a new cell.
 
     Args:
         edges: Pairs of neighbors (shared, a, b): how many Gaussians both see.

@@ -1,7 +1,7 @@
-"""Cells given out to workers: in this process, in processes of this machine, or on any executor (a Dask cluster).
+"""Workers that find the sets of cells: this process, processes of this machine, or any executor (a Dask cluster).
 
-A task is a few numbers and its result some packed bytes; the scene travels once to each worker. A task that is lost
-with its worker is given out again. What comes back does not depend on who did it, nor on when.
+A task is a few numbers; its result is packed bytes. The scene is sent once to each worker. If a worker dies, its tasks
+are submitted again. The result of a task does not depend on the worker or on the time.
 """
 
 from __future__ import annotations
@@ -53,28 +53,28 @@ __all__ = [
 ]
 
 Result = tuple[int, bytes]
-"""A cell and what it sees, packed."""
+"""A cell and its packed view."""
 
 Looks = list[tuple[Look, NDArray[np.int64]]]
-"""The levels of a scene, ready, and the ids of their Gaussians in the union."""
+"""For each level of a scene: a prepared `Look`, and the ids of its Gaussians in the union."""
 
-# shN has no influence on what is seen.
+# shN does not change what is visible.
 _SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
-_MEMBERSHIP = ("first", "last")  # levels of each Gaussian
-_RESTARTS = 3  # times in a row that work is begun again without one cell being finished
+_MEMBERSHIP = ("first", "last")  # first and last level of each Gaussian
+_RESTARTS = 3  # consecutive restarts without a finished cell
 
-_ready: Cache[Looks] = Cache(max_items=1)  # of this process, the last scene and configuration
-_one_at_a_time = threading.Lock()  # the kernels of numba's default threading layer may not run from two threads
+_ready: Cache[Looks] = Cache(max_items=1)  # the last scene and configuration of this process
+_one_at_a_time = threading.Lock()  # kernels must not run from two threads under numba's default threading layer
 _threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 
 
 @dataclass(frozen=True, eq=False)
 class SceneArrays:
-    """A scene, or levels, on the way to a worker.
+    """A scene, or levels, in a form that can be sent to a worker.
 
     Attributes:
         key: Names the scene and the configuration.
-        source: The arrays of the union and the levels of each Gaussian, or the folder that holds each in a file.
+        source: The arrays of the union and the levels of each Gaussian; or a folder with one file for each array.
         config: How visible sets are found.
     """
 
@@ -84,13 +84,16 @@ class SceneArrays:
 
     @classmethod
     def from_levels(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
-        """The arrays themselves."""
+        """Return the scene with its arrays in memory."""
         arrays = {name: getattr(levels.union, name) for name in _SHAPES}
         return cls(key, arrays | {name: getattr(levels, name) for name in _MEMBERSHIP}, config)
 
     @contextmanager
     def stored(self, folder: Path) -> Iterator[SceneArrays]:
-        """The same with the arrays in files, which all processes of a machine map and share; removed in the end."""
+        """Yield the scene with its arrays in files of `folder`.
+
+        All processes of a machine map and share the files. The folder is removed at the end of the block.
+        """
         assert isinstance(self.source, dict)
         try:
             with output_errors(folder):
@@ -102,7 +105,7 @@ class SceneArrays:
             shutil.rmtree(folder, ignore_errors=True)
 
     def looks(self) -> Looks:
-        """The levels, ready; kept until other ones are asked for."""
+        """Return the prepared levels; cached until another scene or configuration is asked for."""
         looks = _ready.find(self.key)
         if looks is None:
             _ready.clear()
@@ -117,7 +120,7 @@ class SceneArrays:
         return looks
 
     def view(self, viewpoints: NDArray[np.float64]) -> CellView:
-        """What a cell with these viewpoints (V, 3) sees, each level by itself."""
+        """Return the view of a cell with these viewpoints (V, 3); each level is looked at alone."""
         looks = self.looks()
         views = [see_cell(look, viewpoints, self.config) for look, _ in looks]
         return joined(views, [ids for _, ids in looks], 1 + max(int(ids[-1]) for _, ids in looks))
@@ -125,7 +128,7 @@ class SceneArrays:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One cell to be looked from: its number and its viewpoints (V, 3)."""
+    """One cell to look from: its number and its viewpoints (V, 3)."""
 
     cell: int
     viewpoints: Any
@@ -138,7 +141,7 @@ def _map(folder: Path) -> dict[str, NDArray[Any]]:
 
 
 def see(scene: SceneArrays, task: Task) -> bytes:
-    """Do one task; runs in the worker."""
+    """Run one task and return its packed view; called in the worker."""
     with _one_at_a_time:
         if _threads:
             set_num_threads(min(_threads[0], get_num_threads()))
@@ -146,17 +149,17 @@ def see(scene: SceneArrays, task: Task) -> bytes:
 
 
 def use_threads(count: int | None) -> None:
-    """How many threads the kernels of this process may use for tasks; None for all."""
+    """Set how many threads the kernels of this process may use for tasks; None for all."""
     _threads[:] = [] if count is None else [count]
 
 
 def forget_scene() -> None:
-    """Give back the memory of the last scene."""
+    """Release the memory of the last scene."""
     _ready.clear()
 
 
 def run_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
-    """The tasks one after the other, in this process."""
+    """Yield the results of the tasks, computed one by one in this process."""
     try:
         for task in tasks:
             yield task.cell, see(scene, task)
@@ -165,26 +168,26 @@ def run_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
 
 
 def run_on(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
-    """The tasks as an executor finishes them; begun again where it has lost them.
+    """Yield the results of the tasks as an executor finishes them; lost tasks are submitted again.
 
     Args:
         executor: Anything with `submit`.
-        share: Gives a `SceneArrays`, or what the executor turns into one (a Dask future).
-        tasks: In the order in which they are given out.
-        in_flight: Tasks given out at a time.
+        share: Returns a `SceneArrays`, or an object that the executor turns into one (a Dask future).
+        tasks: The tasks, submitted in this order.
+        in_flight: Tasks submitted at a time.
 
     Raises:
-        GsvisError: If tasks are lost again and again.
+        GsvisError: If tasks are lost more than three times in a row without progress.
     """
     message = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
     return _until_done(tasks, lambda left: _submit(executor, share(), left, in_flight), CancelledError, message)
 
 
 def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
-    """The tasks on `workers` processes of this machine; processes that die are replaced.
+    """Yield the results of the tasks from `workers` processes of this machine; dead processes are replaced.
 
     Raises:
-        GsvisError: If processes die again and again.
+        GsvisError: If processes die more than three times in a row without progress.
     """
 
     def attempt(left: list[Task]) -> Iterator[Result]:
@@ -226,7 +229,7 @@ def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: in
                     break
             if not waiting:
                 return
-            # What is done comes before what is lost: the set has no order, and a loss ends this attempt.
+            # Yield finished tasks before lost ones: the set has no order, and a lost task ends this attempt.
             for future in sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=_is_lost):
                 task = waiting.pop(future)
                 yield task.cell, future.result()
@@ -241,8 +244,8 @@ def _is_lost(future: Future[bytes]) -> bool:
 
 @contextmanager
 def _local_processes(workers: int) -> Iterator[Executor]:
-    """A pool of processes with one thread each, which goes at once when the block is left early."""
-    # Started afresh: a forked process would inherit the threads of numba's kernels in an unusable state.
+    """Yield a pool of processes with one thread each; an exception in the block kills them at once."""
+    # Spawned, not forked: a forked process would inherit numba's threads in an unusable state.
     pool = _Pool(workers, mp_context=get_context("spawn"), initializer=_begin)
     done = False
     try:
@@ -256,7 +259,7 @@ def _local_processes(workers: int) -> Iterator[Executor]:
 
 
 class _Pool(ProcessPoolExecutor):
-    """Its processes are deaf to Ctrl-C, which is for the parent, from their first moment: a mask is inherited."""
+    """A pool whose processes ignore Ctrl-C from their start, because they inherit a signal mask."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         if not hasattr(signal, "pthread_sigmask"):
@@ -269,12 +272,12 @@ class _Pool(ProcessPoolExecutor):
 
 
 def _begin() -> None:
-    """Begin a worker process: one thread, and gone when the parent is."""
+    """Initialize a worker process: use one thread, and exit when the parent exits."""
 
     def watch() -> None:
         parent = parent_process()
         assert parent is not None
-        parent.join()  # a pipe that the parent alone holds; no time is waited for
+        parent.join()  # waits on a pipe that only the parent holds; no polling
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

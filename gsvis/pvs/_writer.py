@@ -1,6 +1,6 @@
-"""Writes a store: cells come one by one, wait on disk, and are encoded when all are known.
+"""The writer of a store. Cells come one by one, wait on disk, and are encoded when all are known.
 
-Only one cell, its classes and the sets of its neighbors are held at a time, besides 16 bytes for each Gaussian.
+Memory holds one cell, its classes, the sets of its neighbors, and 16 bytes for each Gaussian.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ CELL_ROW = np.dtype(
         ("growth", "<f4"),
     ]
 )
-"""What the file keeps of each cell, beside its set and its classes."""
+"""The row of one cell in the file; its set and its classes are stored apart."""
 
 FREE_BYTES = 1 << 30
-"""Bytes in memory, of 16 for each Gaussian, that a store of any size may ask for: 67 million Gaussians."""
+"""Bytes of memory that a store of any file size may need: 67 million Gaussians at 16 bytes each."""
 
-_GAUSSIAN_BYTES = 16  # in memory: order, labels and direction sets, of which all other arrays are smaller
-_HELD = 64  # sets of recent cells kept while pairs of neighbors are compared
+_GAUSSIAN_BYTES = 16  # in memory: order, labels and direction sets; all other arrays are smaller
+_HELD = 64  # sets of recent cells, cached while neighbors are compared
 
 
 def beyond_free(gaussians: int) -> int:
-    """Bytes in memory that so many Gaussians take beyond the free GiB, which the size of the file must answer for."""
+    """Return the bytes of memory that N Gaussians need beyond `FREE_BYTES`. The size of the file must justify them."""
     return max(_GAUSSIAN_BYTES * gaussians - FREE_BYTES, 0)
 
 
@@ -69,8 +69,8 @@ class StoreInfo:
         gaussians: N.
         scene: `scene_hash` of the scene.
         tau: Weight from which a Gaussian is visible.
-        class_edges: (K,) lowest weight of each class, rising from tau; a class ends where the next begins.
-        config: How the sets were found; anything JSON can hold.
+        class_edges: (K,) lowest weight of each class, ascending from tau; a class ends where the next begins.
+        config: How the sets were found; any JSON value.
     """
 
     gaussians: int
@@ -104,10 +104,10 @@ class CellSet:
     """What one cell sees.
 
     Attributes:
-        ids: (V,) visible Gaussians, rising, each once.
+        ids: (V,) visible Gaussians, ascending, each once.
         classes: (V,) uint8, class of the largest weight of each, below K.
-        viewpoints: Viewpoints that found it.
-        growth: Share by which the last of them made the set grow.
+        viewpoints: Number of viewpoints that the set was found from.
+        growth: Share by which the last viewpoint made the set grow.
     """
 
     ids: ArrayLike
@@ -117,10 +117,10 @@ class CellSet:
 
 
 class StoreWriter:
-    """Writes a store cell by cell; use it in a `with` block, which removes what it keeps on disk meanwhile.
+    """Writes a store cell by cell. Use it in a `with` block, which removes its temporary file.
 
     Args:
-        path: The file to write, which appears whole in `finish` and not before.
+        path: The file to write; `finish` writes it atomically.
         grid: C cells.
         info: What else the store holds.
 
@@ -145,14 +145,14 @@ class StoreWriter:
         self._spill.close()
 
     def __len__(self) -> int:
-        """Cells added so far."""
+        """Return the number of cells added so far."""
         return len(self._places)
 
     def add_cell(self, cell: CellSet) -> None:
         """Add the next cell, in the order of the grid.
 
         Raises:
-            ValueError: If all cells are there, or the set is not as `CellSet` says.
+            ValueError: If all cells were added already, or the set is not as `CellSet` describes.
         """
         number, n = len(self), self.info.gaussians
         if number >= len(self.grid):
@@ -174,18 +174,18 @@ class StoreWriter:
         self._places.append((start, len(packed[0]), len(packed[1])))
 
     def finish(self, direction_sets: ArrayLike, *, progress: Progress = silent) -> Path:
-        """Encode all cells and put the file into its place.
+        """Encode all cells and write the file.
 
         Args:
             direction_sets: (N, 10) uint8.
             progress: Called with stage "store".
 
-        Returns:
-            The path.
+            Returns:
+                The path of the file.
 
         Raises:
             ValueError: If cells are missing or the direction sets have another shape.
-            OSError: If the disk is full; what stood at the path before stays.
+            OSError: If the disk is full; an older file at the path stays.
         """
         sets = np.asarray(direction_sets)
         if sets.shape != (self.info.gaussians, 10) or sets.dtype != np.uint8:
@@ -204,7 +204,7 @@ class StoreWriter:
         return self.path
 
     def _write_sets(self, container: SectionWriter, labels: NDArray[np.uint16], progress: Progress) -> None:
-        """The sets of all cells, and then their classes, which need the classes of their parents."""
+        """Write the sets of all cells, then their classes, then the set that any cell sees."""
         n, order = self.info.gaussians, _order.order_of(labels)
         places = np.empty(n, np.int32)
         places[order] = np.arange(n, dtype=np.int32)
@@ -243,7 +243,7 @@ class StoreWriter:
         container.close_section("coords")
         container.append(self._rows.tobytes())
         container.close_section("cells")
-        least = -(-beyond_free(self.info.gaussians) // MAX_EXPANSION)  # bytes that the reader asks of the file
+        least = -(-beyond_free(self.info.gaussians) // MAX_EXPANSION)  # least file size that the reader accepts
         if container.size < least:
             container.append(bytes(least - container.size))
             container.close_section("room")
@@ -260,7 +260,7 @@ class StoreWriter:
         )
 
     def _count_shared(self) -> list[tuple[int, int, int]]:
-        """How much each pair of neighbors shares."""
+        """Return (shared, a, b) for each pair of neighbors: how many Gaussians both see."""
         edges = []
         for cell in range(len(self)):
             for other in self.grid.neighbors(cell).tolist():
@@ -269,18 +269,20 @@ class StoreWriter:
         return edges
 
     def _set(self, cell: int) -> NDArray[np.uint64]:
-        """The set of a cell, scene order."""
+        """Return the set of a cell as packed words, scene order."""
         return self._held.find_or_make(cell, lambda: self._read_set(cell))
 
     def _read_set(self, cell: int) -> NDArray[np.uint64]:
         start, length, _ = self._places[cell]
         self._spill.seek(start)
         data = _codec.decompress(self._spill.read(length), 8 * _codec.word_count(self.info.gaussians))
-        words: NDArray[np.uint64] = np.frombuffer(data, np.uint64).copy()  # writeable, as kernels know them
+        words: NDArray[np.uint64] = np.frombuffer(
+            data, np.uint64
+        ).copy()  # writeable, as the kernels' signatures require
         return words
 
     def _levels(self, cell: int) -> NDArray[np.uint8]:
-        """(N,) class plus 1 of what a cell sees, 0 elsewhere, scene order."""
+        """Return (N,) uint8, scene order: class plus 1 of what a cell sees, 0 elsewhere."""
         start, skipped, length = self._places[cell]
         self._spill.seek(start + skipped)
         data = _codec.decompress(self._spill.read(length), int(self._rows["visible"][cell]))
@@ -304,13 +306,13 @@ def write_store(
         path: The file to write, suffix `.pvs`.
         grid: C cells.
         info: What else the store holds.
-        cells: What each cell sees, in the order of the grid; taken one at a time.
-        direction_sets: (N, 10) uint8; read after the last cell, so an array that is filled on the way will do.
+        cells: The set of each cell, in the order of the grid; consumed one at a time.
+        direction_sets: (N, 10) uint8; read after the last cell, so `cells` may fill it while it yields.
         progress: Called with stage "store".
 
     Raises:
-        ValueError: If there are too few or too many cells, or a set is not as `CellSet` says.
-        OSError: If the file cannot be written; what stood at the path before stays.
+        ValueError: If there are too few or too many cells, or a set is not as `CellSet` describes.
+        OSError: If the file cannot be written; an older file at the path stays.
     """
     with StoreWriter(path, grid, info) as writer:
         for cell in cells:

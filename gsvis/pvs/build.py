@@ -1,7 +1,7 @@
-"""Build the visible sets of a whole scene: plan the work, give it to workers, keep each finished cell, write one store.
+"""Build the visible sets of a scene: plan the work, run it on workers, keep each finished cell, write one store.
 
-The file is the same, byte by byte, whatever the number of workers, for a build that was killed and resumed, and on a
-cluster: what a cell sees depends on the scene, the cell and the configuration alone.
+The bytes of the file do not depend on the number of workers, on interruptions, or on a cluster. A set depends only
+on the scene, the cell and the configuration.
 """
 
 from __future__ import annotations
@@ -49,33 +49,33 @@ from gsvis.scene.navigable import NavigableSpace
 __all__ = ["Estimate", "Workers", "build_pvs", "estimate_pvs", "journal_of"]
 
 _clock = time.perf_counter  # tests set another
-_PLAN = 1  # raised whenever the same plan would give other bytes
+_PLAN = 1  # increase it when the same plan gives other bytes
 
 # Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian.
 _BASE = {"hybrid": 150 << 20, "raster": 380 << 20, "raycast": 260 << 20}
 _PER_GAUSSIAN = {"hybrid": 190, "raster": 420, "raycast": 680}
-_PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # of the six faces
+_PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # all six faces
 _PARENT_BASE = 220 << 20
-_PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and what reading leaves
+_PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and leftovers of reading
 _SCENE_FILE = 58  # bytes of the scene that workers map
 
-_BITS = 5.0  # of a set and its classes, for each visible Gaussian of a cell
+_BITS = 5.0  # bits for each visible Gaussian of a cell: its set and its classes
 _DISK_PER_GAUSSIAN = 6  # order and direction sets
-_PROCESSES_OVER_THREADS = 1.3  # how much better cores are used by processes than by the threads of one
+_PROCESSES_OVER_THREADS = 1.3  # how much better processes use the cores than threads of one process
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work.
+    """The workers of a build.
 
     Attributes:
         count: Processes of this machine; 1 works in this process, with all its threads.
-        max_memory: Bytes that this process and its workers may take together; fewer workers are started if need be.
-            None sets no bound.
-        executor: Anything with the interface of `concurrent.futures.Executor`, instead of processes; as many tasks
-            are given to it at a time as `count` says, times two. Dask: `client.get_executor()`.
-        scatter: Takes the scene and gives what the executor's tasks get in its place, such as a Dask future, so that
-            it travels once to each worker. None sends it with each task.
+        max_memory: Bytes that this process and its workers may use together. Fewer workers start if they do not fit.
+            None sets no limit.
+        executor: An object with the interface of `concurrent.futures.Executor`, used instead of processes. It gets
+            2 x `count` tasks at a time. Dask: `client.get_executor()`.
+        scatter: Takes the scene and returns the argument that tasks get in its place, such as a Dask future. So the
+            scene is sent once to each worker. None sends it with each task.
     """
 
     count: int = 1
@@ -91,16 +91,16 @@ class Workers:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a build will cost.
+    """The expected cost of a build.
 
     Attributes:
         cells: Cells to look from.
-        finished: How many of them an earlier, interrupted build has kept.
+        finished: Cells that an earlier, interrupted build has kept.
         workers: Processes that fit the memory.
         seconds: Expected time.
-        memory: Bytes taken at most, all processes together.
+        memory: Peak bytes of memory, all processes together.
         disk: Bytes of the finished store.
-        working_disk: Bytes of finished cells while it is built.
+        working_disk: Bytes of temporary files during the build.
     """
 
     cells: int
@@ -122,28 +122,28 @@ def build_pvs(
     workers: Workers | None = None,
     progress: Progress = silent,
 ) -> VisibilityStore:
-    """Find what each cell sees, and write it as a store.
+    """Find the visible set of each cell, and write all sets as a store.
 
-    With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard, as all
-    Python programs that start processes do.
+    With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard, like every
+    Python program that starts processes.
 
     Args:
-        g: The scene, N Gaussians; or its levels: a cell sees a Gaussian of the union if it sees it in at least one
-            level drawn alone.
+        g: The scene, N Gaussians; or its levels. With levels, a cell sees a Gaussian of the union if it sees it in at
+            least one level drawn alone.
         grid: The cells.
-        space: The navigable space that the grid was cut from.
-        path: The file to write. Finished cells are kept beside it until it is whole: an interrupted build of the same
-            scene, grid and configuration resumes.
-        config: How; None means `PvsConfig()`.
-        workers: Who does the work; None means this process.
+        space: The navigable space that the grid was made from.
+        path: The file to write. Finished cells are kept beside it until it is complete. An interrupted build of the
+            same scene, grid, space and configuration resumes.
+        config: Options; None means `PvsConfig()`.
+        workers: The workers; None means this process.
         progress: Called with stages "cells" and "store".
 
     Returns:
         The open store.
 
     Raises:
-        SceneError: If the scene or a level is empty, or every viewpoint is buried in something solid.
-        ValueError: If the memory cannot suffice, or the grid was cut from another space.
+        SceneError: If the scene or a level has nothing to see, or every viewpoint lies inside something solid.
+        ValueError: If `max_memory` is too small, or the grid was made from another space.
         OSError: If the disk is full or cannot be written; finished cells are kept.
     """
     config, workers = config or PvsConfig(), workers or Workers()
@@ -164,7 +164,7 @@ def build_pvs(
                     work.keep(name_entry(cell), data)
                     progress("cells", done, len(grid))
             _write(work, grid, target, plan, config, progress)
-            store = VisibilityStore.open(target)  # before the journal goes: what cannot be read is not lost
+            store = VisibilityStore.open(target)  # before the journal is removed: an unreadable store loses no work
             work.remove()
     except SceneError:
         work.remove()
@@ -185,21 +185,21 @@ def estimate_pvs(
     sample: int = 2,
     progress: Progress = silent,
 ) -> Estimate:
-    """What `build_pvs` would cost; looks from `sample` cells to find out and writes nothing.
+    """Estimate the cost of `build_pvs` from `sample` cells. Writes nothing.
 
     Args:
-        g: The scene, or levels.
+        g: The scene, or its levels.
         grid: The cells.
-        space: The navigable space of the grid.
-        path: The file that would be written.
-        config: How; None means `PvsConfig()`.
-        workers: Who would do the work.
-        sample: Cells to try.
+        space: The navigable space that the grid was made from.
+        path: The file that `build_pvs` would write.
+        config: Options; None means `PvsConfig()`.
+        workers: The workers; None means this process.
+        sample: Number of cells to try.
         progress: Called with stage "trying".
 
     Raises:
-        SceneError: If the scene or a level is empty.
-        ValueError: If the memory cannot suffice, or the grid was cut from another space.
+        SceneError: If the scene or a level has nothing to see.
+        ValueError: If `max_memory` is too small, or the grid was made from another space.
     """
     config, workers = config or PvsConfig(), workers or Workers()
     levels = _check_levels(g)
@@ -210,7 +210,7 @@ def estimate_pvs(
     finished = len(find_kept_cells(KeptWork.beside(path, plan), len(grid), len(levels.union)))
     some = np.unique(np.linspace(0, len(grid) - 1, min(sample, len(grid)) + 2).astype(int)[1:-1]).tolist() or [0]
     scene = SceneArrays.from_levels(_key(plan), levels, config)
-    scene.view(viewpoints.spread(some[0], 1))  # kernels are loaded before the clock runs
+    scene.view(viewpoints.spread(some[0], 1))  # loads the kernels before the timing starts
     began, taken, bits = _clock(), 0, 0.0
     progress("trying", 0, len(some))
     for done, cell in enumerate(some, 1):
@@ -240,7 +240,7 @@ def journal_of(
 
 
 def _check_levels(g: Gaussians | Levels) -> Levels:
-    """The levels, if there is something to see in each."""
+    """Return the levels; raise `SceneError` if a level has nothing to see."""
     bright = union_of(g).opacities >= MIN_ALPHA
     problem = "has no Gaussian with an opacity of at least 1/255: there is nothing to see; is it the right one?"
     if not bright.any():
@@ -253,7 +253,7 @@ def _check_levels(g: Gaussians | Levels) -> Levels:
 
 
 def _explain(error: OSError, work: KeptWork, plan: dict[str, Any], count: int, target: Path) -> OSError:
-    """Return the error with what is kept and what helps."""
+    """Return the error with the number of kept cells and a remedy."""
     kept = len(find_kept_cells(work, count, plan["gaussians"]))
     held = f"{kept} of {count} cells are kept in {work.folder.name}" if kept else "no cell was finished"
     try:
@@ -267,7 +267,7 @@ def _explain(error: OSError, work: KeptWork, plan: dict[str, Any], count: int, t
 
 
 def _plan(levels: Levels, grid: CellGrid, space: NavigableSpace, config: PvsConfig) -> dict[str, Any]:
-    """All that decides the bytes of the store."""
+    """Return the record of everything that decides the bytes of the store."""
     record = levels_record(levels)
     return {
         "format": "gsvis pvs plan",
@@ -328,27 +328,27 @@ def _write(
 
 
 def _parent(levels: Levels) -> int:
-    """Bytes of the process that gives out the work and writes the store."""
+    """Return the bytes of memory of the process that submits the tasks and writes the store."""
     n, held = len(levels.union), levels.union.nbytes
-    copies = held * levels.counts[-1] // n if len(levels) > 1 else 0  # the highest level, which tells where eyes may be
+    copies = held * levels.counts[-1] // n if len(levels) > 1 else 0  # the highest level
     return _PARENT_BASE + _PARENT_PER_GAUSSIAN * n + held + copies
 
 
 def _worker(levels: Levels, config: PvsConfig) -> int:
-    """Bytes of a process that looks."""
+    """Return the bytes of memory of a worker process."""
     pixels, drawn = _PER_PIXEL[config.method] * config.size**2, sum(levels.counts)
-    copies = _SCENE_FILE * drawn if len(levels) > 1 else 0  # a single one is what was mapped
+    copies = _SCENE_FILE * drawn if len(levels) > 1 else 0  # a single level is the mapped arrays themselves
     return _BASE[config.method] + _PER_GAUSSIAN[config.method] * drawn + copies + pixels
 
 
 def _alone(levels: Levels, config: PvsConfig) -> int:
-    """Bytes of a process that does both, one after the other."""
+    """Return the bytes of memory of one process that does all the work."""
     held = levels.union.nbytes + _PARENT_PER_GAUSSIAN // 4 * len(levels.union)
     return max(_parent(levels), _worker(levels, config) + held)
 
 
 def _speed_up(count: int, workers: Workers) -> float:
-    """How much faster than one process, which has all threads of this machine."""
+    """Return the speed-up over one process that uses all threads of this machine."""
     if workers.executor is not None:
         return max(1.0, 0.9 * count)
     cores = os.cpu_count() or 1
@@ -356,7 +356,7 @@ def _speed_up(count: int, workers: Workers) -> float:
 
 
 def _fitting(levels: Levels, config: PvsConfig, workers: Workers) -> int:
-    """How many processes fit the memory; 1 means that this process works itself."""
+    """Return how many processes fit the memory; 1 means that this process does the work."""
     if workers.max_memory is None or workers.executor is not None:
         return workers.count
     alone = _alone(levels, config)

@@ -1,7 +1,7 @@
-"""See what one cell sees: the Gaussians that some viewpoint in it sees (paper, section 6.2).
+"""Find the visible set of one cell: the Gaussians that some viewpoint in it sees (paper, section 6.2).
 
-Viewpoints are added, the rim of the cell first, until the set stops growing. The stopping rule decides how much is
-found. `build.py` does this for all cells. Scene frame and units.
+Viewpoints are added, the rim of the cell first, until the set stops growing. The stopping rule decides how complete
+the set is. `build.py` does this for all cells. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class CellView:
     """What one cell sees.
 
     Attributes:
-        ids: (V,) int32, visible Gaussians, rising.
+        ids: (V,) int32, visible Gaussians, ascending.
         classes: (V,) uint8, class of the largest weight found.
-        directions: (V, 10) uint8, directions toward the viewpoints that saw each.
-        viewpoints: Viewpoints looked from; 0 if all were buried in something solid.
-        growth: Share by which the last of them made the set grow.
+        directions: (V, 10) uint8, direction set of each Gaussian: toward the viewpoints that saw it.
+        viewpoints: Number of viewpoints used; 0 if all lay inside something solid.
+        growth: Share by which the last viewpoint made the set grow.
     """
 
     ids: I32
@@ -44,12 +44,12 @@ class CellView:
 
 
 def see_cell(look: Look, viewpoints: F64, config: PvsConfig) -> CellView:
-    """The set of one cell.
+    """Return the view of one cell.
 
     Args:
-        look: The scene, ready.
-        viewpoints: (V, 3) in the order in which they are added; those buried in something solid are left out.
-        config: When to stop.
+        look: The prepared scene.
+        viewpoints: (V, 3) in the order in which they are added; viewpoints inside something solid are skipped.
+        config: The stopping rule, tau and the weight classes.
     """
     g = look.gaussians
     best = np.zeros(len(g), np.float32)

@@ -1,7 +1,7 @@
-"""Cells: the boxes of a regular grid over navigable space, each small enough to share one potentially visible set.
+"""Cells: boxes of a regular grid over navigable space. All viewpoints in a cell share one visible set.
 
-Cells are cubes of whole voxels of the navigable space, in the scene's frame and units; those without a free voxel do
-not exist. They are numbered along x, then y, then z. Knows nothing of what can be seen.
+Cells are cubes of whole voxels of the navigable space, in the scene's frame and units. A box without a free voxel is no
+cell. Cells are numbered in lexicographic order of (x, y, z). This module knows no visibility.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 MAX_CELLS = 100_000
-"""More cells than this are refused: a grid that fine is a mistake of units."""
+"""Most cells in a grid. More cells raise an error: a grid that fine is a mistake of units."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,7 +34,7 @@ class CellGrid:
         origin: (3,) lowest corner of box (0, 0, 0), scene frame.
         cell_size: Side of a cell, scene units.
         shape: Boxes along each axis.
-        coords: (C, 3) int32, the box of each cell; in lexicographic order, each once.
+        coords: (C, 3) int32, the box of each cell, in lexicographic order, each box once.
         up: (3,) unit up axis.
 
     Raises:
@@ -77,12 +77,13 @@ class CellGrid:
 
     @classmethod
     def over(cls, space: NavigableSpace, *, max_cells: int = 512, cell_size: float | None = None) -> CellGrid:
-        """The cells that cover a navigable space.
+        """Return the cells that cover a navigable space.
 
         Args:
-            space: Where eyes may be.
-            max_cells: The cells are the smallest cubes of whole voxels of which there are at most this many.
-            cell_size: Side wanted instead, scene units; rounded to whole voxels, at least one.
+            space: The navigable space.
+            max_cells: Most cells. Cells are the smallest cubes of whole voxels that keep this limit.
+            cell_size: Side of a cell, scene units, rounded to whole voxels, at least one. None chooses the smallest
+                side that `max_cells` allows.
 
         Raises:
             ValueError: If an argument is out of range, or `cell_size` needs more than `max_cells` cells.
@@ -99,7 +100,7 @@ class CellGrid:
                     f" {side * space.voxel_size:.3g}; make them larger or raise max_cells"
                 )
         else:
-            low, high = 1, max(space.free.shape)  # the number of cells falls as they grow, but for odd borders
+            low, high = 1, max(space.free.shape)  # larger cells are fewer, except at odd borders
             while low < high:
                 middle = (low + high) // 2
                 if len(_boxes(space.free, middle)) <= max_cells:
@@ -124,22 +125,22 @@ class CellGrid:
         return np.asarray(self.origin + self.cell_size * (self.coords + 0.5))
 
     def bounds(self, cell: int) -> tuple[F64, F64]:
-        """Lowest and highest corner (3,) of a cell."""
+        """Return the lowest and the highest corner (3,) of a cell, scene frame."""
         low = self.origin + self.cell_size * self.coords[self.checked(cell)]
         return low, low + self.cell_size
 
     def checked(self, cell: int) -> int:
-        """The cell, if there is one of that number.
+        """Return the number of a cell; raise unless it is in the grid.
 
         Raises:
-            ValueError: If there is not.
+            ValueError: If there is no cell of that number.
         """
         if isinstance(cell, bool) or not isinstance(cell, int | np.integer) or not 0 <= cell < len(self):
             raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}; cell_at finds one")
         return int(cell)
 
     def cell_at(self, positions: ArrayLike) -> I64:
-        """(M,) number of the cell that holds each of the (M, 3) positions, -1 where there is none.
+        """Return (M,) int64, the number of the cell that holds each of the (M, 3) positions; -1 outside all cells.
 
         A position on a face between two cells belongs to the higher one.
         """
@@ -149,19 +150,19 @@ class CellGrid:
         return self._numbers(boxes)
 
     def neighbors(self, cell: int) -> I64:
-        """Numbers of the up to 26 cells that touch a cell, rising."""
+        """Return the numbers of the cells that touch a cell, ascending; at most 26."""
         steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         steps = steps[np.any(steps != 0, axis=1)]
         found = self._numbers(self.coords[self.checked(cell)] + steps.astype(np.int64))
         return np.sort(found[found >= 0])
 
     def gaps(self, cell: int) -> F64:
-        """(C,) distance between the box of this cell and that of every cell; 0 where they touch, scene units."""
+        """Return (C,) distances between the box of this cell and every box; 0 where they touch, scene units."""
         apart = np.abs(self.coords.astype(np.int64) - self.coords[self.checked(cell)]) - 1
         return np.asarray(self.cell_size * np.linalg.norm(np.maximum(apart, 0), axis=1))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, all but the boxes."""
+        """Return everything but `coords` as plain numbers and lists."""
         return {
             "cells": len(self),
             "origin": self.origin.tolist(),
@@ -179,7 +180,7 @@ class CellGrid:
 
 
 def _boxes(free: NDArray[np.bool_], side: int) -> I64:
-    """(C, 3) boxes of `side` voxels along each axis that hold a free one, in lexicographic order."""
+    """Return (C, 3) the boxes of `side` voxels along each axis that hold a free voxel, in lexicographic order."""
     padded = np.pad(free, [(0, -n % side) for n in free.shape])
     x, y, z = (n // side for n in padded.shape)
     return np.argwhere(padded.reshape(x, side, y, side, z, side).any(axis=(1, 3, 5)))

@@ -1,7 +1,7 @@
 """Visible sets on a Dask cluster: `with connect("tcp://10.0.0.5:8786") as workers: build_pvs(..., workers=workers)`.
 
-Each worker of the cluster needs gsvis of the same version. The scene travels once; tasks of a worker that dies are
-given to others by the scheduler, and to workers that come later. The store is the same, byte by byte, as a local one.
+Each worker of the cluster needs the same version of gsvis. The scene is sent once. If a worker dies, the scheduler
+gives its tasks to other workers, also to workers that join later. The store equals a local one, byte for byte.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from gsvis.pvs.build import Workers
 
 __all__ = ["check_address", "connect"]
 
-_RETRIES = 2  # of a task that fails with an error; a worker that dies does not count
+_RETRIES = 2  # of a task that raises an error; the death of a worker does not count
 _PLUGIN = "gsvis-threads"
 
 
 def check_address(address: str) -> str:
-    """The address, if it looks like one of a scheduler.
+    """Return the address; raise unless it has the form of a scheduler's address.
 
     Raises:
-        ValueError: If it does not.
+        ValueError: If it is not of the form `tcp://host:port` or `tls://host:port`.
     """
     if not re.fullmatch(r"(tcp|tls)://(\[[0-9A-Fa-f:.%]+\]|[^\s/:\[\]]+):\d{1,5}", address):
         raise ValueError(f"scheduler: expected an address such as tcp://10.0.0.5:8786, got {address!r}")
@@ -36,19 +36,19 @@ def check_address(address: str) -> str:
 
 @contextmanager
 def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
-    """The workers of a Dask cluster.
+    """Yield the workers of a Dask cluster.
 
     Args:
-        address: Of its scheduler, such as `tcp://10.0.0.5:8786`.
+        address: Address of the scheduler, such as `tcp://10.0.0.5:8786`.
         timeout: Seconds to wait for the scheduler, and then for its first worker.
 
     Yields:
-        What `build_pvs` takes as `workers`.
+        The `workers` argument of `build_pvs`.
 
     Raises:
         ValueError: If the address is malformed.
         MissingExtraError: If dask is not installed.
-        BackendError: If no scheduler or no worker answers, or a worker lacks this gsvis.
+        BackendError: If no scheduler or no worker answers, or a worker lacks this version of gsvis.
     """
     check_address(address)
     require("a Dask cluster", "dask", "distributed")
@@ -57,7 +57,7 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
     from distributed.diagnostics.plugin import WorkerPlugin
 
     class Threads(WorkerPlugin):  # type: ignore[misc]
-        """Set the number of threads of kernels in each worker, also in workers that join later."""
+        """Sets the number of kernel threads in each worker, also in workers that join later."""
 
         name = _PLUGIN
         idempotent = True
@@ -97,7 +97,7 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
                 scatter=lambda scene: client.scatter(scene, broadcast=True, hash=False),
             )
         finally:
-            with suppress(Exception):  # a scheduler that has gone must not hide the error that tells it
+            with suppress(Exception):  # a lost scheduler must not hide the error of the block
                 client.unregister_worker_plugin(_PLUGIN)
     finally:
         with suppress(Exception):
@@ -105,10 +105,10 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
 
 
 def _check_versions(client: Any) -> None:
-    """Say which workers cannot do this work.
+    """Raise unless every worker has this version of gsvis.
 
     Raises:
-        BackendError: If gsvis is missing on a worker, or is another version there.
+        BackendError: If gsvis is missing on a worker, or has another version there.
     """
     here = version("gsvis")
     found = client.run(_version, on_error="return")
@@ -120,5 +120,5 @@ def _check_versions(client: Any) -> None:
 
 
 def _version() -> str:
-    assert _workers  # what the tasks need can be imported
+    assert _workers  # checks that the modules of the tasks can be imported
     return version("gsvis")

@@ -1,8 +1,8 @@
-"""How the set of a cell and its weight classes become bytes; the measurements behind it are in docs/design/006.
+"""Encode the set of a cell and its weight classes as bytes; docs/design/006 has the measurements.
 
-A set is packed words (see `gsvis._kernels.bits`) in stored order, in which Gaussians that the same cells see stand
-together, so that zstd finds long runs. Weight classes are coded apart for each class that the parent cell gives the
-same Gaussian. This module knows no file and no grid.
+A set is packed words (see `gsvis._kernels.bits`) in stored order. Gaussians that the same cells see are adjacent in
+this order, so zstd finds long runs. Weight classes are coded in separate streams, one for each class that the parent cell
+gives the same Gaussian. This module knows no file and no grid.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ __all__ = [
 Words = NDArray[np.uint64]
 U8 = NDArray[np.uint8]
 
-LEVEL = 12  # of zstd; 19 saves 3% and takes ten times as long
+LEVEL = 12  # of zstd; level 19 saves 3% and takes ten times as long
 _CHUNK = 1024  # words of a roaring container
 _COOKIE = 12346  # roaring: no run containers
 _ARRAY = 4096
 
-_local = threading.local()  # zstd contexts belong to one thread
+_local = threading.local()  # a zstd context must stay in one thread
 
 
 class CodecError(ValueError):
-    """Bytes that are no set or no classes; the message says what was expected and what was found."""
+    """Bytes that do not decode; the message says what was expected and what was found."""
 
 
 def word_count(n: int) -> int:
-    """Words that hold N Gaussians: whole roaring containers."""
+    """Return the number of words that hold N Gaussians: whole roaring containers."""
     return -(-n // (64 * _CHUNK)) * _CHUNK
 
 
@@ -70,14 +70,14 @@ def pack(ids: NDArray[Any], n: int) -> Words:
 
 
 def ids_of(words: Words) -> NDArray[np.int64]:
-    """The ids in a set, rising."""
+    """Return the ids in a set, ascending."""
     ids = np.empty(count(words), np.int64)
     kernels.positions(words, ids)
     return ids
 
 
 def bitmap_of(words: Words) -> BitMap:
-    """The set as a roaring bitmap."""
+    """Return the set as a roaring bitmap."""
     return BitMap.deserialize(portable(words))
 
 
@@ -101,7 +101,7 @@ def portable(words: Words) -> bytes:
 
 
 def compress(data: bytes, level: int = LEVEL) -> bytes:
-    """One zstd frame that states its length; the same bytes for the same input."""
+    """Return one zstd frame that states its content length; the same input gives the same bytes."""
     compressors = _local.__dict__.setdefault("compressors", {})
     if level not in compressors:
         compressors[level] = zstandard.ZstdCompressor(level=level, write_content_size=True, write_checksum=False)
@@ -110,10 +110,10 @@ def compress(data: bytes, level: int = LEVEL) -> bytes:
 
 
 def decompress(data: bytes, length: int) -> bytes:
-    """The content of one zstd frame of `length` bytes.
+    """Return the content of one zstd frame, which must have `length` bytes.
 
     Raises:
-        CodecError: If it is no frame, or of another length.
+        CodecError: If the data is no zstd frame, or its content has another length.
     """
     content = bytearray(length)
     _decompress_into(data, content)
@@ -121,7 +121,7 @@ def decompress(data: bytes, length: int) -> bytes:
 
 
 def _decompress_into(data: bytes, content: Any) -> None:
-    """Fill a buffer of bytes with the content of one zstd frame of its length."""
+    """Fill a buffer with the content of one zstd frame, which must have the buffer's length."""
     if not hasattr(_local, "decompressor"):
         _local.decompressor = zstandard.ZstdDecompressor()
     length = len(content)
@@ -138,15 +138,20 @@ def _decompress_into(data: bytes, content: Any) -> None:
 
 
 def encode_set(words: Words) -> bytes:
-    """A set in stored order as bytes."""
+    """Return the bytes of a set in stored order."""
     return compress(words.astype("<u8", copy=False).tobytes())
 
 
 def decode_set(data: bytes, n: int, visible: int | None = None) -> Words:
-    """The set of `encode_set`, of N Gaussians, checked to hold `visible` of them where that is known.
+    """Return the set that `encode_set` encoded.
+
+    Args:
+        data: Bytes from `encode_set`.
+        n: N Gaussians.
+        visible: Number of Gaussians that the set must hold; None skips this check.
 
     Raises:
-        CodecError: If the bytes are no such set.
+        CodecError: If the bytes are not a set of N Gaussians with `visible` members.
     """
     length = word_count(n)
     stored = np.empty(length, "<u8")
@@ -162,12 +167,13 @@ def decode_set(data: bytes, n: int, visible: int | None = None) -> Words:
 
 
 def encode_classes(words: Words, levels: U8, parent: U8 | None, classes: int) -> bytes:
-    """Weight classes of a set as bytes.
+    """Return the bytes of the weight classes of a set.
 
     Args:
         words: The set, stored order.
-        levels: (N,) class plus 1 of each Gaussian in the set, in stored order; 0 elsewhere.
-        parent: The same of the parent cell; None without a parent.
+        levels: (N,) class plus 1 of each Gaussian in the set, stored order; 0 elsewhere.
+        parent: (N,) class plus 1 of each Gaussian in the parent cell's set, stored order; 0 elsewhere. None without
+            a parent.
         classes: K, number of classes.
     """
     ids = ids_of(words)
@@ -181,10 +187,10 @@ def encode_classes(words: Words, levels: U8, parent: U8 | None, classes: int) ->
 
 
 def decode_classes(data: bytes, words: Words, n: int, parent: U8 | None, classes: int) -> U8:
-    """The (N,) levels that `encode_classes` was given.
+    """Return the (N,) `levels` that `encode_classes` encoded.
 
     Raises:
-        CodecError: If the bytes are no classes of this set and parent.
+        CodecError: If the bytes are not the classes of this set and parent.
     """
     streams = 1 if parent is None else classes + 1
     if len(data) < 4 * streams:
@@ -210,19 +216,20 @@ def decode_classes(data: bytes, words: Words, n: int, parent: U8 | None, classes
 
 
 def encode_labels(labels: NDArray[np.uint16], level: int = LEVEL) -> bytes:
-    """Labels as bytes: pairs of them as they come, or all low ones and then all high ones; the shorter wins.
+    """Return the bytes of labels: the shorter of two layouts.
 
-    Neighbors that share a label suit the first; labels without order suit the second.
+    Layout 1 keeps each label's low and high byte together; it suits runs of equal labels. Layout 2 has all low bytes,
+    then all high bytes; it suits labels without order.
     """
     data = labels.astype("<u2").tobytes()
     return min((b"\1" + compress(data, level), b"\2" + compress(data[::2] + data[1::2], level)), key=len)
 
 
 def decode_labels(data: bytes, n: int) -> NDArray[np.uint16]:
-    """The N labels of `encode_labels`.
+    """Return the N labels that `encode_labels` encoded.
 
     Raises:
-        CodecError: If the bytes are no such labels.
+        CodecError: If the bytes are not N labels.
     """
     if data[:1] not in (b"\1", b"\2"):
         raise CodecError(f"expected labels in planes of 1 or 2, got {data[:1]!r}")
@@ -232,7 +239,7 @@ def decode_labels(data: bytes, n: int) -> NDArray[np.uint16]:
 
 
 def digits_a_byte(classes: int) -> int:
-    """How many class numbers one byte holds: 8, 5, 4, 3, 3 for 2 to 6 classes."""
+    """Return how many class numbers fit in one byte: 8, 5, 4, 3, 3 for 2 to 6 classes."""
     count = 1
     while classes ** (count + 1) <= 256 and count < 8:
         count += 1
@@ -240,7 +247,7 @@ def digits_a_byte(classes: int) -> int:
 
 
 def _join_digits(symbols: NDArray[np.int64], classes: int) -> bytes:
-    """Numbers below `classes`, several to a byte, the first one lowest."""
+    """Return the bytes of numbers below `classes`, several in each byte, the first one lowest."""
     width = digits_a_byte(classes)
     padded = np.zeros((-(-len(symbols) // width), width), np.int64)
     padded.reshape(-1)[: len(symbols)] = symbols
@@ -248,7 +255,7 @@ def _join_digits(symbols: NDArray[np.int64], classes: int) -> bytes:
 
 
 def _split_digits(data: bytes, count: int, classes: int) -> U8:
-    """The numbers that `_join_digits` was given."""
+    """Return the `count` numbers that `_join_digits` encoded."""
     powers = classes ** np.arange(digits_a_byte(classes))
     table = (np.arange(256)[:, None] // powers % classes).astype(np.uint8)
     return np.asarray(table[np.frombuffer(data, np.uint8)].reshape(-1)[:count])

@@ -1,4 +1,4 @@
-"""Options of a build of visible sets: how viewpoints look, and when a cell is done."""
+"""Options of a build of visible sets: how a viewpoint is evaluated, and when a cell is finished."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class PvsConfig:
     Attributes:
         method: "hybrid" (z-buffer and hidden point removal), "raster" (weights of cubemap images) or "raycast".
         tau: Weight in (0, 1) from which a Gaussian is visible.
-        size: Pixels or rays along a side of the six faces around a viewpoint. Coarse pixels close the gaps through
-            which finer ones see, so it should not be much coarser than the images that will be shown.
-        growth: A cell is done when each of the last `patience` viewpoints made its set grow by at most this share.
-        patience: Viewpoints that must bring little.
-        min_viewpoints: Viewpoints of a cell that are always looked from.
-        max_viewpoints: Viewpoints after which a cell is done in any case.
-        class_ratio: Each weight class begins at this many times the weight of the one below; the lowest at tau.
+        size: Pixels or rays along a side of the six faces around a viewpoint. Coarse pixels close gaps through which
+            finer pixels see. So do not make it much coarser than the images that a viewer shows.
+        growth: A cell is finished when each of the last `patience` viewpoints made its set grow by at most this share.
+        patience: Consecutive viewpoints with little growth that finish a cell.
+        min_viewpoints: Fewest viewpoints of a cell.
+        max_viewpoints: Most viewpoints of a cell.
+        class_ratio: Lowest weight of a class over that of the class below. The lowest class begins at tau.
     """
 
     method: str = "hybrid"
@@ -62,10 +62,10 @@ class PvsConfig:
 
     @property
     def class_edges(self) -> F64:
-        """(K,) lowest weight of each class, rising from tau."""
+        """(K,) lowest weight of each class, ascending from tau."""
         count = max(1, math.ceil(math.log(1.0 / self.tau) / math.log(self.class_ratio) - 1e-9))
         return np.asarray(self.tau * self.class_ratio ** np.arange(min(count, 16)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings."""
+        """Return the options as plain numbers and strings."""
         return asdict(self)

@@ -1,7 +1,7 @@
-"""Levels looked at one by one: a Gaussian of the union is visible where any level that has it shows it.
+"""Visible sets of levels: a cell sees a Gaussian of the union if it sees it in at least one level.
 
-The union itself is no scene: what belongs to the low level alone would hide Gaussians of the high one, and the other
-way round. So each level is seen by itself, and what was found is brought together under the ids of the union.
+The union itself is no scene: Gaussians of the low level would hide those of the high level, and the other way round.
+So each level is looked at alone. The results are merged under the ids of the union.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ I64 = NDArray[np.int64]
 
 
 def joined(views: Sequence[CellView], ids: Sequence[I64], count: int) -> CellView:
-    """What a cell sees of a union.
+    """Return the view of a cell on the union of levels.
 
     Args:
-        views: What it sees of each level.
-        ids: The Gaussians of each level in the union.
+        views: The view of the cell on each level.
+        ids: For each level, the union ids of its Gaussians.
         count: N of the union.
 
     Returns:
-        The Gaussians that some level shows, with the class of their largest weight and all directions; viewpoints and
-        growth are those of the level that was looked at for longest.
+        The Gaussians visible in some level, with the class of their largest weight and all directions. `viewpoints`
+        and `growth` are those of the level that used most viewpoints.
     """
     if len(views) == 1:
         return views[0]

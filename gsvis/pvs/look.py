@@ -1,7 +1,7 @@
-"""What one viewpoint sees, by the method that was asked for: rays, cubemap images, or the hybrid of paper section 6.2.
+"""What one viewpoint sees, by one of three methods: rays, cubemap images, or the hybrid of paper section 6.2.
 
-All three give the largest weight of each Gaussian over six faces of `size` x `size` pixels or rays around the eye.
-World frame, scene units.
+Each method gives the largest weight of each Gaussian over six faces of `size` x `size` pixels or rays around the
+viewpoint. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 Sight = tuple[I64, F32]
-"""Gaussians met (K,), rising, and their largest weights (K,)."""
+"""Ids (K,) of the Gaussians found, ascending, and their largest weights (K,)."""
 
 
 class Look:
-    """A scene made ready for looking around in it.
+    """A scene prepared for one method of finding what viewpoints see.
 
     Args:
         g: The scene.
         method: "hybrid", "raster" or "raycast".
         size: Pixels or rays along a side of the faces.
-        floor: Weight below which nothing need be found.
+        floor: Least weight; Gaussians below it are left out.
 
     Raises:
         SceneError: If no Gaussian has an opacity of at least 1/255.
@@ -52,7 +52,7 @@ class Look:
         )
 
     def __call__(self, viewpoint: F64) -> Sight:
-        """What the eye at `viewpoint` (3,) sees."""
+        """Return what an eye at `viewpoint` (3,) sees."""
         return self._see(viewpoint)
 
 

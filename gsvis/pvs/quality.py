@@ -1,7 +1,7 @@
-"""How good the visible sets of a store are, asked at viewpoints that building never looked from.
+"""Measure how good the visible sets of a store are, at viewpoints that the build did not use.
 
-At each fresh viewpoint the weights of all Gaussians tell how much light a cell's set keeps, and images drawn from the
-set alone are compared with those of the full scene. Scene frame and units; one cell is held at a time.
+At each fresh viewpoint, the weights of all Gaussians give the share of light that the cell's set keeps. Images of the
+set alone are compared with images of the full scene. Scene frame and units. Memory holds one cell at a time.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_TRIES = 32  # times that viewpoints are drawn until enough lie outside of everything solid
-_FRESH, _DENSE, _AIMS = range(3)  # streams of random numbers of a cell
-_TARGETS = 20_000  # points that cameras look at, where the space has none
+_TRIES = 32  # draws of viewpoints until enough lie outside everything solid
+_FRESH, _DENSE, _AIMS = range(3)  # random streams of a cell
+_TARGETS = 20_000  # most points for cameras to look at, for a space that has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,24 +75,25 @@ def measure_quality(
     *,
     progress: Progress = silent,
 ) -> Quality:
-    """How much of what fresh viewpoints see the sets of a store hold.
+    """Measure how much of what fresh viewpoints see is in the sets of a store.
 
-    What is measured of a cell depends on the seed and the cell, not on which others are measured.
+    The result for a cell depends on the seed and the cell, not on the other cells measured.
 
     Args:
         store: The visible sets.
-        scene: N Gaussians; of levels the highest is measured, with as much of the sets as belongs to it.
-        viewpoints: Where eyes may be in the cells of the store.
-        config: How; None means `QualityConfig()`.
+        scene: The scene, N Gaussians; or its levels. With levels, only the highest level is measured, against the
+            members of the sets that belong to it.
+        viewpoints: The viewpoints of the store's cells.
+        config: Options; None means `QualityConfig()`.
         progress: Called with stage "quality".
 
     Returns:
         The measurements.
 
     Raises:
-        FormatError: If the store is of another scene, or damaged.
-        ValueError: If the viewpoints are of other cells.
-        SceneError: If no cell has a viewpoint outside of something solid.
+        FormatError: If the store belongs to another scene, or is damaged.
+        ValueError: If the viewpoints belong to other cells.
+        SceneError: If no cell has enough viewpoints outside everything solid.
     """
     config = config or QualityConfig()
     store.check_scene(scene)
@@ -147,13 +148,13 @@ def measure_quality(
 
 
 def dense_union(g: Gaussians, eyes: F64, tau: float, *, size: int = 128, progress: Progress = silent) -> Mask:
-    """The (N,) Gaussians that at least one of many viewpoints sees: what sets are measured against.
+    """Return (N,) bool, the Gaussians that at least one of many viewpoints sees; sets are compared with it.
 
     Args:
         g: The scene.
         eyes: (V, 3) viewpoints.
         tau: Weight from which a Gaussian is visible.
-        size: Pixels along a side of the six faces around each.
+        size: Pixels along a side of the six faces around each viewpoint.
         progress: Called with stage "dense".
     """
     seen = np.zeros(len(g), bool)
@@ -165,16 +166,16 @@ def dense_union(g: Gaussians, eyes: F64, tau: float, *, size: int = 128, progres
 
 
 def bytes_of_one(g: Gaussians) -> int:
-    """Bytes of one Gaussian as a 3DGS file keeps it: center, rotation, scales, opacity and SH in 32 bits a number."""
+    """Return the bytes of one Gaussian in a 3DGS file: center, rotation, scales, opacity and SH, 32 bits a number."""
     return 4 * (3 + 4 + 3 + 1 + 3 * (g.sh_degree + 1) ** 2)
 
 
 def box_space(grid: CellGrid, g: Gaussians) -> NavigableSpace:
-    """The whole boxes of some cells as a space, for when the one they were cut from is not known.
+    """Return a navigable space of the whole boxes of cells, for use when the original space is unknown.
 
     Args:
         grid: The cells.
-        g: The scene, for cameras to look at.
+        g: The scene; cameras look at its Gaussians.
     """
     free = np.zeros(grid.shape, bool)
     free[tuple(grid.coords.T)] = True
@@ -186,17 +187,17 @@ def box_space(grid: CellGrid, g: Gaussians) -> NavigableSpace:
 
 @dataclass(frozen=True, eq=False)
 class _Meter:
-    """All that measuring a cell needs."""
+    """Everything that the measurement of a cell needs."""
 
     store: VisibilityStore
     g: Gaussians
-    places: I64  # in g of each Gaussian of the store, -1 for those of other levels
+    places: I64  # row in g of each Gaussian of the store, -1 for those of other levels
     viewpoints: CellViewpoints
     config: QualityConfig
     tracer: Tracer | None
 
     def eyes(self, cell: int, count: int, stream: int) -> F64 | None:
-        """(count, 3) viewpoints drawn in a cell, none of them inside something solid; None if there are too few."""
+        """Return (count, 3) random viewpoints in a cell, outside everything solid; None if too few are found."""
         rng = np.random.default_rng([self.config.seed, cell, stream])
         found = np.zeros((0, 3))
         for _ in range(_TRIES):
@@ -207,7 +208,7 @@ class _Meter:
         return None
 
     def measured(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
-        """Everything about one cell; progress counts the viewpoints that were looked from."""
+        """Return the measurements of one cell; progress counts viewpoints."""
         store, g, config = self.store, self.g, self.config
         ids, classes = store.classes(cell)
         ids, classes = self.places[ids], classes[self.places[ids] >= 0]
@@ -262,7 +263,7 @@ class _Meter:
 
 
 def _around(g: Gaussians, eye: F64, size: int) -> tuple[F32, F64]:
-    """Largest weight (N,) of each Gaussian around an eye, and the sum of its weights over all pixels (N,)."""
+    """Return (N,) the largest weight of each Gaussian around an eye, and (N,) the sum of its weights over pixels."""
     largest, summed = np.zeros(len(g), np.float32), np.zeros(len(g))
     faces = Cameras.cubemap(eye[None], size)
     for c in range(len(faces)):
@@ -273,17 +274,17 @@ def _around(g: Gaussians, eye: F64, size: int) -> tuple[F32, F64]:
 
 
 def _recall(seen: Mask, held: Mask) -> float:
-    """Share of what is seen that is held."""
+    """Return the share of the seen Gaussians that the set holds."""
     return _share(int(np.count_nonzero(seen & held)), int(np.count_nonzero(seen)))
 
 
 def _share(part: float, whole: float) -> float:
-    """Part of the whole; of nothing, nothing is missing."""
+    """Return part over whole, at most 1; 1 if the whole is 0."""
     return min(1.0, float(part) / float(whole)) if whole else 1.0
 
 
 def _image(g: Gaussians, camera: Cameras) -> F32:
-    """(H, W, 3) what a display shows: values are clipped to [0, 1]."""
+    """Return the (H, W, 3) image of a camera, clipped to [0, 1] as a display does."""
     return np.asarray(np.clip(rasterize(g, camera, backend="cpu").images[0], 0.0, 1.0), np.float32)
 
 

@@ -1,7 +1,7 @@
-"""What measuring the quality of visible sets gives: how much light a set keeps, how large it is, what images lose.
+"""The measured quality of visible sets: how much light a set keeps, how large it is, what images lose.
 
-M cells were measured from V fresh viewpoints each; the last axis of some arrays runs over the K weight classes: entry k
-is for the set without all classes below k, entry 0 for the whole set. PSNR in dB, capped at 100.
+M cells are measured from V fresh viewpoints each. The last axis of some arrays runs over the K weight classes: entry k
+is for the set without the classes below k, entry 0 for the whole set. PSNR in dB, capped at 100.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ PSNR_CAP = 100.0
 """PSNR of equal images, dB, in place of infinity."""
 
 TARGETS = MappingProxyType({"weighted_recall": (0.999, 0.995), "psnr": (45.0, 40.0), "size_over_dense": (1.3, None)})
-"""What a good store reaches: on average, and in the worst case."""
+"""Targets of a good store: for the mean, and for the worst case."""
 
 
 @dataclass(frozen=True)
 class QualityConfig:
-    """How the quality of visible sets is measured.
+    """Options of a measurement of visible sets.
 
     Attributes:
-        cells: Cells measured, drawn at random; None measures all.
-        viewpoints: Fresh viewpoints a cell.
+        cells: Number of cells to measure, drawn at random; None measures all.
+        viewpoints: Fresh viewpoints in each cell.
         size: Pixels along a side of the six faces around a viewpoint.
-        dense: Viewpoints of the dense union that a set is compared with; 0 for no such union.
-        width: Pixels of the images.
-        height: Pixels.
+        dense: Viewpoints of the dense union that a set is compared with; 0 for no dense union.
+        width: Width of the images, pixels.
+        height: Height of the images, pixels.
         fov: Horizontal field of view of the images, degrees.
-        rays: Ask by ray casting, too, which Gaussians the fresh viewpoints see.
-        bytes_per_gaussian: What sending one costs; None takes its 32-bit attributes as in an uncompressed 3DGS file.
-        seed: Of the cells, the viewpoints and the directions of the images.
+        rays: Also find by ray casting which Gaussians the fresh viewpoints see.
+        bytes_per_gaussian: Bytes to send one Gaussian; None takes its 32-bit attributes in an uncompressed 3DGS file.
+        seed: Random seed of the cells, the viewpoints and the directions of the images.
     """
 
     cells: int | None = 10
@@ -73,14 +73,14 @@ class Figure:
     """One figure of the summary.
 
     Attributes:
-        key: Its name in JSON.
+        key: Name in JSON.
         label: Label for tables.
-        mean: Over all measurements.
-        worst: The worst of them, None where there is no worse or better; of `worst_of`.
-        worst_of: "cell", "viewpoint" or "image".
-        targets: For the mean and for the worst; None where there is none.
-        better: "higher" or "lower"; empty where neither is.
-        unit: "share", "dB", "times".
+        mean: Mean over all measurements.
+        worst: Worst measurement; None if no direction is better.
+        worst_of: Kind of the worst measurement: "cell", "viewpoint" or "image"; empty if `worst` is None.
+        targets: Targets of the mean and of the worst; None where there is none.
+        better: "higher" or "lower"; empty if neither is better.
+        unit: "share", "dB" or "times".
     """
 
     key: str
@@ -93,7 +93,7 @@ class Figure:
     unit: str
 
     def met(self, which: int) -> bool | None:
-        """Whether the mean (0) or the worst (1) reaches its target; None without one."""
+        """Return whether the mean (0) or the worst (1) reaches its target; None without a target."""
         target, value = self.targets[which], (self.mean, self.worst)[which]
         if target is None or value is None:
             return None
@@ -102,18 +102,18 @@ class Figure:
 
 @dataclass(frozen=True)
 class Trade:
-    """What leaving the faint classes out of the sets saves and costs, on average over the measurements.
+    """Savings and losses when the faint classes are not sent; means over all measurements.
 
     Attributes:
         least_class: The lowest class that is sent; 0 for the whole set.
-        least_weight: Where it begins.
+        least_weight: Lowest weight of this class.
         gaussians: Gaussians sent for a cell.
-        bytes: What they take.
+        bytes: Bytes of these Gaussians.
         weighted_recall: Share of the light that is kept.
-        psnr: Of the image against the full scene.
-        psnr_worst: Of the worst image.
+        psnr: PSNR of the image against the full scene, dB.
+        psnr_worst: PSNR of the worst image, dB.
         saved: Bytes saved against the whole set.
-        lost: PSNR lost against the whole set.
+        lost: PSNR lost against the whole set, dB.
     """
 
     least_class: int
@@ -134,32 +134,32 @@ class Trade:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good the visible sets of M cells are, from V fresh viewpoints in each.
+    """The quality of the visible sets of M cells, measured from V fresh viewpoints in each.
 
     Attributes:
-        config: How it was measured.
-        gaussians: N, of the scene.
+        config: Options of the measurement.
+        gaussians: N, the number of Gaussians measured.
         tau: Weight from which a Gaussian counts as visible.
         class_edges: (K,) lowest weight of each class.
-        bytes_per_gaussian: What sending one costs.
-        cells: (M,) which cells, rising.
-        centers: (M, 3) their middles, scene frame and units.
-        left_out: Cells asked for in which no viewpoint outside something solid was found.
+        bytes_per_gaussian: Bytes to send one Gaussian.
+        cells: (M,) numbers of the measured cells, ascending.
+        centers: (M, 3) centers of the measured cells, scene frame and units.
+        left_out: Cells skipped because too few viewpoints outside everything solid were found.
         eyes: (M, V, 3) the fresh viewpoints.
-        viewmats: (M, V, 4, 4) of the images' cameras, camera from world.
-        kept: (M, K) Gaussians of the set.
+        viewmats: (M, V, 4, 4) camera from world, of the cameras of the images.
+        kept: (M, K) number of Gaussians in the set.
         weighted_recall: (M, V, K) share of the weights around the viewpoint, summed over pixels, that the set keeps.
         recall: (M, V) share of the Gaussians visible from the viewpoint that the set has.
-        ray_recall: (M, V) the same for those visible on pixel rays; None if not asked for.
-        psnr: (M, V, K) of the image drawn from the set against that of the full scene.
-        ceiling: (M, V) PSNR of the same image drawn from exactly the Gaussians visible in it.
-        exact: (M, V) how many those are.
-        confirmed: (M,) share of the set that a fresh viewpoint, or one of the dense union, sees: precision.
-        dense: (M,) Gaussians of the dense union; None without one.
-        dense_shared: (M,) how many of them the set has; None without.
-        dense_psnr: (M, V) PSNR of the image drawn from the dense union; None without.
-        shown: (U,) bool, the N of the U Gaussians of a union that were measured, those of its highest level; None for
-            a scene.
+        ray_recall: (M, V) share of the Gaussians visible on pixel rays that the set has; None without `config.rays`.
+        psnr: (M, V, K) PSNR of the image drawn from the set against that of the full scene.
+        ceiling: (M, V) PSNR of the image drawn from exactly the Gaussians visible in it.
+        exact: (M, V) number of Gaussians visible in the image.
+        confirmed: (M,) precision: share of the set that a fresh viewpoint, or one of the dense union, sees.
+        dense: (M,) number of Gaussians in the dense union; None without a dense union.
+        dense_shared: (M,) number of Gaussians in both the dense union and the set; None without a dense union.
+        dense_psnr: (M, V) PSNR of the image drawn from the dense union; None without a dense union.
+        shown: (U,) bool, for a union of U Gaussians: the N Gaussians of its highest level, which were measured. None
+            if all Gaussians were measured.
     """
 
     config: QualityConfig
@@ -190,23 +190,23 @@ class Quality:
 
     @property
     def size_over_dense(self) -> F64 | None:
-        """(M,) size of each set over that of its dense union; None without one."""
+        """(M,) size of each set over the size of its dense union; None without a dense union."""
         return None if self.dense is None else self.kept[:, 0] / np.maximum(self.dense, 1)
 
     @property
     def dense_recall(self) -> F64 | None:
-        """(M,) share of the dense union that each set has; None without one."""
+        """(M,) share of the dense union that each set has; None without a dense union."""
         if self.dense is None or self.dense_shared is None:
             return None
         return np.where(self.dense > 0, self.dense_shared / np.maximum(self.dense, 1), 1.0)
 
     def camera(self, m: int, v: int) -> Cameras:
-        """The camera of the image at viewpoint v of row m."""
+        """Return the camera of the image at viewpoint v of row m."""
         width, height = self.config.width, self.config.height
         return Cameras(self.viewmats[m, v][None], intrinsics(width, height, self.config.fov)[None], width, height)
 
     def figures(self) -> tuple[Figure, ...]:
-        """The summary, the figures with targets first."""
+        """Return the figures of the summary."""
         whole, images = self.weighted_recall[..., 0], self.psnr[..., 0]
         cell, eye = whole.mean(axis=1), "viewpoint"
         found = [
@@ -237,11 +237,11 @@ class Quality:
         return tuple(found)
 
     def worst(self, count: int = 5) -> I64:
-        """Rows of the `count` measured cells that keep the least light, worst first."""
+        """Return the rows of the `count` measured cells that keep the least light, worst first."""
         return np.lexsort((self.psnr[..., 0].mean(axis=1), self.weighted_recall[..., 0].mean(axis=1)))[:count]
 
     def trades(self) -> tuple[Trade, ...]:
-        """What leaving out the faint classes saves and costs, from the whole set to the highest class alone."""
+        """Return one trade for each class: from the whole set to the highest class alone."""
         kept = self.kept.mean(axis=0)
         recall, psnr = self.weighted_recall.mean(axis=(0, 1)), self.psnr.mean(axis=(0, 1))
         size = float(self.bytes_per_gaussian)
@@ -261,7 +261,7 @@ class Quality:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return the measurements as plain numbers, strings and lists for JSON."""
         return {
             "config": asdict(self.config),
             "gaussians": self.gaussians,
@@ -290,7 +290,7 @@ class Quality:
         }
 
     def _row(self, m: int) -> dict[str, Any]:
-        """Everything about one measured cell."""
+        """Return the record of one measured cell."""
         row = {
             "cell": int(self.cells[m]),
             "center": self.centers[m].tolist(),

@@ -1,8 +1,8 @@
-"""The store of potentially visible sets: one memory-mapped file that says what each cell of a scene sees.
+"""The store of visible sets: one memory-mapped file with the visible set of each cell of a scene.
 
-Ids are those of the scene, whatever order the file keeps. Positions and distances are in the scene's frame and units.
-Opening reads a few kilobytes; everything else is read, and checked, when it is first asked for. Safe to share
-between threads. Writing is in `_writer.py`, the coding in `codec.py`.
+Ids are those of the scene; the stored order is internal. Positions and distances are in the scene's frame and units.
+Opening reads a few kilobytes. All other data is read and checked on first use. Threads may share a store. `_writer.py`
+writes stores, `codec.py` codes the sets.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ U8 = NDArray[np.uint8]
 
 
 class VisibilityStore:
-    """An open store; `VisibilityStore.open` makes one.
+    """An open store; `VisibilityStore.open` opens one.
 
     Attributes:
         path: The file.
-        grid: Its C cells.
-        info: What it holds besides: number of Gaussians, scene, tau, classes, how it was built.
-        cache: Where decoded cells are kept; assign another `Cache` to share it.
+        grid: The C cells.
+        info: Number of Gaussians, scene, tau, classes, and how the store was built.
+        cache: Cache of decoded cells; assign another `Cache` to share it.
     """
 
     def __init__(self, path: str | PathLike[str], *, max_cache: int = 256 << 20) -> None:
-        """Open a file without a look at its scene; see `open`."""
+        """Open a file without checking its scene; see `open`."""
         self.path = _check.path("path", path)
         self.cache: Cache[Any] = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
@@ -70,17 +70,18 @@ class VisibilityStore:
     ) -> VisibilityStore:
         """Open a store; every file that `write_store` wrote opens.
 
-        A header may ask for 1 GiB, 16 bytes for each of 67 million Gaussians, whatever the size of the file. Beyond
-        that it may ask for 64 MiB and 256 bytes for each byte of the file.
+        A header may claim 1 GiB of memory for any file size: 16 bytes for each of 67 million Gaussians. Beyond that, it
+        may claim 64 MiB plus 256 bytes for each byte of the file.
 
         Args:
             path: The file.
-            scene: The scene or levels it should belong to, compared by content; None compares nothing and is quicker.
-            max_cache: Bytes of decoded cells kept for further queries.
+            scene: The scene or levels that the store must belong to, compared by content. None skips the comparison and
+                is faster.
+            max_cache: Bytes of decoded cells to cache.
 
-        Raises:
-            FormatError: If the file is no store, damaged, cut, of a newer version, or of another scene.
-            OSError: If it cannot be opened.
+            Raises:
+                FormatError: If the file is no store, damaged, cut, of a newer version, or of another scene.
+                OSError: If the file cannot be opened.
         """
         store = cls(path, max_cache=max_cache)
         try:
@@ -92,7 +93,7 @@ class VisibilityStore:
         return store
 
     def close(self) -> None:
-        """Let go of the file; no query works afterward."""
+        """Close the file; no query works afterward."""
         self._file.close()
 
     def __enter__(self) -> VisibilityStore:
@@ -104,7 +105,7 @@ class VisibilityStore:
         self.close()
 
     def __len__(self) -> int:
-        """C, the number of cells."""
+        """Return C, the number of cells."""
         return len(self.grid)
 
     def __repr__(self) -> str:
@@ -127,7 +128,7 @@ class VisibilityStore:
 
     @property
     def viewpoints(self) -> NDArray[np.int64]:
-        """(C,) viewpoints that each cell was found from."""
+        """(C,) number of viewpoints that each set was found from."""
         return self._rows["viewpoints"].astype(np.int64)
 
     @property
@@ -136,7 +137,7 @@ class VisibilityStore:
         return self._rows["growth"].astype(np.float32)
 
     def class_interval(self, level: int) -> tuple[float, float]:
-        """Lowest weight of a class, and the weight it ends at.
+        """Return the lowest weight of a class and the weight at which it ends.
 
         Raises:
             ValueError: If there is no such class.
@@ -146,20 +147,20 @@ class VisibilityStore:
         return edges[level], edges[level + 1]
 
     def cell_at(self, position: ArrayLike) -> int:
-        """The cell that holds a position (3,), world frame; -1 outside all cells."""
+        """Return the cell that holds a position (3,), world frame; -1 outside all cells."""
         point = _check.floats("position", position, (3,), np.float64)
         return int(self.grid.cell_at(point[None])[0])
 
     def neighbors(self, cell: int) -> NDArray[np.int64]:
-        """Cells that touch a cell by a face, an edge or a corner."""
+        """Return the cells that touch a cell at a face, an edge or a corner."""
         return self.grid.neighbors(self.check_cell(cell))
 
     def visible(self, cell: int, *, least_class: int = 0) -> BitMap:
-        """The Gaussians that a cell sees.
+        """Return the Gaussians that a cell sees.
 
         Args:
-            cell: Its number.
-            least_class: Only those whose largest weight is in this class or a higher one.
+            cell: Number of the cell.
+            least_class: Lowest weight class of the Gaussians returned; 0 returns all.
 
         Returns:
             A bitmap of ids that the caller may change.
@@ -171,45 +172,45 @@ class VisibilityStore:
         return _codec.bitmap_of(self._in_scene_order(self._at_least(cell, least_class)))
 
     def visible_ids(self, cell: int, *, least_class: int = 0) -> NDArray[np.int64]:
-        """`visible` as (V,) rising ids."""
+        """Return `visible` as (V,) ascending ids."""
         return _codec.ids_of(self._in_scene_order(self._at_least(cell, least_class)))
 
     def visible_words(self, cell: int) -> Words:
-        """`visible` as packed words: Gaussian i is bit i % 64 of word i // 64, whole roaring containers."""
+        """Return `visible` as packed words: Gaussian i is bit i % 64 of word i // 64, whole roaring containers."""
         return self._in_scene_order(self._words(self.check_cell(cell)))
 
     def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
-        """The (V,) rising ids that a cell sees, and the (V,) weight class of each."""
+        """Return the (V,) ids that a cell sees, ascending, and the (V,) weight class of each."""
         levels = self._levels(self.check_cell(cell))
         ids = _codec.ids_of(self._in_scene_order(self._words(cell)))
         return ids, levels[self._places[ids]] - np.uint8(1)
 
     def union(self, cells: Iterable[int]) -> BitMap:
-        """The Gaussians that any of the cells sees."""
+        """Return the Gaussians that any of the given cells sees."""
         total = np.zeros(_codec.word_count(self.gaussians), np.uint64)
         for cell in cells:
             total |= self._words(self.check_cell(cell))
         return _codec.bitmap_of(self._in_scene_order(total))
 
     def difference(self, cell: int, other: int) -> BitMap:
-        """The Gaussians that `cell` sees and `other` does not."""
+        """Return the Gaussians that `cell` sees and `other` does not."""
         words = self._words(self.check_cell(cell)) & ~self._words(self.check_cell(other))
         return _codec.bitmap_of(self._in_scene_order(words))
 
     def ever_visible(self) -> BitMap:
-        """The Gaussians that at least one cell sees."""
+        """Return the Gaussians that at least one cell sees."""
         return _codec.bitmap_of(self._in_scene_order(self._ever))
 
     def distance_to_visibility(self, cell: int, *, within: float = np.inf) -> NDArray[np.float32]:
-        """How far each Gaussian is from being seen: distance from this cell to the nearest cell that sees it.
+        """Return the distance from this cell to the nearest cell that sees each Gaussian.
 
         Args:
-            cell: Its number.
-            within: Cells farther than this are not looked at.
+            cell: Number of the cell.
+            within: Largest distance searched, scene units.
 
         Returns:
-            (N,) float32, scene units, between the centers of the two cells: 0 where `cell` itself sees the Gaussian,
-            at least the side of a cell elsewhere, inf where no cell (within the distance) sees it.
+            (N,) float32, scene units, between the centers of the two cells: 0 if `cell` itself sees the Gaussian, at
+            least the side of a cell otherwise, inf if no cell within the distance sees it.
 
         Raises:
             ValueError: If the cell is outside the grid, or `within` is negative.
@@ -231,7 +232,7 @@ class VisibilityStore:
         return out
 
     def nearest_seer(self, gaussian: int, cell: int) -> tuple[int, float]:
-        """The nearest cell that sees a Gaussian and the distance of the two centers; (-1, inf) where none does."""
+        """Return the nearest cell that sees a Gaussian, and the distance of the centers; (-1, inf) if none does."""
         place = int(self._places[self.check_gaussian(gaussian)])
         if not _has(self._ever, place):
             return -1, np.inf
@@ -243,26 +244,26 @@ class VisibilityStore:
         raise self._fault("section 'ever'", "a Gaussian that some cell sees", f"Gaussian {gaussian}, which none sees")
 
     def class_of(self, gaussian: int, cell: int) -> int:
-        """Weight class of a Gaussian from a cell; -1 where the cell does not see it."""
+        """Return the weight class of a Gaussian from a cell; -1 if the cell does not see it."""
         return int(self._levels(self.check_cell(cell))[self._places[self.check_gaussian(gaussian)]]) - 1
 
     def why(self, gaussian: int, cell: int, tracer: Tracer | None = None) -> Why:
-        """Why a cell sees a Gaussian or not; see `gsvis.pvs.why.why`."""
+        """Return why a cell sees a Gaussian or not; see `gsvis.pvs.why.why`."""
         return why(self, tracer, gaussian, cell)
 
     @cached_property
     def direction_sets(self) -> U8:
-        """(N, 10) uint8 direction sets gathered while the store was built; read-only."""
+        """(N, 10) uint8 direction sets from the build of the store; read-only."""
         flat = self._unpack("directions", 10 * self.gaussians)
         sets = np.ascontiguousarray(np.frombuffer(flat, np.uint8).reshape(10, self.gaussians).T)
         sets.flags.writeable = False
         return sets
 
     def sizes(self) -> dict[str, float]:
-        """Bytes of each section and of the file, and bits for each (cell, visible Gaussian).
+        """Return the bytes of each section and of the file, and the bits for each pair (cell, visible Gaussian).
 
-        `bits_per_pair` counts the whole file but the weight classes and the direction sets, which are no sets of cells;
-        `class_bits_per_pair` counts the classes.
+        `bits_per_pair` counts the file without its weight classes and direction sets. `class_bits_per_pair` counts the
+        weight classes.
         """
         found: dict[str, float] = {name: section.length for name, section in self._file.sections.items()}
         pairs = max(1, int(self.visible_counts.sum()))
@@ -271,13 +272,13 @@ class VisibilityStore:
         return {**found, "file": self._file.size, **bits}
 
     def verify(self, *, progress: Progress = silent) -> None:
-        """Read and decode everything.
+        """Read and decode the whole file.
 
         Args:
             progress: Called with stage "verify".
 
         Raises:
-            FormatError: If anything is damaged; names the first place.
+            FormatError: If anything is damaged; the error names the first damaged place.
         """
         progress("verify", 0, len(self))
         for name in self._file.sections:
@@ -292,18 +293,18 @@ class VisibilityStore:
             raise self._fault("section 'ever'", "the union of all cells", "another set")
 
     def check_cell(self, cell: int) -> int:
-        """The cell, if there is one of that number.
+        """Return the number of a cell; raise unless the grid has it.
 
         Raises:
-            ValueError: If there is not.
+            ValueError: If there is no cell of that number.
         """
         return self.grid.checked(cell)
 
     def check_gaussian(self, gaussian: int) -> int:
-        """The id, if the scene has it.
+        """Return the id of a Gaussian; raise unless the scene has it.
 
         Raises:
-            ValueError: If it does not.
+            ValueError: If the scene has no such id.
         """
         number = isinstance(gaussian, int | np.integer) and not isinstance(gaussian, bool)
         if not number or not 0 <= gaussian < self.gaussians:
@@ -311,12 +312,12 @@ class VisibilityStore:
         return int(gaussian)
 
     def check_scene(self, scene: Gaussians | Levels) -> None:
-        """Nothing, if the store was made from a scene of this content, or from levels that share it in the same way.
+        """Raise unless the store was built from a scene of this content, or from levels with the same members.
 
-        The union of levels alone will do for a store of levels: ids are the same.
+        The union of levels also matches a store of these levels: the ids are the same.
 
         Raises:
-            FormatError: If it was made from another one.
+            FormatError: If the store was built from another scene or other levels.
         """
         if self._known_scene is not None and self._known_scene() is scene:
             return
@@ -354,7 +355,7 @@ class VisibilityStore:
 
     @cached_property
     def _ever(self) -> Words:
-        """What any cell sees, stored order."""
+        """The set that at least one cell sees, stored order."""
         data = self._file.read("ever")
         try:
             return _codec.decode_set(data, self.gaussians)
@@ -362,7 +363,7 @@ class VisibilityStore:
             raise self._undecodable("section 'ever'", error) from error
 
     def _by_distance(self, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """All cells and their distances, nearest first; equally far ones by number."""
+        """Return all cells and their distances, nearest first, ties by number."""
         steps = self.grid.coords.astype(np.int64) - self.grid.coords[cell]
         squares = np.einsum("ij,ij->i", steps, steps)
         order = np.argsort(squares, kind="stable")
@@ -374,14 +375,14 @@ class VisibilityStore:
         return out
 
     def _at_least(self, cell: int, least_class: int) -> Words:
-        """What a cell sees with at least this class, stored order."""
+        """Return the set of a cell with at least this weight class, stored order."""
         if self._check_class("least_class", least_class) == 0:
             return self._words(self.check_cell(cell))
         chosen = np.flatnonzero(self._levels(self.check_cell(cell)) > least_class)
         return _codec.pack(chosen, self.gaussians)
 
     def _words(self, cell: int) -> Words:
-        """What a cell sees, stored order; not to be changed."""
+        """Return the set of a cell, stored order; do not change it."""
         held: Words | None = self.cache.find(("set", cell))
         if held is None:
             row = self._rows[cell]
@@ -395,7 +396,7 @@ class VisibilityStore:
         return held
 
     def _levels(self, cell: int) -> U8:
-        """(N,) class plus 1 of what a cell sees, stored order; not to be changed."""
+        """Return (N,) uint8, stored order: class plus 1 of what a cell sees, 0 elsewhere; do not change it."""
         held: U8 | None = self.cache.find(("classes", cell))
         if held is None:
             row = self._rows[cell]
@@ -453,7 +454,7 @@ class VisibilityStore:
             if not whole or not np.array_equal(rows[f"{kind}_offset"].astype(np.int64), starts):
                 raise self._fault("section 'cells'", f"cells that fill section {name!r} in order", "others")
         at = np.arange(len(rows))
-        for _ in range(_order.MAX_DEPTH + 1):  # every chain of parents has ended by then
+        for _ in range(_order.MAX_DEPTH + 1):  # every valid chain of parents ends within these steps
             parents = rows["parent"][at].astype(np.int64)
             if len(at) and (parents.min() < -1 or parents.max() >= len(rows)):
                 raise self._fault("section 'cells'", "parents that are cells", "others")

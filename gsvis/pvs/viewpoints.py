@@ -1,6 +1,6 @@
-"""Viewpoints inside cells: spread ones to build from, random ones to test with. Scene frame and units.
+"""Viewpoints inside cells: spread ones for a build, random ones for tests. Scene frame and units.
 
-Both stay in the free voxels of the navigable space, so that no eye stands in a wall that crosses a cell.
+Both stay in the free voxels of the navigable space, so no viewpoint lies in a wall that crosses a cell.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ __all__ = ["CellViewpoints"]
 
 F64 = NDArray[np.float64]
 
-_OUTWARD = 0.45  # voxels from the center of a voxel to the viewpoint in it, so that the rim of a cell is looked from
+_OUTWARD = 0.45  # voxels from the center of a voxel to its viewpoint: reaches the rim of a cell
 
 
 class CellViewpoints:
-    """Where eyes may be in each cell of a grid.
+    """The possible viewpoints of each cell of a grid.
 
     Args:
         grid: C cells.
-        space: The navigable space they were cut from.
+        space: The navigable space that the grid was made from.
 
     Raises:
-        ValueError: If some cell has no free voxel in this space.
+        ValueError: If a cell has no free voxel in this space.
     """
 
     def __init__(self, grid: CellGrid, space: NavigableSpace) -> None:
@@ -45,19 +45,19 @@ class CellViewpoints:
             )
 
     def free_voxels(self, cell: int) -> int:
-        """How many free voxels a cell has."""
+        """Return the number of free voxels in a cell."""
         cell = self.grid.checked(cell)
         return int(self._starts[cell + 1] - self._starts[cell])
 
     def spread(self, cell: int, count: int) -> F64:
-        """At most `count` viewpoints of a cell, each as far as can be from those before it: the rim comes first.
+        """Return up to `count` viewpoints of a cell, each as far as possible from those before it, the rim first.
 
         Args:
-            cell: Its number.
-            count: Viewpoints wanted; fewer come back where the cell has fewer free voxels.
+            cell: Number of the cell.
+            count: Most viewpoints. A cell with fewer free voxels gives one viewpoint for each of them.
 
         Returns:
-            (V, 3); the first k of more viewpoints are those that a call for k gives.
+            (V, 3) viewpoints. The first k are the same for every `count` of at least k.
         """
         _check.positive_int("count", count)
         voxels = self._candidates(cell)
@@ -73,7 +73,7 @@ class CellViewpoints:
         return np.asarray(self.space.origin + self.space.voxel_size * points[chosen])
 
     def draw(self, cell: int, count: int, rng: np.random.Generator) -> F64:
-        """(count, 3) viewpoints uniform over the free part of a cell; for tests, never for building."""
+        """Return (count, 3) viewpoints uniform over the free voxels of a cell; for measurements, not for builds."""
         _check.positive_int("count", count, at_least=0)
         voxels = self._candidates(cell)
         some = voxels[rng.integers(len(voxels), size=count)]

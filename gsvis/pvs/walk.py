@@ -1,7 +1,7 @@
-"""What a walk has ever seen: the share of a scene's Gaussians that a visitor has needed so far, as a curve over time.
+"""The share of a scene's Gaussians that a walk has seen so far, as a curve over time.
 
-The first curve of the paper's figure 13. Two ways: by what each camera along the walk sees, and by the visible sets of
-the cells that it passes through, which is what a server would send. Scene frame and units, seconds from the start.
+This is the first curve of the paper's figure 13. It is measured by cameras along the walk, or by the visible sets of
+the cells on the walk, which a server would send. Scene frame and units, seconds from the start.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ class VisibleCells(Protocol):
     """Cells with visible sets, such as a PVS store."""
 
     def cell_at(self, position: Any, /) -> Any:
-        """The cell that holds a position (3,); None or a negative number where there is none."""
+        """Return the cell that holds a position (3,); None or a negative number outside all cells."""
         ...
 
     def visible(self, cell: Any, /) -> Iterable[int]:
-        """Ids of the Gaussians visible from somewhere in a cell."""
+        """Return the ids of the Gaussians visible from somewhere in a cell."""
         ...
 
 
 @dataclass(frozen=True)
 class WalkConfig:
-    """How a walk is watched.
+    """Options of a measurement along a walk.
 
     Attributes:
-        seconds: How much of it, from its start.
-        rate: Poses a second.
-        width: Pixels of a view.
-        height: Pixels.
+        seconds: Time measured, from the start of the walk.
+        rate: Poses per second.
+        width: Width of a view, pixels.
+        height: Height of a view, pixels.
         fov: Horizontal field of view, degrees.
         tau: Weight in (0, 1] from which a Gaussian is visible.
     """
@@ -78,16 +78,16 @@ class WalkConfig:
 
 @dataclass(frozen=True, eq=False)
 class WalkVisibility:
-    """What a walk sees, at S instants.
+    """What a walk sees at S instants.
 
     Attributes:
         times: (S,) seconds from the start.
         visible: (S,) share of the N Gaussians visible at the instant.
-        seen: (S,) share seen at the instant or before; never falls.
+        seen: (S,) share of the N Gaussians seen at the instant or before; never falls.
         first_seen: (N,) float32, seconds until each Gaussian is first seen; infinite if never.
-        outside: Number of instants at which the walk was in no cell; 0 for cameras.
-        by: "raster" or "raycast" for cameras, "cells".
-        config: How the walk was watched; of a walk by cells only `seconds` and `rate` count.
+        outside: Number of instants at which the walk is in no cell; 0 for cameras.
+        by: "raster" or "raycast" for cameras, "cells" for visible sets.
+        config: Options of the measurement. With "cells", only `seconds` and `rate` have an effect.
     """
 
     times: F64
@@ -99,7 +99,7 @@ class WalkVisibility:
     config: WalkConfig
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; without `first_seen`."""
+        """Return everything but `first_seen` as plain numbers, strings and lists for JSON."""
         return {
             "by": self.by,
             "config": asdict(self.config),
@@ -123,18 +123,17 @@ def measure_walk(
     gaussians: int | None = None,
     progress: Progress = silent,
 ) -> WalkVisibility:
-    """The share of a scene that a walk has ever seen, over time.
+    """Measure the share of a scene that a walk has seen, over time.
 
     Args:
-        scene: What is looked at: Gaussians (weights of the rasterizer), a tracer of them (weights along pixel rays), or
-            cells with visible sets.
-        path: The walk, in the scene's frame; one shorter than `config.seconds` is watched to its end.
-        config: Time, rate, resolution and threshold; None means `WalkConfig()`.
-        gaussians: N, how many Gaussians the scene has in all; needed with cells that have no attribute `gaussians`.
+        scene: Gaussians (weights of the rasterizer), a tracer (weights along pixel rays), or cells with visible sets.
+        path: The walk, in the scene's frame. A walk shorter than `config.seconds` is measured to its end.
+        config: Time, rate, resolution and tau; None means `WalkConfig()`.
+        gaussians: N, the number of Gaussians in the scene; required for cells without an attribute `gaussians`.
         progress: Called with stage "walk".
 
     Returns:
-        The curves. By cameras, fewer pixels or instants see less: they belong to every figure.
+        The curves. With cameras, fewer pixels or instants see less, so report both with every figure.
 
     Raises:
         ValueError: If `gaussians` is missing with cells or contradicts the scene, or the scene is empty.
@@ -176,7 +175,7 @@ def measure_walk(
 def _watcher(
     scene: Gaussians | Tracer | VisibleCells, walk: HeadPath, config: WalkConfig
 ) -> tuple[Callable[[int], NDArray[np.int64] | None], int | None, str]:
-    """What is visible at the i-th pose (ids; None outside all cells), the number of Gaussians, the name of the way."""
+    """Return a function that gives the ids visible at pose i (None outside all cells), N if known, and `by`."""
     cameras = walk.cameras(config.width, config.height, config.fov)
     tau = np.float32(config.tau)
     if isinstance(scene, Gaussians):
@@ -196,11 +195,11 @@ def _watcher(
             kept[cell] = _ids(scene.visible(cell))
         return kept[cell]
 
-    known = getattr(scene, "gaussians", None)  # a store knows
+    known = getattr(scene, "gaussians", None)  # a store has the attribute
     return of_cell, known if isinstance(known, int) else None, "cells"
 
 
 def _ids(found: Iterable[int]) -> NDArray[np.int64]:
-    """Sorted ids without repeats, of an array or of any collection (a roaring bitmap)."""
+    """Return sorted, unique ids from an array or any collection, such as a roaring bitmap."""
     values = found if isinstance(found, np.ndarray) else np.fromiter(found, np.int64)
     return np.unique(_check.integers("ids", values, ("M",)))

@@ -1,7 +1,7 @@
-"""Why a cell sees a Gaussian, or why not: its weight there, or the Gaussians that stand in front of it.
+"""Why a cell sees a Gaussian or not: its weight there, or the Gaussians in front of it.
 
-What a cell sees is what the store says; who stands in front is found by rays from viewpoints in the cell to the
-center of the Gaussian. World frame, scene units; weight and alpha as in docs/conventions.md.
+The store says whether a cell sees a Gaussian. Rays from viewpoints in the cell to the center of the Gaussian find the
+Gaussians in front of it. World frame, scene units; weight and alpha as in docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -21,25 +21,26 @@ if TYPE_CHECKING:
 __all__ = ["Why", "why"]
 
 _SHOWN = 5
-_INSET = 0.8  # corners are taken this far out, so that they lie inside the cell
+_INSET = 0.8  # share of the way to a corner; keeps the points inside the cell
 
 
 @dataclass(frozen=True, eq=False)
 class Why:
-    """The answer to "does this cell see this Gaussian, and why?"; `str` of it is meant for people.
+    """The answer to "does this cell see this Gaussian, and why?"; `str` gives a text for people.
 
     Attributes:
-        gaussian: Its id, in scene order.
+        gaussian: Id of the Gaussian, scene order.
         cell: Number of the cell.
-        verdict: "visible"; "hidden" behind others; "missed": not in the set, though rays of `why` reach it with a
-            weight of at least tau; "faint": its opacity is too low to be seen from anywhere.
-        interval: (least, most) weight from the cell as its weight class states it; (0, tau) where it is not in the set.
-        weight: Largest weight over the rays of `why`; NaN where no ray was cast.
-        rays: Rays cast.
-        blockers: (B,) int64, Gaussians in front of it on these rays, the one that takes most light first.
-        shares: (B,) float64, share of the light each takes on the way, mean over the rays.
-        nearest_cell: The nearest cell that sees it; -1 where none does.
-        nearest_distance: Distance between the centers of the two cells, scene units; inf where none does.
+        verdict: "visible"; "hidden" behind others; "missed": not in the set, but a ray of `why` reaches it with a
+            weight of at least tau; "faint": its opacity is too low to be visible from anywhere.
+        interval: (least, most) weight from the cell, by its weight class; (0, tau) if it is not in the set, and
+            (0, least visible opacity) if it is "faint".
+        weight: Largest weight over the rays of `why`; NaN if no ray was cast.
+        rays: Number of rays cast.
+        blockers: (B,) int64, Gaussians in front of it on these rays; the one that takes most light comes first.
+        shares: (B,) float64, share of the light that each blocker takes, mean over the rays.
+        nearest_cell: The nearest cell that sees it; -1 if none does.
+        nearest_distance: Distance between the centers of the two cells, scene units; inf if no cell sees it.
     """
 
     gaussian: int
@@ -87,22 +88,22 @@ class Why:
 def why(
     store: VisibilityStore, tracer: Tracer | None, gaussian: int, cell: int, *, viewpoints: ArrayLike | None = None
 ) -> Why:
-    """Tell whether a cell sees a Gaussian, by how much, and what hides it.
+    """Return whether a cell sees a Gaussian, with which weight, and what hides it.
 
     Args:
-        store: The sets of all cells.
-        tracer: Tracer of the scene of the store; None casts no ray, and the result does not say what hides it.
-        gaussian: Id in scene order.
+        store: The visible sets.
+        tracer: Tracer of the store's scene; None casts no ray, and the result names no blockers.
+        gaussian: Id of the Gaussian, scene order.
         cell: Number of the cell.
-        viewpoints: (V, 3) where rays start, world frame; None means the center of the cell and eight points near its
-            corners.
+        viewpoints: (V, 3) start points of the rays, world frame; None means the center of the cell and eight points
+            near its corners.
 
     Returns:
         The answer.
 
     Raises:
-        ValueError: If `gaussian` or `cell` is out of range, or the tracer is of another scene.
-        FormatError: If the store is damaged where it is read.
+        ValueError: If `gaussian` or `cell` is out of range.
+        FormatError: If the tracer is of another scene, or the store is damaged where it is read.
     """
     store.check_gaussian(gaussian)
     store.check_cell(cell)
@@ -129,7 +130,7 @@ def why(
 
 
 def _viewpoints(store: VisibilityStore, cell: int) -> NDArray[np.float64]:
-    """(9, 3) center and points near the corners of a cell."""
+    """Return (9, 3) the center of a cell and points near its corners."""
     low, high = (np.asarray(corner, np.float64) for corner in store.grid.bounds(cell))
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
     center, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -139,16 +140,16 @@ def _viewpoints(store: VisibilityStore, cell: int) -> NDArray[np.float64]:
 def _in_front_of(
     tracer: Tracer, gaussian: int, eyes: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
-    """Gaussians before one on rays to its center, their mean shares of light, and its own largest weight."""
+    """Return the Gaussians in front of one on rays to its center, their mean shares of light, and its own weight."""
     rays = tracer.proxies.gaussians.means[gaussian].astype(np.float64) - eyes
     distances = np.linalg.norm(rays, axis=1)
-    rays[distances == 0.0] = (1.0, 0.0, 0.0)  # the eye is in its center: every direction is as good
+    rays[distances == 0.0] = (1.0, 0.0, 0.0)  # the eye is at its center: any direction will do
     found = tracer.contributions(eyes, rays)
     ray_ids = found.ray_ids
     own = found.gaussian_ids == gaussian
     weight = float(found.weights[own].max()) if own.any() else 0.0
     ends, met = found.ray_offsets[1:].copy(), np.zeros(len(eyes), bool)
-    ends[ray_ids[own]], met[ray_ids[own]] = np.flatnonzero(own), True  # front to back: what comes earlier is in front
+    ends[ray_ids[own]], met[ray_ids[own]] = np.flatnonzero(own), True  # front to back: earlier hits are in front
     in_front = met[ray_ids] | (found.depths <= distances[ray_ids])
     before = in_front & (np.arange(len(own)) < ends[ray_ids])
     blockers, place = np.unique(found.gaussian_ids[before], return_inverse=True)
@@ -158,7 +159,7 @@ def _in_front_of(
 
 
 def _span(interval: tuple[float, float]) -> str:
-    """An interval of weights in words."""
+    """Format an interval of weights in words."""
     least, most = interval
     if least <= 0.0:
         return f"below {most:.4g}"
