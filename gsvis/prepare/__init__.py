@@ -1,4 +1,4 @@
-"""The stages from a scene to a package that can be served: colors, active terms and their quality among them.
+"""Prepare a package from a scene: the stages, colors and active terms among them, their cost and their quality.
 
     prepared = prepare_package(load_scene("scene.ply"), "scene.gsvis", space)
 

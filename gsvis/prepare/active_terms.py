@@ -31,27 +31,27 @@ def build_active_terms(
 ) -> ActiveTerms:
     """Find the terms that each cell of a PVS needs, and write them.
 
-    Only terms of Gaussians that the cell sees are looked at. A term belongs to a cell if it may be active for some eye
-    in its box, so that none that is active for an eye is missing (`Activation.active_in_box`).
+    A cell needs terms only of the Gaussians that it sees. A term belongs to a cell if it may be active for some eye in
+    the box of the cell, so no active term is missing (`Activation.active_in_box`).
 
     Args:
         colors: Colors of the N Gaussians.
         g: The scene.
-        store: Its visible sets.
+        store: Visible sets of the scene.
         epsilon: Contribution above which a term is active, >= 0.
-        path: The file to write, suffix `.terms.arrow`; it appears whole or not at all.
-        weighted: Multiply contributions by the blending weight of the Gaussian, the most that its class in the cell
-            allows: epsilon is then a change of a pixel, not of a Gaussian, and fewer terms serve as well.
-        provenance: Where epsilon comes from; kept in the file.
+        path: The file to write, suffix `.terms.arrow`; it is written atomically.
+        weighted: Multiply contributions by the largest blending weight that the Gaussian's class in the cell allows.
+            Epsilon is then a change of a pixel, not of a Gaussian, and fewer terms are active.
+        provenance: Where epsilon comes from; stored in the file.
         progress: Called with stage "terms".
 
     Returns:
-        The store, open.
+        The open store of active terms.
 
     Raises:
         ValueError: If lengths differ or epsilon is out of range.
-        FormatError: If the visible sets are of another scene, or damaged.
-        OSError: If the file cannot be written; what stood at the path before stays.
+        FormatError: If the visible sets belong to another scene, or are damaged.
+        OSError: If the file cannot be written; an older file at the path stays.
 
     References:
         SRBF-Gaussian, section 6.2.
@@ -71,7 +71,7 @@ def build_active_terms(
 
 
 def most_weights(store: VisibilityStore, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The (V,) rising ids that a cell sees, and the (V,) weight at which the class of each ends."""
+    """Return the (V,) ids that a cell sees, ascending, and the (V,) weight at which the class of each ends."""
     ids, classes = store.classes(cell)
     ends = [store.class_interval(level)[1] for level in range(len(store.info.class_edges))]
     return ids, np.asarray(ends, np.float32)[classes]

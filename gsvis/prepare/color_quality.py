@@ -1,7 +1,7 @@
-"""How good SRBF colors are: images against those of the SH colors, from views that the fit never used.
+"""Measure SRBF colors: compare their images with those of the SH colors, in views that the fit did not use.
 
-Images are clipped to what a display shows. Beside all terms: the base colors alone, the first terms of each Gaussian,
-and the terms that are active at an epsilon. One view is held at a time.
+Images are clipped to [0, 1]. Four variants are drawn: all terms, base colors alone, the first terms of each Gaussian,
+and the terms that are active at an epsilon. Memory holds one view at a time.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 EPSILONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-"""Where the share of active terms is asked; the paper's own epsilons are 0.01 to 0.05."""
+"""Epsilons at which the share of active terms is measured; the paper's epsilons are 0.01 to 0.05."""
 
 
 @dataclass(frozen=True)
 class ColorQualityConfig:
-    """What is measured.
+    """Options of a measurement of colors.
 
     Args:
-        counts: How many of the first terms of each Gaussian; those beyond the largest number there is are left out,
-            and 0 and that number are always there.
-        epsilons: Where activation is asked, each > 0.
-        flip: Ask FLIP too; False where flip-evaluator is absent.
+        counts: Numbers of first terms of each Gaussian to draw. 0 and the largest number of terms of a Gaussian are
+            always measured; larger counts are left out.
+        epsilons: Epsilons at which activation is measured, each in (0, 1].
+        flip: Also measure FLIP; needs the package flip-evaluator.
 
     Raises:
         ValueError: If a value is out of range.
@@ -61,12 +61,12 @@ class ColorQualityConfig:
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """How alike images of C views are to those of the SH colors.
+    """The likeness of images of C views to those of the SH colors.
 
     Attributes:
-        psnr: (C,) dB, `PSNR_CAP` where they are equal.
-        ssim: (C,); 1 where they are equal.
-        flip: (C,) mean FLIP error; None where it was not asked.
+        psnr: (C,) dB; `PSNR_CAP` for equal images.
+        ssim: (C,); 1 for equal images.
+        flip: (C,) mean FLIP error; None if it was not measured.
     """
 
     psnr: F64
@@ -74,7 +74,7 @@ class Likeness:
     flip: F64 | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Mean and worst of each measure."""
+        """Return mean and worst of each measure."""
         found = {
             "psnr": {"mean": float(self.psnr.mean()), "worst": float(self.psnr.min())},
             "ssim": {"mean": float(self.ssim.mean()), "worst": float(self.ssim.min())},
@@ -86,18 +86,19 @@ class Likeness:
 
 @dataclass(frozen=True, eq=False)
 class ColorQuality:
-    """What images from C views say.
+    """The measured quality of SRBF colors in C views.
 
     Attributes:
         cameras: The views.
         all_terms: Likeness with all terms.
         base_only: Likeness with the base colors alone.
-        counts: (K,) first terms of each Gaussian.
-        mean_terms: (K,) how many that leaves on average.
-        psnr_by_count: (K, C) against SH.
+        counts: (K,) numbers of first terms of each Gaussian that were drawn.
+        mean_terms: (K,) mean number of terms drawn for a Gaussian.
+        psnr_by_count: (K, C) PSNR against SH, dB.
         epsilons: (E,) contributions above which terms are active.
-        active_shares: (E, C) active terms of all terms for the eye of each view; 0 where there are no terms.
-        active_psnr: (E, C) of active terms against all terms.
+        active_shares: (E, C) share of all terms that are active for the eye of each view; 0 if there are no terms.
+        active_psnr: (E, C) PSNR of active terms against all terms, dB.
+        config: Options of the measurement.
     """
 
     cameras: Cameras
@@ -112,7 +113,7 @@ class ColorQuality:
     config: ColorQualityConfig = field(default_factory=ColorQualityConfig)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return the measurements as plain numbers, strings and lists for JSON."""
         looked = self.cameras
         rows = [
             {
@@ -152,18 +153,18 @@ def measure_colors(
     *,
     progress: Progress = silent,
 ) -> ColorQuality:
-    """Draw views with SH colors and with SRBF colors, and tell how alike they are.
+    """Measure how alike views drawn with SH colors and with SRBF colors are.
 
     Args:
         g: N Gaussians with their SH colors.
-        colors: SRBF colors of the same.
+        colors: SRBF colors of these Gaussians.
         cameras: C > 0 views that the fit did not use.
-        config: What to ask; None means `ColorQualityConfig()`.
+        config: Options; None means `ColorQualityConfig()`.
         progress: Called with stage "colors", in views.
 
     Raises:
         ValueError: If lengths differ or there is no camera.
-        BackendError: If FLIP is asked for and the package flip-evaluator is absent.
+        BackendError: If `config.flip` is set and the package flip-evaluator is missing.
     """
     config = config or ColorQualityConfig()
     if len(g) != len(colors):
@@ -201,7 +202,7 @@ def measure_colors(
 
 
 def _image(g: Gaussians, camera: Cameras, colors: F32 | None) -> F32:
-    """(H, W, 3) what a display shows."""
+    """Return the (H, W, 3) image of a camera, clipped to [0, 1] as a display does."""
     return np.asarray(np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0], 0.0, 1.0), np.float32)
 
 
@@ -220,15 +221,15 @@ def _join(rows: Sequence[tuple[float, float, float | None]]) -> Likeness:
 
 
 def has_flip() -> bool:
-    """Whether FLIP can be asked here."""
+    """Return whether FLIP is available here."""
     return has("flip_evaluator")
 
 
 def check_flip() -> None:
-    """Raise at once if epsilon cannot be calibrated because FLIP is missing.
+    """Raise unless FLIP, which calibrates epsilon, is available.
 
     Raises:
-        BackendError: With the remedy.
+        BackendError: If the package flip-evaluator is missing; with the remedy.
     """
     if not has_flip():
         raise BackendError(

@@ -1,8 +1,8 @@
-"""SRBF colors of a scene from the scene alone: from where each Gaussian can be seen, what it counts, and the fit.
+"""Fit SRBF colors of a scene: find the directions that see each Gaussian, find its importance, then fit.
 
-Directions are traced outward into navigable space and joined with those of sampled views; how much each Gaussian counts
-comes from the views. Levels are traced and viewed one by one, and fitted once. Scene frame and units. The views
-that a fit is judged by are drawn apart from those of the fit.
+Directions are traced outward into navigable space and joined with those of sampled views. Importance comes from the
+views. Levels are traced and viewed one by one, and fitted once. Scene frame and units. The views that measure a fit
+are drawn apart from the views of the fit.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ __all__ = ["ColorConfig", "ColorPreparation", "find_kept", "prepare_colors"]
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
-_PLAN = 1  # raised whenever the same plan would find something else
-_BLOCK = 8192  # Gaussians traced before what was found is kept
-_FOUND = "found.npz"  # all that is kept
+_PLAN = 1  # increase it when the same plan gives another result
+_BLOCK = 8192  # Gaussians traced between two saves
+_FOUND = "found.npz"  # the one file that is kept
 
 
 @dataclass(frozen=True)
 class ColorConfig:
-    """How colors are prepared.
+    """Options of the preparation of colors.
 
     Args:
-        fit: What is fitted, and how hard.
-        views: From where it is asked how much each Gaussian counts; with none, all count alike.
-        rays_per_face: Rays traced outward over each of the 80 directions: 0 for none, 1, 4, 16 or 64.
+        fit: Options of the fit.
+        views: Views that give the importance of Gaussians; with no view, all have the same importance.
+        rays_per_face: Rays traced outward over each of the 80 directions: 1, 4, 16 or 64; 0 traces none.
 
     Raises:
         ValueError: If a value is out of range.
@@ -62,14 +62,14 @@ class ColorConfig:
 
 @dataclass(frozen=True, eq=False)
 class ColorPreparation:
-    """Colors, and what they were fitted to.
+    """Colors, and the data of their fit.
 
     Attributes:
         fit: The colors and their errors.
         sets: (N, 10) uint8 direction sets.
-        importance: (N,) what a squared error of each Gaussian's color counts; ones where no view was asked.
-        views: The views that were asked; their results must not be judged by them.
-        sets_from: Where directions come from, as a phrase.
+        importance: (N,) weight of a squared error of each Gaussian's color; ones if no views were used.
+        views: The views used for the fit, so do not measure the fit in them; None if none were used.
+        sets_from: Where the directions come from, as a phrase.
     """
 
     fit: SrbfFit
@@ -88,26 +88,26 @@ def prepare_colors(
     keep: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> ColorPreparation:
-    """Directions, importance and fit of the colors of a scene.
+    """Find directions and importance of a scene's Gaussians, and fit their colors.
 
-    A scene without view dependence (SH degree 0) gets base colors and no terms; nothing is traced then.
+    A scene without view dependence (SH degree 0) gets base colors and no terms. Nothing is traced then.
 
-    What hides a Gaussian differs from level to level, so levels are traced and viewed each by itself: the set of a
-    Gaussian holds the directions from which any level shows it. Its color is fitted once, whichever levels share it.
+    Different levels hide different Gaussians. So each level is traced and viewed alone, and the direction set of a
+    Gaussian holds the directions from which any level shows it. Its color is fitted once for all levels.
 
     Args:
-        g: N Gaussians; or levels of which N are the union.
-        navigable: Where eyes may be; None only for a scene of SH degree 0.
-        config: How; None means `ColorConfig()`.
-        sets: (N, 10) uint8 direction sets that are known, such as `VisibilityStore.direction_sets`; None traces them.
-        keep: The file that will be made of this. What was found is kept beside it until `find_kept` is removed, so
-            that a run which is killed and started again traces nothing twice. None keeps nothing.
+        g: N Gaussians; or levels with a union of N.
+        navigable: The navigable space; None only for a scene of SH degree 0.
+        config: Options; None means `ColorConfig()`.
+        sets: (N, 10) uint8 known direction sets, such as `VisibilityStore.direction_sets`; None traces them.
+        keep: The file that the caller will write from the result. Directions and importance are kept beside it, so
+            that a killed run resumes. They stay until the caller removes `find_kept`. None keeps nothing.
         progress: Called with stages "directions", "importance", "price" and "fit".
 
     Raises:
-        ValueError: If the sets are not of this scene's size, or there is no navigable space.
-        SceneError: If nothing can be seen, or from nowhere.
-        OSError: If what is to be kept cannot be written.
+        ValueError: If the sets do not have this scene's size, or there is no navigable space.
+        SceneError: If the scene has nothing to see, or no viewpoint is usable.
+        OSError: If the kept work cannot be written.
 
     References:
         SRBF-Gaussian, sections 3.1 and 5.
@@ -161,17 +161,17 @@ def find_kept(
     *,
     sets: ArrayLike | None = None,
 ) -> KeptWork | None:
-    """Return where a preparation keeps what it finds, to name it and to remove it.
+    """Return the kept work of `prepare_colors`, for a caller that wants to name or remove it.
 
     Args:
-        g: The scene or levels, as given to `prepare_colors`.
-        navigable: The space, as given there.
-        config: How, as given there.
-        keep: The file that will be made.
-        sets: The direction sets that are known.
+        g: The scene or levels of `prepare_colors`.
+        navigable: The navigable space of `prepare_colors`.
+        config: The options of `prepare_colors`.
+        keep: The file that the caller will write.
+        sets: (N, 10) uint8 known direction sets, or None.
 
     Returns:
-        The work, of which nothing need be there; None where nothing is ever kept.
+        The kept work, which may be empty; None if this preparation keeps nothing.
     """
     union = union_of(g)
     if navigable is None or union.sh_degree == 0:
@@ -181,7 +181,7 @@ def find_kept(
 
 
 def _plan(g: Gaussians | Levels, navigable: NavigableSpace, config: ColorConfig, sets: U8 | None) -> dict[str, Any]:
-    """All that decides what is found before the fit."""
+    """Return the record of everything that decides directions and importance."""
     record = levels_record(g)
     return {
         "version": _PLAN,
@@ -202,7 +202,7 @@ def _trace(
     found: dict[str, NDArray[Any]],
     progress: Progress,
 ) -> None:
-    """Direction sets traced outward into `found`, from where an earlier run stood; kept block by block."""
+    """Trace direction sets outward into `found`, resume an earlier run, and save after each block."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.directions import trace_directions
 

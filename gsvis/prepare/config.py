@@ -1,4 +1,4 @@
-"""How a scene becomes a package: which levels, cells and colors, and what is measured."""
+"""Options of the preparation of a package: levels, cells, colors, and the views that measure them."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ _COST_VIEWS = ViewSampling(8, 480, 360, 60.0, stream=3)
 
 @dataclass(frozen=True)
 class PrepareConfig:
-    """All that decides what a package holds, besides the scene and where eyes may be.
+    """Everything that decides the content of a package, besides the scene and the navigable space.
 
     Attributes:
-        levels: Lower levels and their training; None for a scene as it is, or one that has levels.
-        level_views: Cameras that levels are trained from where there are no photographs.
-        level_held_out: Further ones, to measure levels in; 0 for none. Of photographs it is every eighth.
-        level_size: Pixels (width, height) to shrink photographs to; None keeps theirs.
-        cells: Most cells to cut the space into; as small as that allows.
-        cell_size: Side of a cell instead, scene units.
-        sets: How visible sets are found.
-        colors: How colors are fitted.
-        epsilon: Largest change of an RGB channel, in [0, 1], that a term may make and still be left out of a cell.
-        epsilon_from: Where that comes from, in words.
-        cost_views: Views in which the cost of rounding is measured.
-        meters_per_unit: Size of a scene unit; 0 where nobody knows.
+        levels: Lower levels and their training; None keeps the scene as it is. Ignored for a scene that has levels.
+        level_views: Cameras that levels are trained from if there are no photos.
+        level_held_out: Number of further cameras that measure levels; 0 for none. With photos, every eighth photo is
+            held out instead.
+        level_size: Size (width, height) in pixels to shrink photos to; None keeps their size.
+        cells: Most cells. Cells are as small as this limit allows.
+        cell_size: Side of a cell, scene units; replaces `cells`. None uses `cells`.
+        sets: Options of the visible sets.
+        colors: Options of the colors.
+        epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell.
+        epsilon_from: Where epsilon comes from, in words.
+        cost_views: Views that measure the cost of rounding.
+        meters_per_unit: Meters in a scene unit; 0 if unknown.
 
     Raises:
         ValueError: If a value is out of range.
@@ -75,5 +76,5 @@ class PrepareConfig:
                 raise ValueError(f"{name}: expected at least one view, got none")
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return the options as plain numbers, strings and lists for JSON."""
         return asdict(self)

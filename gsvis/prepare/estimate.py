@@ -1,7 +1,7 @@
-"""What preparing a package would do, cost and find done already; writes nothing.
+"""Estimate the preparation of a package: what is done, what is left, and what it costs. Writes nothing.
 
-Visible sets are estimated from a few cells, the rest from the time that one view takes and from figures measured
-before: times are to tell minutes from hours.
+Visible sets are estimated from a few cells. The rest comes from the time of one view and from constants measured
+earlier. Times are rough: they distinguish minutes from hours.
 """
 
 from __future__ import annotations
@@ -34,29 +34,29 @@ __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
 # Measured on nika LOD 0 and showroom LOD 3 (docs/design/022), in times of one view of the whole scene at that size.
 _clock = time.perf_counter  # tests set another
-_PRUNED_VIEW = 0.6  # a round of the choice of what stays, at half the size
-_STEP, _STEP_SHARE = 0.55, 1.55  # a step of training, and for each share of the scene that its level has
-_WEIGHED_VIEW = 2.0  # a view that tells what Gaussians count
+_PRUNED_VIEW = 0.6  # one round of pruning, at half the size
+_STEP, _STEP_SHARE = 0.55, 1.55  # a training step: fixed part, and part proportional to the level's share of the scene
+_WEIGHED_VIEW = 2.0  # a view that measures importance
 # Seconds for each Gaussian and core.
 _BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
 _TERM_OF_CELL = 6e-8  # seconds for each term that a cell sees
 
 _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
-_PACKED = 0.97  # what zstd leaves of records
-_ACTIVE_BITS = 1.5  # of an active term in a cell
+_PACKED = 0.97  # size of records after zstd, over their raw size
+_ACTIVE_BITS = 1.5  # bits for an active term in a cell
 _VIEWS_TIMED = 2
 
 
 @dataclass(frozen=True)
 class StageEstimate:
-    """What a stage would do.
+    """The expected cost of a stage.
 
     Attributes:
-        name: As in `StageRecord`.
-        state: "done", where what it makes is there already; "begun", where a part of it is; "to do"; or "given".
-        what: What it is about, in words and counts.
-        seconds: Time that is left.
-        nbytes: Bytes that it would add to the working folder.
+        name: Name of the stage, as in `StageRecord`.
+        state: "done" if its result exists; "begun" if a part of it exists; "to do"; or "given" if nothing is made.
+        what: Description in words and counts.
+        seconds: Time left.
+        nbytes: Bytes of its result in the working folder.
     """
 
     name: str
@@ -68,16 +68,16 @@ class StageEstimate:
 
 @dataclass(frozen=True)
 class PreparationEstimate:
-    """What a preparation would cost.
+    """The expected cost of a preparation.
 
     Attributes:
-        stages: In their order.
+        stages: The stages, in order.
         gaussians: N of the union of levels.
         levels: Names and sizes of levels, lowest first.
         cells: Cells of the visible sets.
         nbytes: Bytes of the package.
-        memory: Bytes that all processes together take at most while they look for visible sets.
-        seconds: Time that is left.
+        memory: Peak bytes of memory of all processes while visible sets are built; 0 if they exist.
+        seconds: Time left.
     """
 
     stages: tuple[StageEstimate, ...]
@@ -90,7 +90,7 @@ class PreparationEstimate:
 
     @property
     def work_bytes(self) -> int:
-        """Bytes that the working folder would take."""
+        """Bytes of the working folder after the preparation."""
         return sum(stage.nbytes for stage in self.stages)
 
 
@@ -104,12 +104,12 @@ def estimate_preparation(
     workers: Workers | None = None,
     progress: Progress = silent,
 ) -> PreparationEstimate:
-    """What `prepare_package` would do, with the same arguments.
+    """Estimate the cost of `prepare_package` with these arguments. Writes nothing.
 
     Raises:
-        SceneError: As `prepare_package`.
-        FormatError: So too.
-        ValueError: So too.
+        SceneError: If the scene has nothing to see.
+        FormatError: If the target folder holds something else.
+        ValueError: If the scene is too small for its levels, or the memory limit of `workers` is too small.
     """
     stages = stages_of(scene, out, space, config, photos=photos, progress=progress)
     return _Estimator(stages, workers or Workers()).all()
@@ -130,7 +130,7 @@ class _Estimator:
         self._timed: dict[ViewSampling, float] = {}
 
     def all(self) -> PreparationEstimate:
-        """Every stage, in turn."""
+        """Return the estimate of all stages."""
         self._levels()
         store, share, disk, memory = self._sets()
         exact = self._colors(store)
@@ -169,7 +169,7 @@ class _Estimator:
         rounds = math.ceil(
             math.log(min(f for _, f, _ in _sizes(stages)) / self.counts[-1]) / math.log(1 - config.prune_share)
         )
-        # The first round of the choice looks from three times as many views.
+        # The first round of pruning costs as much as three rounds.
         left = 1.0 if not (begun / SUBSETS).exists() else 0.0
         steps = config.iterations * sum(_STEP + _STEP_SHARE * c / self.counts[-1] for c in self.counts[:-1])
         looks = views.count * (1.0 + left * (rounds + 2) * _PRUNED_VIEW) + steps
@@ -179,7 +179,7 @@ class _Estimator:
         self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
 
     def _sets(self) -> tuple[VisibilityStore | None, float, int, int]:
-        """The store if it is there, the share of Gaussians that a cell sees, bytes on disk, and memory."""
+        """Return the store if it exists, the mean share of Gaussians that a cell sees, bytes on disk, and memory."""
         stages, grid = self.stages, self.stages.grid()
         name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
         what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
@@ -202,7 +202,7 @@ class _Estimator:
         return None, share, disk, cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
-        """The colors if they are there."""
+        """Return the colors if they exist."""
         stages, fit, degree = self.stages, self.config.colors.fit, self.levels.union.sh_degree
         terms = self._expect_terms()
         aim = f"up to {terms:,} terms" if terms else "no terms: no color depends on direction"
@@ -246,12 +246,12 @@ class _Estimator:
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
     def view_seconds(self, views: ViewSampling) -> float:
-        """How long one view of the whole scene takes at the size of these."""
+        """Return the seconds to draw the whole scene once at the size of these views."""
         if views not in self._timed:
             scene = self.levels.level(len(self.levels) - 1)
             cameras = replace(views, count=_VIEWS_TIMED + 1).cameras(scene, self.stages.space)
             taken = []
-            for c in range(len(cameras)):  # the first loads kernels
+            for c in range(len(cameras)):  # the first view loads the kernels
                 began = _clock()
                 rasterize(scene, cameras[c])
                 taken.append(_clock() - began)
@@ -280,12 +280,12 @@ def _counts(stages: Stages) -> tuple[int, ...]:
 
 
 def _own(stages: Stages) -> int:
-    """Gaussians that lower levels have alone."""
+    """Return the number of Gaussians that only lower levels have."""
     return sum(total - frozen for total, frozen, _ in _sizes(stages))
 
 
 def _stand_in(stages: Stages) -> Levels:
-    """Levels of about the right sizes, by what covers most, to try a few cells with."""
+    """Return levels of about the right sizes, made of the Gaussians that cover most, to try a few cells with."""
     g, config = stages.scene, stages.config.levels
     assert isinstance(g, Gaussians)
     assert config is not None

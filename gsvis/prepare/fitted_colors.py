@@ -1,6 +1,6 @@
-"""Store fitted and rounded colors of a scene, with the figures for reports.
+"""Hold the fitted and rounded colors of a scene, with the figures for reports.
 
-Sizes are of records as they travel, before any entropy coding. Nothing here draws or writes.
+Sizes are those of records before any entropy coding. This module draws nothing and writes nothing.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ __all__ = ["PRECISION_NAMES", "FittedColors", "rounded"]
 F64 = NDArray[np.float64]
 
 PRECISION_NAMES = (*PRECISIONS, "exact")
-"""What records can be rounded to; "exact" keeps float32."""
+"""Precisions that records can be rounded to; "exact" keeps float32."""
 
 
 def rounded(colors: SrbfColors, precision: str) -> SrbfColors:
-    """The colors as records of a precision say them, ready to be saved with `quantize(colors, precision)`.
+    """Return the colors rounded to a precision. Save them with `quantize(colors, precision)`.
 
     Args:
-        colors: As fitted.
+        colors: Fitted colors.
         precision: One of `PRECISION_NAMES`.
     """
     return colors if precision == "exact" else quantize(colors, precision).dequantize()
@@ -40,18 +40,18 @@ def rounded(colors: SrbfColors, precision: str) -> SrbfColors:
 
 @dataclass(frozen=True, eq=False)
 class FittedColors:
-    """Colors of N Gaussians and what is known of them.
+    """Colors of N Gaussians and their figures.
 
     Attributes:
         gaussians: The scene, or the union of its levels, with its SH colors.
-        colors: As the file holds them.
-        preparation: The fit, and what it was fitted to.
+        colors: The colors, rounded as in the file.
+        preparation: The fit and its data.
         precision: One of `PRECISION_NAMES`.
         file_bytes: Size of the file, geometry included.
-        epsilon: Contribution from which a term is active; None if nobody asked.
-        calibration: How it was found; None if it was given.
-        quality: Comparison with SH; None if nobody asked.
-        cell_shares: (C,) share of all terms that each cell of the visible sets needs; None if nobody asked.
+        epsilon: Contribution above which a term is active; None if it was not needed.
+        calibration: The calibration of epsilon; None if epsilon was given.
+        quality: Comparison with SH; None if it was not measured.
+        cell_shares: (C,) share of all terms that each cell of the visible sets needs; None if it was not measured.
         shown: (N,) bool, Gaussians of the highest of several levels, which pictures show; None for a scene.
     """
 
@@ -68,7 +68,7 @@ class FittedColors:
 
     @property
     def drawn(self) -> tuple[Gaussians, SrbfColors]:
-        """What pictures show: a scene, which a union of levels is not, and its colors."""
+        """The scene that pictures show and its colors: with levels, the highest level."""
         whole = self.gaussians, self.colors
         return whole if self.shown is None else (whole[0][self.shown], whole[1][self.shown])
 
@@ -80,18 +80,18 @@ class FittedColors:
 
     @property
     def importance_by_count(self) -> F64:
-        """(K + 1,) share of the importance of all that Gaussians with 0, 1, ... K terms have."""
+        """(K + 1,) share of the total importance that belongs to Gaussians with 0, 1, ... K terms."""
         weights = self.preparation.importance
         found = np.bincount(self.colors.counts, weights, minlength=1)
         return np.asarray(found / max(float(weights.sum()), 1e-300))
 
     @property
     def mean_terms(self) -> float:
-        """Terms a Gaussian, over all its functions."""
+        """Mean number of terms of a Gaussian."""
         return self.colors.num_terms / max(1, len(self.colors))
 
     def sizes(self) -> dict[str, float]:
-        """Bytes a Gaussian of its color as records and as SH, and of a term and a base."""
+        """Return sizes in bytes: a Gaussian's color as records and as SH, a base color, and a term."""
         bits = None if self.precision == "exact" else self.precision
         name, degree = self.colors.variant, self.gaussians.sh_degree
         return {
@@ -102,7 +102,7 @@ class FittedColors:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return the figures as plain numbers, strings and lists for JSON."""
         found, shares = self.preparation, self.by_count
         seen = direction_fractions(found.sets)
         cells = self.cell_shares

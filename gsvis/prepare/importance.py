@@ -1,8 +1,8 @@
-"""How much each Gaussian counts in images, and from which directions: gathered from views, for the fit of colors.
+"""The importance of each Gaussian in images, and the directions that see it. The fit of colors uses both.
 
-A view adds, for each Gaussian, the sum over its pixels of the squared blending weight: times the squared error of the
-Gaussian's color, that is what the error adds to the squared error of the image, other Gaussians being right. Of levels
-each is drawn by itself, and a Gaussian counts what it counts on average in those that have it.
+Each view adds, for each Gaussian, the sum of its squared blending weights over pixels. This sum, times the squared
+error of the Gaussian's color, is the squared error of the image if all other colors are exact. Each level is drawn
+alone. The importance of a Gaussian is the mean over the levels that have it.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ _FLOOR = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class ViewImportance:
-    """What views say of N Gaussians.
+    """The importance of N Gaussians by direction.
 
     Attributes:
-        faces: (N, 80) float32, summed squared weights from the directions of each face (Gaussian to eye), over the
-            number of pixels of all views; the mean over the levels that have the Gaussian.
+        faces: (N, 80) float32, sum of squared weights for the directions of each face (Gaussian to eye), over the
+            number of pixels of all views; mean over the levels that have the Gaussian.
     """
 
     faces: NDArray[np.float32]
 
     @property
     def sets(self) -> NDArray[np.uint8]:
-        """(N, 10) direction sets: the faces from which any view has seen the Gaussian."""
+        """(N, 10) uint8 direction sets: the faces from which any view sees the Gaussian."""
         return np.packbits(self.faces > 0, axis=1, bitorder="little")
 
     @property
     def importance(self) -> NDArray[np.float64]:
-        """(N,) what the mean squared error of an image grows by for a squared error of 1, plus a small floor.
+        """(N,) growth of an image's mean squared error for a squared color error of 1, plus a small floor.
 
-        The floor, 1e-4 of the mean, is for what no view happened to see.
+        The floor is 1e-4 of the mean. It serves Gaussians that no view sees.
         """
         summed = self.faces.sum(axis=1, dtype=np.float64)
         floor = _FLOOR * float(summed.mean()) if len(summed) else 0.0
@@ -52,15 +52,15 @@ class ViewImportance:
 
 
 def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: Progress = silent) -> ViewImportance:
-    """Squared blending weights of each Gaussian over views, by the face it is seen from.
+    """Sum squared blending weights of each Gaussian over views, by the face that it is seen from.
 
-    The squared weights of a view are bounded by the sum of its weights times the largest. The mean over the levels
-    that have a Gaussian is what its color brings for each time that it is sent to someone who stays at one level.
+    For each view, the upper bound (sum of weights) x (largest weight) replaces the sum of squared weights. The mean
+    over the levels that have a Gaussian is the benefit of its color for a viewer who stays at one level.
 
     Args:
-        g: N Gaussians; or levels of which N are the union.
-        cameras: Any number; one is held in memory at a time.
-        progress: Called with stage "importance", in views of a level.
+        g: N Gaussians; or levels with a union of N.
+        cameras: Any number of cameras; memory holds the weights of one view at a time.
+        progress: Called with stage "importance"; counts each view once for each level.
 
     Returns:
         The sums over all views.

@@ -1,4 +1,4 @@
-"""Quality levels from a scene and its views: trained, measured, and resumed where an earlier run stopped."""
+"""Train and measure the quality levels of a scene; an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ __all__ = ["MadeLevels", "find_levels_work", "make_levels"]
 
 @dataclass(frozen=True, eq=False)
 class MadeLevels:
-    """Levels and how good they are.
+    """Levels and their quality.
 
     Attributes:
         trained: The levels.
-        quality: In held-out views; None where there are none.
+        quality: Quality in held-out views; None without held-out views.
     """
 
     trained: TrainedLevels
@@ -42,19 +42,19 @@ def make_levels(
     with_curve: bool = True,
     progress: Progress = silent,
 ) -> MadeLevels:
-    """Train levels and measure them in the views that are held out.
+    """Train levels, and measure them in held-out views.
 
     Args:
         g: The scene.
-        views: Images to train on and to measure on.
-        config: Sizes and training.
-        work: Folder that keeps what is not finished, such as `find_levels_work`; the caller deletes it.
-        with_curve: Measure while training too.
+        views: Images for training and for measurement.
+        config: Sizes and training of the levels.
+        work: Folder for unfinished work, such as `find_levels_work`; the caller deletes it.
+        with_curve: Also measure during training.
         progress: Called with the stages of `train_levels` and `measure_levels`.
 
     Raises:
-        FormatError: If what an earlier run kept is damaged.
-        ValueError: If the scene is too small for its levels, or the work is that of another run.
+        FormatError: If the kept work is damaged.
+        ValueError: If the scene is too small for its levels, or the folder holds the work of another run.
     """
     held_out = views.held_out
     trained = train_levels(
@@ -73,7 +73,7 @@ def make_levels(
 
 
 def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelViews, config: LevelsConfig) -> Path:
-    """Return the hidden folder beside a result that keeps this very run: other views or settings have another."""
+    """Return the hidden work folder of a run, beside its result; other scenes, views and settings give another one."""
     digest = hashlib.sha256()
     for array in (views.views.images, views.views.cameras.viewmats, views.views.cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)

@@ -1,8 +1,8 @@
-"""From a scene to a package that can be served: levels, visible sets, colors, active terms, records, in this order.
+"""Prepare a package from a scene: levels, visible sets, colors, active terms, cost of rounding, then records.
 
-Everything that has ids is made for the order of the package. What was found on the way stays beside the package: a run
-that is killed goes on, and one after an edit does again only what the edit changed. The same bytes come out whatever
-the number of workers, and however often a run was stopped.
+All ids follow the order of the package. Intermediate results stay beside the package. So a killed run resumes, and a
+run after an edit repeats only what the edit changed. The bytes of the package do not depend on the number of workers
+or on interruptions.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ __all__ = ["Prepared", "check_scene", "prepare_package", "stages_of"]
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A package and how it came about.
+    """A finished package and how it was made.
 
     Attributes:
-        manifest: What the package holds.
-        stages: What became of each stage.
-        quality: How good the levels are, where they were trained for this package; see `measure_levels`.
-        parts: Parts of the package.
-        parts_kept: Those of them that an older package in its place had already.
+        manifest: Manifest of the package.
+        stages: Record of each stage.
+        quality: Record of the levels' quality; None if no levels were trained. See `measure_levels`.
+        parts: Number of parts of the package.
+        parts_kept: Number of parts that an older package in the folder already had.
         nbytes: Bytes of the parts.
-        nbytes_kept: Bytes of those that were there already.
-        work: The folder of what is kept between runs, and `work_bytes` its size.
-        work_bytes: Its size.
+        nbytes_kept: Bytes of the parts that an older package already had.
+        work: The folder of work kept between runs.
+        work_bytes: Bytes of that folder.
         remarks: Sentences that the user should read.
     """
 
@@ -75,31 +75,31 @@ def prepare_package(
     workers: Workers | None = None,
     progress: Progress = silent,
 ) -> Prepared:
-    """Make a package of a scene, from wherever an earlier run of the same stood.
+    """Make a package of a scene, and resume an earlier run of the same preparation.
 
-    With more than one worker, a script that calls this needs `if __name__ == "__main__":` around its doings, as all
-    Python programs that start processes do.
+    With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard, like every
+    Python program that starts processes.
 
     Args:
-        scene: N Gaussians, of which levels are trained if the configuration says so; or levels that are there.
-        out: Folder of the package, `scene.gsvis` by custom; an older one is replaced when the new one is whole. What is
-            kept between runs lies beside it, in `scene.gsvis.work`.
-        space: Where eyes may be, scene frame and units; its up axis becomes that of the package.
-        config: How; None means `PrepareConfig()`.
-        photos: Photographs with their cameras, to train levels on; None draws the scene.
-        about: Anything that JSON can say, to be kept in the package.
-        workers: Who looks for visible sets; None means this process.
+        scene: N Gaussians, from which levels are trained unless `config.levels` is None; or levels.
+        out: Folder of the package, by custom `scene.gsvis`. An older package is replaced when the new one is complete.
+            Work kept between runs lies beside it, in `scene.gsvis.work`.
+        space: The navigable space, scene frame and units; its up axis becomes that of the package.
+        config: Options; None means `PrepareConfig()`.
+        photos: Photos with their cameras, to train levels on; None trains on renders of the scene.
+        about: JSON values to store in the provenance of the package.
+        workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
             "cells", "store", "importance", "price", "fit", "terms", "cost" and "package".
 
     Returns:
-        What the package holds and what had to be done for it.
+        The manifest of the package, and what each stage did.
 
     Raises:
-        SceneError: If the scene is empty or nothing of it can be seen.
-        FormatError: If the folder holds something else, or photographs cannot be read.
-        ValueError: If the scene is too small for its levels, or another process prepares the same.
-        OSError: If nothing can be written; what was finished is kept.
+        SceneError: If the scene has nothing to see, or every viewpoint lies inside something solid.
+        FormatError: If the folder holds something else, or photos cannot be read.
+        ValueError: If the scene is too small for its levels, or another process prepares the same package.
+        OSError: If a file cannot be written; finished work is kept.
     """
     stages = stages_of(scene, out, space, config, photos=photos, progress=progress)
     work, config, target = stages.work, stages.config, _check.path("out", out)
@@ -146,13 +146,13 @@ def stages_of(
     photos: str | os.PathLike[str] | None,
     progress: Progress,
 ) -> Stages:
-    """The stages, once everything that can be refused at once has been looked at; see `prepare_package`.
+    """Return the stages, after every check that needs no work; see `prepare_package`.
 
     Raises:
-        SceneError: If there is nothing to see.
-        FormatError: If the target holds something else.
-        ValueError: If the scene is too small for its levels, or the working folder is not free.
-        FileNotFoundError: If there are no photographs.
+        SceneError: If the scene has nothing to see.
+        FormatError: If the target folder holds something else.
+        ValueError: If the scene is too small for its levels, or the working folder holds something else.
+        FileNotFoundError: If `photos` does not exist.
         BackendError: If levels have to be trained and torch is missing.
     """
     config = config or PrepareConfig()
@@ -169,11 +169,11 @@ def stages_of(
 
 
 def check_scene(scene: Gaussians | Levels, config: PrepareConfig) -> None:
-    """Nothing, if a package can be made of a scene.
+    """Raise unless a package can be made of a scene.
 
     Raises:
-        SceneError: If there is nothing to see in it.
-        ValueError: If it is too small for its levels.
+        SceneError: If the scene has nothing to see.
+        ValueError: If the scene is too small for its levels.
     """
     union = scene.union if isinstance(scene, Levels) else scene
     if not (union.opacities >= MIN_ALPHA).any():
@@ -183,7 +183,7 @@ def check_scene(scene: Gaussians | Levels, config: PrepareConfig) -> None:
 
 
 def _parts_of(folder: Path) -> set[str]:
-    """Names of the parts of the package that is there; none if there is no whole one."""
+    """Return the names of the parts of the package in a folder; empty if it holds no valid package."""
     if not (folder / MANIFEST).exists():
         return set()
     try:

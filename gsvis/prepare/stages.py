@@ -1,7 +1,7 @@
-"""The stages from a scene to a package: each makes one piece in the working folder, or takes it from there.
+"""The stages from a scene to a package. Each makes one piece in the working folder, or reuses it from there.
 
-A piece is named by a hash of the content of what it is made from and of the options that decide it, never by a path or
-a date. What was made is read back from its file, so that a run that goes on gives what one without a stop gives.
+The name of a piece is a hash of its inputs' content and of its options, never of a path or a date. Each result is read
+back from its file, so a resumed run gives the same bytes as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["StageRecord", "Stages"]
 
-_VERSIONS = {"levels": 2, "sets": 1, "colors": 1, "terms": 1, "cost": 1}  # raised whenever a stage finds something else
+_VERSIONS = {"levels": 2, "sets": 1, "colors": 1, "terms": 1, "cost": 1}  # increase when results change
 
 
 @dataclass(frozen=True)
 class StageRecord:
-    """What became of a stage.
+    """The record of a stage in this run.
 
     Attributes:
         name: "levels", "sets", "colors", "terms", "cost" or "package".
-        reused: Whether all of it was there already.
-        seconds: How long it took, now.
+        reused: Whether the whole result existed already.
+        seconds: Time that it took in this run.
     """
 
     name: str
@@ -67,16 +67,16 @@ class StageRecord:
 
 @dataclass(eq=False)
 class Stages:
-    """A scene, what decides its package, and the stages between.
+    """A scene, the options of its package, and the stages between them.
 
     Attributes:
-        scene: As it came.
-        space: Where eyes may be.
-        config: How.
-        photos: Photographs to train levels on; None draws the scene.
-        work: Where pieces are kept.
-        progress: Called with the stages of what is called.
-        records: What became of the stages so far.
+        scene: The scene or levels, as given.
+        space: The navigable space.
+        config: The options.
+        photos: Photos to train levels on; None trains on renders of the scene.
+        work: The folder that keeps the pieces.
+        progress: Called with the progress stages of the functions that run.
+        records: Records of the stages so far.
         remarks: Sentences that the user should read.
     """
 
@@ -91,12 +91,12 @@ class Stages:
 
     @property
     def trains(self) -> bool:
-        """Whether levels have to be made."""
+        """Whether levels must be trained."""
         return not isinstance(self.scene, Levels) and self.config.levels is not None
 
     @cached_property
     def levels_name(self) -> str:
-        """Folder of the levels."""
+        """Name of the folder of the levels."""
         assert isinstance(self.scene, Gaussians)
         config = self.config
         if self.photos is None:
@@ -109,7 +109,7 @@ class Stages:
         return "levels-" + self._key("levels", scene=scene_hash(self.scene), training=training, views=views)
 
     def reuse_levels(self) -> Levels | None:
-        """The levels, in the order of a package, if nothing has to be trained for them."""
+        """Return the levels, in the order of a package, if no training is needed; None otherwise."""
         if isinstance(self.scene, Levels) or self.config.levels is None:
             self.progress("order", 0, 1)
             given = self.scene if isinstance(self.scene, Levels) else Levels.single(self.scene)
@@ -123,7 +123,7 @@ class Stages:
             return None
 
     def levels(self) -> tuple[Levels, dict[str, Any] | None]:
-        """The levels in the order of a package, and how good they are, where they were trained here."""
+        """Return the levels in the order of a package, and the record of their quality; None if none were trained."""
         with self._stage("levels") as done:
             found = self.reuse_levels()
             if found is None:
@@ -133,18 +133,18 @@ class Stages:
         return found, extra
 
     def grid(self) -> CellGrid:
-        """The cells."""
+        """Return the cells."""
         size = self.config.cell_size
         return CellGrid.over(self.space, max_cells=self.config.cells if size is None else MAX_CELLS, cell_size=size)
 
     def sets_name(self, levels: Levels, grid: CellGrid) -> str:
-        """File of the visible sets."""
+        """Return the name of the file of visible sets."""
         cells = {**grid.as_dict(), "coords": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest()}
         space, config = space_hash(self.space), self.config.sets.as_dict()
         return f"sets-{self._key('sets', levels=_content(levels), grid=cells, space=space, config=config)}.pvs"
 
     def sets(self, levels: Levels, workers: Workers | None) -> Path:
-        """The store of visible sets."""
+        """Return the path of the store of visible sets."""
         grid = self.grid()
         name = self.sets_name(levels, grid)
         with self._stage("sets") as done:
@@ -158,16 +158,16 @@ class Stages:
         return self.work.at(name)
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
-        """File of the colors."""
+        """Return the name of the file of colors."""
         seen = hashlib.sha256(store.direction_sets.tobytes()).hexdigest() if levels.union.sh_degree else None
         space, config = space_hash(self.space), asdict(self.config.colors)
         key = self._key("colors", levels=_content(levels), seen=seen, space=space if seen else None, config=config)
         return f"colors-{key}.arrow"
 
     def colors(self, levels: Levels, store: VisibilityStore) -> tuple[SrbfColors, str]:
-        """Colors of the union before they are rounded, and where the directions come from that they were fitted to."""
+        """Return the colors of the union before rounding, and a phrase for the source of their directions."""
         name, sets = self.colors_name(levels, store), store.direction_sets
-        found_so_far = self.work.at("directions")  # whatever the variant, it serves: see `prepare_colors`
+        found_so_far = self.work.at("directions")  # serves every variant: see `prepare_colors`
         kept = find_kept(levels, self.space, self.config.colors, found_so_far, sets=sets)
         if kept is not None:
             self.work.at(kept.folder.name)
@@ -184,7 +184,7 @@ class Stages:
             return load_srbf(path)[1], str(srbf_info(path).provenance.get("directions"))
 
     def terms_name(self, levels: Levels, rounded: SrbfColors, sets: Path) -> str:
-        """File of the active terms."""
+        """Return the name of the file of active terms."""
         key = self._key(
             "terms",
             scene=scene_hash(levels.union),
@@ -195,7 +195,7 @@ class Stages:
         return f"active-{key}.terms.arrow"
 
     def terms(self, levels: Levels, packed: QuantizedColors, store: VisibilityStore) -> Path:
-        """The store of active terms."""
+        """Return the path of the store of active terms."""
         rounded = packed.dequantize()
         name = self.terms_name(levels, rounded, store.path)
         with self._stage("terms") as done:
@@ -210,13 +210,13 @@ class Stages:
         return self.work.at(name)
 
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
-        """File of the measured cost of rounding."""
+        """Return the name of the file of the cost of rounding."""
         views, space = asdict(self.config.cost_views), space_hash(self.space)
         key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=space)
         return f"cost-{key}.json"
 
     def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors) -> Cost:
-        """What rounding costs in PSNR."""
+        """Return the cost of rounding in PSNR."""
         name = self.cost_name(levels, exact)
         with self._stage("cost") as done:
             if not self.work.whole(name):
@@ -229,7 +229,7 @@ class Stages:
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
     def _train(self, folder: Path) -> Levels:
-        """Levels made, measured and kept."""
+        """Train, measure and save levels, and return them as saved."""
         assert isinstance(self.scene, Gaussians)
         assert self.config.levels is not None
         shutil.rmtree(folder, ignore_errors=True)
@@ -242,7 +242,7 @@ class Stages:
                     self.scene, views, self.config.levels, work=begun, with_curve=False, progress=self.progress
                 )
                 break
-            except FormatError:  # what an earlier run left is damaged
+            except FormatError:  # the kept work of an earlier run is damaged
                 shutil.rmtree(begun, ignore_errors=True)
                 if last:
                     raise
@@ -269,7 +269,7 @@ class Stages:
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[list[bool]]:
-        """Note what becomes of a stage; what it yields is filled where something had to be done."""
+        """Record a stage. Yields a list; the caller appends to it if the stage had work to do."""
         began, done = time.perf_counter(), list[bool]()
         yield done
         self.records.append(StageRecord(name, not done, time.perf_counter() - began))
@@ -281,5 +281,5 @@ def _content(levels: Levels) -> dict[str, Any]:
 
 
 def _spreads(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[dict[str, float]]:
-    """Of (L, C) values, mean and least of each row."""
+    """Return mean and least value of each row of (L, C) values."""
     return [{"mean": float(row.mean()), "worst": float(row.min())} for row in values]

@@ -1,8 +1,8 @@
-"""What a walk needs of the colors: the share of a scene's terms that have been active so far, as a curve over time.
+"""The share of a scene's terms that a walk has needed so far, as a curve over time.
 
-The second curve of the paper's figure 13, beside that of the Gaussians. A term counts from the first instant at which
-its Gaussian is visible and it is active for the eye, or anywhere in the eye's cell, which is what a server would send.
-Scene frame and units, seconds from the start.
+This is the second curve of the paper's figure 13, beside that of the Gaussians. A term counts from the first instant at
+which its Gaussian is visible and the term is active: for the eye, or for any eye in the cell, as a server would send
+it. Scene frame and units, seconds from the start.
 """
 
 from __future__ import annotations
@@ -40,23 +40,24 @@ PAPER_TERMS = MappingProxyType({"seconds": 30.0, "start": 0.0358, "end": 0.2239}
 
 @dataclass(frozen=True, eq=False)
 class WalkTerms:
-    """What a walk needs, at S instants.
+    """What a walk needs at S instants.
 
     Attributes:
         times: (S,) seconds from the start.
         gaussians: (S,) share of the N Gaussians visible at the instant or before.
-        terms: (S,) share of the T terms active at the instant or before: what has been sent; never falls.
+        terms: (S,) share of the T terms active at the instant or before, all of which were sent; never falls.
         active: (S,) share of the T terms active at the instant.
-        of_visible: (S,) share of the terms of the Gaussians visible at the instant that are active; 0 where they have
-            none.
-        unpruned: (S,) share of the T terms that belong to the Gaussians of `gaussians`: what would have been sent if
-            every visible Gaussian came with all of its terms.
+        of_visible: (S,) among the terms of the Gaussians visible at the instant, the share that is active; 0 if they
+            have no terms.
+        unpruned: (S,) share of the T terms that belong to Gaussians visible at the instant or before. A server would
+            send these if every visible Gaussian came with all of its terms.
         first_active: (T,) float32, seconds until each term is first active; infinite if never.
         term_bytes: Bytes of a term.
         epsilon: Contribution above which a term is active.
-        outside: Number of instants at which the walk was in no cell; 0 for cameras.
-        by: Visible sets of "raster" or "raycast" for cameras, "cells"; and ", active in the cell" or ", at the eye".
-        config: How the walk was watched.
+        outside: Number of instants at which the walk is in no cell; 0 for cameras.
+        by: Source of visibility: "raster" or "raycast" for cameras, or "cells"; then ", active in the cell" or
+            ", active at the eye".
+        config: Options of the measurement.
     """
 
     times: F64
@@ -78,7 +79,7 @@ class WalkTerms:
         return np.asarray(self.term_bytes * len(self.first_active) * self.terms)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; without `first_active`."""
+        """Return everything but `first_active` as plain numbers, strings and lists for JSON."""
         curves = ("times", "gaussians", "terms", "active", "of_visible", "unpruned", "bytes")
         return {
             "by": self.by,
@@ -107,24 +108,24 @@ def terms_over_walk(
     weighted: bool = False,
     progress: Progress = silent,
 ) -> WalkTerms:
-    """Watch a walk and note when each Gaussian is first visible and each of its terms first active.
+    """Measure the share of a scene's terms that a walk needs, over time.
 
     Args:
         colors: Colors of the N Gaussians, T terms.
         scene: The Gaussians.
-        path: The walk, in the scene's frame; one shorter than `config.seconds` is watched to its end.
+        path: The walk, in the scene's frame. A walk shorter than `config.seconds` is measured to its end.
         epsilon: Contribution above which a term is active; or the active terms of cells, with their store as `sets`.
-        sets: Who tells what is visible. None: cameras, by the weights of the rasterizer. A tracer: cameras, by pixel
-            rays. A `VisibilityStore`: the cell that the eye is in, with the terms that may be active anywhere in it.
-            Other cells: their sets, with the terms that are active at the eye, without weights.
-        config: Time, rate, resolution and threshold; None means `WalkConfig()`.
-        weighted: Multiply contributions by blending weights: of the camera's pixels, or the most that the class of the
-            Gaussian in the cell allows. Active terms of cells know themselves whether they do.
+        sets: Source of visibility. None: cameras, by the weights of the rasterizer. A tracer: cameras, by pixel rays.
+            A `VisibilityStore`: the cell of the eye, with the terms that may be active anywhere in it. Other cells:
+            their sets, with the terms that are active at the eye, without weights.
+        config: Time, rate, resolution and tau; None means `WalkConfig()`.
+        weighted: Multiply contributions by blending weights: the largest weight in the camera's pixels, or the largest
+            that the Gaussian's class in the cell allows. Without effect if `epsilon` is a store of active terms.
         progress: Called with stage "walk".
 
     Raises:
         ValueError: If lengths differ, epsilon is out of range, or active terms come without their store.
-        FormatError: If store, active terms and scene do not belong together.
+        FormatError: If store, active terms and scene do not match.
 
     References:
         SRBF-Gaussian, sections 6.2 and 7.3.1, figure 13.
@@ -170,7 +171,7 @@ def _looker(
     colors: SrbfColors, scene: Gaussians, epsilon: float | ActiveTerms, sets: VisibleCells | Tracer | None,
     walk: HeadPath, config: WalkConfig, weighted: bool,
 ) -> tuple[_Look, float, str]:  # fmt: skip
-    """How to look, epsilon, and the name of the way."""
+    """Return the look function, epsilon, and `by`."""
     if isinstance(epsilon, ActiveTerms):
         if not isinstance(sets, VisibilityStore):
             raise ValueError("sets: expected the VisibilityStore of the active terms, got none; pass sets=store")

@@ -1,7 +1,7 @@
-"""The folder beside a package that keeps what was found on the way, each piece under the hash of all that decides it.
+"""The folder beside a package that keeps intermediate results.
 
-So a run that is killed continues where it was, and one after an edit does again only what the edit changed. Everything
-in it can be made again: whoever needs the room may delete it.
+The name of a piece holds a hash of everything that it depends on. So a killed run resumes, and a run after an edit
+repeats only what the edit changed. You may delete the folder: every piece can be made again.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _ABOUT = "What `gsvis prepare` keeps between runs. It may be deleted: it is made
 
 
 class WorkFolder(KeptWork):
-    """Pieces by stage and key, which stay when the package is whole.
+    """Pieces by stage and key, kept after the package is complete.
 
     Args:
-        package: The package; the folder is `NAME.work` beside it.
+        package: Folder of the package NAME; the working folder is `NAME.work` beside it.
 
     Attributes:
-        folder: The folder, which need not exist.
+        folder: The working folder, which may not exist yet.
     """
 
     lock_name = "gsvis-prepare"
@@ -46,7 +46,7 @@ class WorkFolder(KeptWork):
         """Raise unless the folder is usable.
 
         Raises:
-            ValueError: If there is something else of that name.
+            ValueError: If something else has that name.
         """
         expected = f"out: expected {self.folder.name} beside it to be free for what is kept between runs, got"
         if self.folder.exists() and not self.folder.is_dir():
@@ -56,38 +56,38 @@ class WorkFolder(KeptWork):
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Make the folder and keep other processes out of it.
+        """Create the folder and lock it against other processes for the block.
 
         Raises:
-            ValueError: If it is not free, or another process works there.
-            OSError: If it cannot be written.
+            ValueError: If something else has its name, or another process works there.
+            OSError: If the folder cannot be written.
         """
         self.check()
         with super().opened(), keeping(f"what was finished is kept in {self.folder.name}"):
             yield
 
     def key(self, stage: str, decides: Mapping[str, Any]) -> str:
-        """Return a short hash of all that decides a piece.
+        """Return a short hash of everything that a piece depends on.
 
         Args:
-            stage: Its stage.
-            decides: JSON values.
+            stage: Stage of the piece.
+            decides: JSON values that decide the piece.
         """
         text = json.dumps([stage, dict(decides)], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def at(self, name: str) -> Path:
-        """Return the path of a piece, which is then kept when others are cleared away."""
+        """Return the path of a piece and mark it as used, so that `clear` keeps it."""
         self._used.add(name)
         return self.folder / name
 
     def whole(self, name: str) -> bool:
-        """Return whether a piece is there with the content that `seal_file` saw; it is then kept as by `at`."""
+        """Return whether a piece exists with the content that `seal_file` recorded; mark it as used."""
         self.at(name)
         return self.has_file(name)
 
     def clear(self) -> None:
-        """Remove what this run did not ask for: pieces of other scenes and options."""
+        """Remove the pieces that this run did not use: those of other scenes and options."""
         used = self._used | {f"{name}.sha256" for name in self._used} | {self.lock_name, PLAN}
         for path in self.folder.iterdir() if self.folder.is_dir() else ():
             if path.name in used:
@@ -99,7 +99,7 @@ class WorkFolder(KeptWork):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all files in it."""
+        """Bytes of all files in the folder."""
         return sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
 
 

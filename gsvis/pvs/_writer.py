@@ -180,8 +180,8 @@ class StoreWriter:
             direction_sets: (N, 10) uint8.
             progress: Called with stage "store".
 
-            Returns:
-                The path of the file.
+        Returns:
+            The path of the file.
 
         Raises:
             ValueError: If cells are missing or the direction sets have another shape.
@@ -276,9 +276,7 @@ class StoreWriter:
         start, length, _ = self._places[cell]
         self._spill.seek(start)
         data = _codec.decompress(self._spill.read(length), 8 * _codec.word_count(self.info.gaussians))
-        words: NDArray[np.uint64] = np.frombuffer(
-            data, np.uint64
-        ).copy()  # writeable, as the kernels' signatures require
+        words: NDArray[np.uint64] = np.frombuffer(data, np.uint64).copy()  # writeable, for the kernels
         return words
 
     def _levels(self, cell: int) -> NDArray[np.uint8]:

@@ -1,8 +1,8 @@
 """Encode the set of a cell and its weight classes as bytes; docs/design/006 has the measurements.
 
 A set is packed words (see `gsvis._kernels.bits`) in stored order. Gaussians that the same cells see are adjacent in
-this order, so zstd finds long runs. Weight classes are coded in separate streams, one for each class that the parent cell
-gives the same Gaussian. This module knows no file and no grid.
+this order, so zstd finds long runs. Weight classes are coded in separate streams, one for each class that the parent
+cell gives the same Gaussian. This module knows no file and no grid.
 """
 
 from __future__ import annotations

@@ -79,9 +79,9 @@ class VisibilityStore:
                 is faster.
             max_cache: Bytes of decoded cells to cache.
 
-            Raises:
-                FormatError: If the file is no store, damaged, cut, of a newer version, or of another scene.
-                OSError: If the file cannot be opened.
+        Raises:
+            FormatError: If the file is no store, damaged, cut, of a newer version, or of another scene.
+            OSError: If the file cannot be opened.
         """
         store = cls(path, max_cache=max_cache)
         try:
