@@ -1,11 +1,11 @@
-"""The streamable container: a scene as records in parts of bounded size, each named by its content.
+"""The file format of a scene for streaming: records in parts of bounded size, each named by the hash of its content.
 
 levels = in_package_order(levels)          # before visible sets, colors and active terms are built for its union
 write_package("scene.gsvis", levels, quantize(colors), visibility="scene.pvs", active_terms="scene.terms.arrow")
 with Package.open("scene.gsvis") as package:
     some = package.contents.gaussians([4, 8, 15])
 
-What draws is imported when first used: a server reads packages and needs no torch.
+`measure_cost` is imported on first use, because it draws. So a server reads packages without torch.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The store of active terms: for each cell of a PVS the terms that some eye in it may need (equation 7 of the paper).
+"""The store of active terms: for each cell of a PVS, the terms that some eye in it may need (equation 7 of the paper).
 
-One Arrow IPC file beside the store of visible sets, a row for each cell: a roaring bitmap of term ids in the portable
-format, under a checksum. Term ids are those of `SrbfColors`, Gaussian by Gaussian. Opening reads a few kilobytes; a
-cell is read, and checked, when it is asked for.
+The store is one Arrow IPC file with a row for each cell. A row holds a roaring bitmap of term ids in the portable
+format, and a checksum. Term ids are those of `SrbfColors`, Gaussian by Gaussian. Opening reads a few kilobytes. A cell
+is read and checked on first use.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ _AGAIN = "build the active terms again"
 
 @dataclass(frozen=True)
 class ActiveTermsInfo:
-    """What a store of active terms was made from.
+    """The sources of a store of active terms.
 
     Attributes:
-        cells: C.
-        terms: T of the whole scene.
-        gaussians: N.
-        variant: How the colors are split.
+        cells: C, the number of cells.
+        terms: T, the number of terms of the whole scene.
+        gaussians: N, the number of Gaussians.
+        variant: Variant of the colors.
         epsilon: Contribution above which a term is active.
         provenance: Where epsilon comes from.
         weighted: Whether contributions were multiplied by blending weights.
@@ -86,9 +86,9 @@ class ActiveShare:
     """How many terms a cell needs.
 
     Attributes:
-        active: Active terms.
-        of_visible: Their share of the terms of the Gaussians that the cell sees; 0 where there are none.
-        of_all: Their share of all terms of the scene; 0 where there are none.
+        active: Number of active terms.
+        of_visible: Active terms over the terms of the Gaussians that the cell sees; 0 if these have no terms.
+        of_all: Active terms over all terms of the scene; 0 if the scene has no terms.
     """
 
     active: int
@@ -97,17 +97,17 @@ class ActiveShare:
 
 
 class ActiveTerms:
-    """An open store; `ActiveTerms.open` or `gsvis.prepare.build_active_terms` makes one. Safe to share between threads.
+    """An open store, from `ActiveTerms.open` or `gsvis.prepare.build_active_terms`. Threads may share it.
 
     Attributes:
         path: The file.
-        info: What it was made from.
+        info: Sources of the store.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        """Open a file without a look at what it belongs to; see `open`."""
+        """Open a file without checking its sources; see `open`."""
         self.path = _check.path("path", path)
-        self._cache: Cache[pa.RecordBatch] = Cache(max_items=1)  # the group read last
+        self._cache: Cache[pa.RecordBatch] = Cache(max_items=1)  # the last group read
         self._file = ArrowFile(self.path, FORMAT, VERSION, seal="header")
         try:
             self._file.check_schema(_SCHEMA)
@@ -132,13 +132,9 @@ class ActiveTerms:
 
         Args:
             path: The file.
-            scene: The scene it should belong to, compared by content; None compares nothing. So with the other two.
-            colors: Its colors.
-            sets: Its visible sets.
-
-        Raises:
-            FormatError: If the file is no such store, damaged, cut, of a newer version, or made from something else.
-            OSError: If it cannot be opened.
+            scene: The scene that the store must belong to, compared by content; None skips this check.
+            colors: The colors that it must belong to, compared by content; None skips this check.
+            sets: The visible sets that it must belong to, compared by content; None skips this check.
         """
         store = cls(path)
         try:
@@ -162,7 +158,7 @@ class ActiveTerms:
         self.close()
 
     def __len__(self) -> int:
-        """C, the number of cells."""
+        """Return C, the number of cells."""
         return self.info.cells
 
     def __repr__(self) -> str:
@@ -175,10 +171,10 @@ class ActiveTerms:
         return self.info.epsilon
 
     def active(self, cell: int) -> BitMap:
-        """The terms that some eye in a cell may need.
+        """Return the terms that some eye in a cell may need.
 
         Args:
-            cell: Its number in the grid of the visible sets.
+            cell: Number of the cell in the grid of the visible sets.
 
         Returns:
             A bitmap of term ids that the caller may change.
@@ -190,15 +186,15 @@ class ActiveTerms:
         return self._row(cell)[0]
 
     def active_ids(self, cell: int) -> NDArray[np.int64]:
-        """`active` as rising ids."""
+        """Return `active` as ascending ids."""
         return np.array(self.active(cell).to_array(), np.int64)
 
     def difference(self, cell: int, held: Iterable[int]) -> BitMap:
-        """The terms that a cell needs and a client does not hold yet; a bitmap of what it holds is quickest."""
+        """Return the terms that a cell needs and that are not in `held`; a bitmap of held terms is fastest."""
         return self.active(cell) - (held if isinstance(held, BitMap) else BitMap(held))
 
     def share(self, cell: int) -> ActiveShare:
-        """How many of the terms of the scene, and of the Gaussians it sees, a cell needs."""
+        """Return how many terms a cell needs, and their shares."""
         found, of_visible = self._row(cell)
         count = len(found)
         return ActiveShare(count, count / max(1, of_visible), count / max(1, self.info.terms))
@@ -206,10 +202,10 @@ class ActiveTerms:
     def check(
         self, *, scene: Gaussians | None = None, colors: SrbfColors | None = None, sets: VisibilityStore | None = None
     ) -> None:
-        """Raise unless the store was made from these.
+        """Raise unless the store was made from the given sources; None skips a source.
 
         Raises:
-            FormatError: If it was made from others.
+            FormatError: If the store was made from other ones.
         """
         for name, part, made, given in (
             ("scene", "scene", self.info.scene, None if scene is None else scene_hash(scene)),
@@ -223,13 +219,13 @@ class ActiveTerms:
                 )
 
     def verify(self, *, progress: Progress = silent) -> None:
-        """Read and decode everything.
+        """Read and decode the whole file.
 
         Args:
             progress: Called with stage "verify".
 
         Raises:
-            FormatError: If anything is damaged; names the first place.
+            FormatError: If anything is damaged; the error names the first damaged place.
         """
         progress("verify", 0, len(self))
         for cell in range(len(self)):
@@ -237,7 +233,7 @@ class ActiveTerms:
             progress("verify", cell + 1, len(self))
 
     def _row(self, cell: int) -> tuple[BitMap, int]:
-        """Active terms of a cell, and the number of terms of the Gaussians that it sees."""
+        """Return the active terms of a cell, and the number of terms of the Gaussians that it sees."""
         if isinstance(cell, bool) or not isinstance(cell, int | np.integer) or not 0 <= cell < len(self):
             raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}")
         where, group, place = f"cell {cell}", int(cell) // _GROUP, int(cell) % _GROUP
@@ -254,7 +250,7 @@ class ActiveTerms:
         return found, of_visible
 
     def _batch(self, group: int, where: str) -> pa.RecordBatch:
-        """Return a group of cells, decompressed."""
+        """Return a decompressed group of cells."""
         if self._file.closed:
             raise ValueError("store: expected an open one, got one that was closed; open it again")
         batch = self._cache.find(group)
@@ -296,16 +292,16 @@ class ActiveTerms:
 def write_active_terms(
     path: str | PathLike[str], info: ActiveTermsInfo, cells: Iterable[tuple[NDArray[np.uint32], int]]
 ) -> None:
-    """Write a store; it appears whole or not at all.
+    """Write a store atomically.
 
     Args:
         path: The file.
-        info: What it is made from.
-        cells: For each cell the rising ids of its active terms, and the number of terms of the Gaussians it sees.
+        info: Sources of the store.
+        cells: For each cell, the ascending ids of its active terms and the number of terms of the Gaussians it sees.
 
     Raises:
-        ValueError: If packages do not hold the variant.
-        OSError: If the file cannot be written; what stood at the path before stays.
+        ValueError: If packages do not support the variant.
+        OSError: If the file cannot be written; an older file at the path stays.
     """
     check_packed(info.variant)
     header = {"format": FORMAT, "version": VERSION, **asdict(info)}
@@ -313,7 +309,7 @@ def write_active_terms(
 
 
 def _batches(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of the file, as many at a time as go into a group."""
+    """Yield the rows of the file as record batches, one group at a time."""
     for rows in _groups(cells):
         columns = zip(*rows, strict=True)
         arrays = [pa.array(list(column), field.type) for column, field in zip(columns, _SCHEMA, strict=True)]
@@ -321,7 +317,7 @@ def _batches(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[pa.Rec
 
 
 def _groups(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[list[tuple[int, int, int, int, bytes]]]:
-    """Rows of the file, as many as go into a group."""
+    """Yield the rows of the file as tuples, one group at a time."""
     rows: list[tuple[int, int, int, int, bytes]] = []
     for cell, (found, of_visible) in enumerate(cells):
         bitmap = BitMap(found)
@@ -337,7 +333,7 @@ def _groups(cells: Iterable[tuple[NDArray[np.uint32], int]]) -> Iterator[list[tu
 
 
 def colors_hash(colors: SrbfColors) -> str:
-    """SHA-256 over variant, base colors and terms, as 64 hexadecimal digits."""
+    """Return the SHA-256 over variant, base colors and terms, as 64 hexadecimal digits."""
     digest = hashlib.sha256(b"gsvis colors 1\n%s\n" % colors.variant.encode())
     for name in ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities"):
         array = np.ascontiguousarray(getattr(colors, name))
@@ -348,7 +344,7 @@ def colors_hash(colors: SrbfColors) -> str:
 
 
 def sets_hash(store: VisibilityStore) -> str:
-    """SHA-256 over scene, tau and cells of a store, and how many Gaussians each cell sees, as hexadecimal digits."""
+    """Return the SHA-256 over scene, tau, cells and visible counts of a store, as 64 hexadecimal digits."""
     grid = store.grid
     digest = hashlib.sha256(f"gsvis sets 1\n{store.info.scene} {len(grid)} {grid.shape}\n".encode())
     digest.update(np.concatenate([grid.origin, [grid.cell_size, store.tau]]).astype("<f8").tobytes())

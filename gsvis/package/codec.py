@@ -1,8 +1,8 @@
-"""Gaussians as records of 16 bytes, each decodable on its own given the row of its chunk, and back.
+"""Encode Gaussians as records of 16 bytes, and decode them. A record and the row of its chunk give one Gaussian.
 
-A chunk is a run of up to 256 Gaussians with a box and a range of scales; its row of the `ChunkTable` travels once,
-before the first of its records. Chunks end where one Gaussian, far away or of another size, would make the records of
-the others coarse. Frame and units are the scene's. This module knows no file.
+A chunk is a run of up to 256 Gaussians with a box and a range of scales. Its row of the `ChunkTable` is sent once,
+before the first of its records. A chunk ends before a Gaussian that is far away or of another size, because it would
+make the records of the others coarse. Scene frame and units. This module knows no file.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ U8 = NDArray[np.uint8]
 I64 = NDArray[np.int64]
 
 CHUNK = 256
-"""Gaussians in a chunk at most."""
+"""Most Gaussians in a chunk."""
 
 STEP = 1.0 / 16.0
-"""Coarsest step of a coordinate, in largest standard deviations of the smallest Gaussian of a chunk."""
+"""Coarsest step of a coordinate, as a share of the largest standard deviation of a chunk's smallest Gaussian."""
 
 SPREAD = 10 * 64
-"""By how many 1/64 octaves the largest scales of two Gaussians of a chunk may differ."""
+"""Most difference between the largest scales of two Gaussians of a chunk, in 1/64 octaves."""
 
-_CUT_PLACES = (1 << 13) - 1  # of the layout with the fewest bits: chunks do not depend on the variant of colors
+_CUT_PLACES = (1 << 13) - 1  # from the layout with the fewest bits, so that chunks do not depend on the variant
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ChunkTable:
-    """What the records of C chunks are relative to, read-only.
+    """The boxes and ranges of C chunks, read-only. Records are relative to them.
 
     Args:
         origins: (C, 3) float32, lowest corner of each chunk's box.
-        steps: (C, 3) float32, >= 0; place p stands for origin + p * step, taken in float64.
-        lows: (C,) int16, lowest log-scale in 1/64 octave.
-        strides: (C,) uint8, >= 1, steps of log-scales in 1/64 octave.
+        steps: (C, 3) float32, >= 0; place p means origin + p * step, computed in float64.
+        lows: (C,) int16, lowest log-scale in 1/64 octaves.
+        strides: (C,) uint8, >= 1, steps of log-scales in 1/64 octaves.
         counts: (C,) uint16, Gaussians of each chunk, 1 to `CHUNK`.
 
     Raises:
@@ -78,7 +78,7 @@ class ChunkTable:
 
     @classmethod
     def concatenate(cls, parts: list[ChunkTable]) -> ChunkTable:
-        """One table of several; of none, one without rows."""
+        """Return one table with the rows of several; an empty list gives a table without rows."""
         if not parts:
             none = np.zeros((0, 3), np.float32)
             return cls(none, none, np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
@@ -89,7 +89,7 @@ class ChunkTable:
         return len(self.counts)
 
     def __getitem__(self, rows: slice | NDArray[np.integer]) -> ChunkTable:
-        """The rows at a slice or an index array."""
+        """Return the rows at a slice or an index array."""
         return ChunkTable(self.origins[rows], self.steps[rows], self.lows[rows], self.strides[rows], self.counts[rows])
 
     @property
@@ -98,12 +98,12 @@ class ChunkTable:
         return np.concatenate([np.zeros(1, np.int64), np.cumsum(self.counts, dtype=np.int64)])
 
     def of_all(self) -> NDArray[np.int32]:
-        """(N,) the chunk of every Gaussian."""
+        """Return (N,) int32, the chunk of every Gaussian."""
         return np.repeat(np.arange(len(self), dtype=np.int32), self.counts)
 
 
 class Geometry(NamedTuple):
-    """What M records say of geometry, ready to be drawn.
+    """The decoded geometry of M records.
 
     Attributes:
         means: (M, 3) float32.
@@ -119,15 +119,15 @@ class Geometry(NamedTuple):
 
 
 def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0) -> I64:
-    """(C,) the first of each chunk of Gaussians in their order, in which neighbors ought to be near each other.
+    """Return (C,) int64, the first Gaussian of each chunk.
 
     Args:
-        g: N Gaussians.
-        cuts: Ids before which a chunk ends in any case, rising.
-        finest: Largest scale below which a Gaussian need not be placed more finely, scene units.
+        g: N Gaussians, in an order in which neighbors are near each other.
+        cuts: Ascending ids before which a chunk always ends.
+        finest: Least scale that positions are made for, scene units; smaller Gaussians are placed no more finely.
 
     Raises:
-        ValueError: If `cuts` do not rise or are out of range.
+        ValueError: If `cuts` are not ascending or out of range.
     """
     n = len(g)
     bounds = np.concatenate([[0], _check.integers("cuts", np.asarray(cuts, np.int64), ("K",)), [n]])
@@ -145,15 +145,15 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0) -> 
 
 
 def build_chunks(g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None = None) -> ChunkTable:
-    """The rows of the chunks of Gaussians.
+    """Build the table of the chunks of Gaussians.
 
     Args:
         g: N Gaussians.
-        layout: How many bits a coordinate has.
-        starts: (C,) the first Gaussian of each chunk; None means `chunk_starts(g)`.
+        layout: Layout of the records.
+        starts: (C,) the first Gaussian of each chunk, ascending from 0; None means `chunk_starts(g)`.
 
     Raises:
-        ValueError: If the starts do not rise from 0, or a chunk is larger than `CHUNK`.
+        ValueError: If the starts do not ascend from 0, or a chunk is larger than `CHUNK`.
     """
     n = len(g)
     heads = chunk_starts(g) if starts is None else _check.integers("starts", starts, ("C",))
@@ -167,7 +167,7 @@ def build_chunks(g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None
     places = (1 << layout.position) - 1
     low, high = (np.asarray(of.reduceat(g.means, heads, axis=0), np.float64) for of in (np.minimum, np.maximum))
     steps = ((high - low) / places).astype(np.float32)
-    short = steps.astype(np.float64) * places < high - low  # rounded down: one step would be missing at the end
+    short = steps.astype(np.float64) * places < high - low  # rounded down: the last step would not reach the end
     steps = np.where(short, np.nextafter(steps, np.float32(np.inf)), steps)
     lows = np.minimum.reduceat(levels.min(axis=1), heads)
     ranges = np.maximum.reduceat(levels.max(axis=1), heads) - lows
@@ -178,17 +178,17 @@ def build_chunks(g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None
 def encode_records(
     g: Gaussians, colors: U8, table: ChunkTable, layout: RecordLayout, *, chunks: ArrayLike | None = None
 ) -> U8:
-    """(N, 16) records of Gaussians.
+    """Return (N, 16) uint8, the records of Gaussians.
 
     Args:
         g: N Gaussians.
         colors: (N, 3) uint8 base colors as places in their tables, or (N, 4) with the scale of the color.
         table: Chunks that hold these Gaussians.
-        layout: How the bits are used.
-        chunks: (N,) row of each; None means that the Gaussians are those of the table, in order.
+        layout: Layout of the records.
+        chunks: (N,) row of each Gaussian's chunk; None means that the Gaussians fill the table, in order.
 
     Raises:
-        ValueError: If lengths do not fit, or a Gaussian is outside of its chunk.
+        ValueError: If lengths do not match, or a Gaussian lies outside its chunk.
     """
     rows = _rows(table, chunks, len(g))
     base = _check.integers("colors", colors, (len(g), 4 if layout.color_scale else 3), np.uint8)
@@ -214,16 +214,16 @@ def encode_records(
 def decode_records(
     records: ArrayLike, table: ChunkTable, layout: RecordLayout, *, chunks: ArrayLike | None = None
 ) -> Geometry:
-    """The geometry that records stand for; any bytes decode to something that can be drawn.
+    """Return the geometry of records. Any bytes decode to Gaussians that can be drawn.
 
     Args:
         records: (M, 16) uint8.
         table: Rows of chunks.
-        layout: How the bits are used.
-        chunks: (M,) row of each record; None means that the records are those of the table, in order.
+        layout: Layout of the records.
+        chunks: (M,) row of each record's chunk; None means that the records fill the table, in order.
 
     Raises:
-        ValueError: If a shape or a row does not fit.
+        ValueError: If a shape does not match, or a row is out of range.
     """
     packed = _check.integers("records", records, ("M", RECORD_BYTES), np.uint8)
     m = len(packed)
@@ -240,7 +240,7 @@ def decode_records(
 
 
 def base_colors(records: U8, layout: RecordLayout) -> U8:
-    """(M, 3 or 4) base colors of records as places in their tables."""
+    """Return (M, 3 or 4) uint8, the base colors of records as places in their tables."""
     return np.ascontiguousarray(records[:, 1 : layout.packed_from])
 
 

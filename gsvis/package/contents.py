@@ -1,7 +1,7 @@
-"""What a package holds, in memory: records of Gaussians and terms, the table of chunks, levels; and what it stands for.
+"""The contents of a package in memory: records of Gaussians and terms, the table of chunks, and levels.
 
-A record is bytes that travel as they are; `Contents.from_levels` makes them from a scene, and the other methods make a
-scene of them. Ids are places in the order of the package. Scene frame and units.
+Records are the bytes that are sent. `Contents.from_levels` encodes a scene; the other methods decode it. Ids are
+places in the order of the package. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class Contents:
     """N Gaussians of all levels and their T terms, as records.
 
     Attributes:
-        names: Of the levels, lowest first.
+        names: Names of the levels, lowest first.
         table: Rows of the C chunks.
-        chunk_levels: (C, 2) uint8 first and last level of the Gaussians of each chunk.
-        records: (N, 16) uint8.
-        term_counts: (N,) uint8 terms of each Gaussian.
-        term_records: (T, B) uint8, Gaussian by Gaussian, in the order to be sent.
-        grids: What base colors and terms point into.
-        starts: (P + 1,) where parts begin.
+        chunk_levels: (C, 2) uint8, first and last level of the Gaussians of each chunk.
+        records: (N, 16) uint8, record of each Gaussian.
+        term_counts: (N,) uint8, number of terms of each Gaussian.
+        term_records: (T, B) uint8, record of each term, Gaussian by Gaussian, in the order in which they are sent.
+        grids: The tables of base colors and terms.
+        starts: (P + 1,) id of the first Gaussian of each part, and N.
     """
 
     names: tuple[str, ...]
@@ -56,15 +56,16 @@ class Contents:
 
     @classmethod
     def from_levels(cls, levels: Levels, colors: QuantizedColors) -> Contents:
-        """Records of levels in the order of a package.
+        """Return the records of levels.
 
         Args:
-            levels: As `in_package_order` gives them.
-            colors: Of their union, rounded with at most 8 bits for each part of the base color ("wire", "coarse").
+            levels: Levels in the order of a package, from `in_package_order`.
+            colors: Colors of their union, rounded with at most 8 bits for each part of the base color ("wire",
+                "coarse").
 
         Raises:
-            ValueError: If lengths or the order do not fit, a Gaussian has more than 255 terms, or packages do not hold
-                the variant.
+            ValueError: If lengths do not match, the order is another one, a Gaussian has more than 255 terms, or
+                packages do not support the variant.
         """
         g = levels.union
         if len(colors) != len(g):
@@ -88,7 +89,7 @@ class Contents:
         )  # fmt: skip
 
     def __len__(self) -> int:
-        """N."""
+        """Return N, the number of Gaussians."""
         return len(self.records)
 
     def __repr__(self) -> str:
@@ -96,12 +97,12 @@ class Contents:
 
     @property
     def layout(self) -> RecordLayout:
-        """Where the bits of a record are."""
+        """Layout of the records."""
         return RecordLayout.from_variant(self.grids.variant)
 
     @cached_property
     def term_offsets(self) -> I64:
-        """(N + 1,) the terms of Gaussian i are `term_offsets[i]:term_offsets[i + 1]`."""
+        """(N + 1,) offsets: the terms of Gaussian i are `term_offsets[i]:term_offsets[i + 1]`."""
         return np.concatenate([np.zeros(1, np.int64), np.cumsum(self.term_counts, dtype=np.int64)])
 
     @cached_property
@@ -120,10 +121,10 @@ class Contents:
         return np.asarray(self.chunk_levels[self.chunks, 1])
 
     def gaussians(self, ids: ArrayLike | None = None) -> Gaussians:
-        """What records stand for, in SH degree 0: base colors and no terms.
+        """Return the decoded Gaussians in SH degree 0: with base colors and without terms.
 
         Args:
-            ids: (M,) which; None means all.
+            ids: (M,) ids of the Gaussians; None means all.
         """
         records, chunks = self.records, self.chunks
         if ids is not None:
@@ -135,23 +136,23 @@ class Contents:
         return Gaussians(*found, sh0)
 
     def levels(self) -> Levels:
-        """All levels, decoded."""
+        """Return all levels, decoded."""
         return Levels(self.gaussians(), self.first, self.last, self.names)
 
     def colors(self) -> QuantizedColors:
-        """Base colors and all terms, as places in their tables."""
+        """Return the base colors and all terms, as places in their tables."""
         n, base = len(self), base_colors(self.records, self.layout).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
         terms = decode_terms(self.term_records, self.grids)
-        axes = np.zeros((n, 0, 2), np.uint16)  # of variants that no package holds
+        axes = np.zeros((n, 0, 2), np.uint16)  # empty: no packed variant has axes
         return QuantizedColors(self.grids, base[:, :3], scales, axes, self.term_offsets, *terms)
 
 
 def base_places(records: U8, grids: Grids) -> U8:
-    """Return the (M, 3 or 4) places of base colors in their tables; those past the end of a table are its last.
+    """Return (M, 3 or 4) uint8, the places of base colors in their tables; a place past the end becomes the last.
 
     Args:
-        records: (M, 16).
+        records: (M, 16) uint8.
         grids: The tables of the scene.
     """
     places, bits = base_colors(records, RecordLayout.from_variant(grids.variant)), grids.precision
@@ -160,10 +161,10 @@ def base_places(records: U8, grids: Grids) -> U8:
 
 
 def base_rgb(records: U8, grids: Grids) -> F32:
-    """(M, 3) RGB >= 0 that Gaussians show before any of their terms has come.
+    """Return (M, 3) float32 RGB >= 0, the colors of Gaussians without their terms.
 
     Args:
-        records: (M, 16).
+        records: (M, 16) uint8.
         grids: The tables of the scene.
     """
     base = base_places(records, grids).astype(np.uint16)

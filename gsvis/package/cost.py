@@ -1,4 +1,4 @@
-"""What rounding to records costs: images of a scene as it will be decoded against images of it as it was."""
+"""The cost of rounding to records: compares images of the decoded scene with images of the original scene."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def measure_cost(
     *,
     progress: Progress = silent,
 ) -> Cost:
-    """Draw the highest level before and after it has been through records.
+    """Measure the PSNR of the highest level, decoded from records, against the original.
 
     Args:
-        levels: In the order of a package.
-        exact: Colors of the union before they were rounded.
-        colors: The same, rounded.
+        levels: Levels in the order of a package.
+        exact: Colors of the union before rounding.
+        colors: Colors of the union after rounding.
         cameras: C > 0 views.
         progress: Called with stage "cost", in views.
 
     Raises:
-        ValueError: If lengths do not fit or there is no camera.
+        ValueError: If lengths do not match or there is no camera.
     """
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one, got none")

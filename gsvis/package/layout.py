@@ -1,9 +1,9 @@
-"""Where the bits of a record are: geometry and base color of one Gaussian in 16 bytes, and one term in a few.
+"""The layout of records: 16 bytes for geometry and base color of a Gaussian, a few bytes for a term.
 
-A record of a Gaussian is, in this order: opacity and three components of the base color, one byte each; the scale of
-the color in one byte where the variant has one; then a little-endian string of bits, lowest first: for x, y and z in
-turn the place in the chunk's box, a component of the quaternion, and the log-scale. A record of a term is one such
-string. docs/design/016-package.md says why. This module holds numbers only.
+A Gaussian's record holds, in this order: opacity and three components of the base color, one byte each; the scale of
+the color, one byte, if the variant has one; then a little-endian bit string, lowest bits first. The bit string holds,
+for x, then y, then z: the place in the chunk's box, a component of the quaternion, and the log-scale. A term's record
+is one bit string. docs/design/016-package.md gives the reasons. This module holds numbers only.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ RECORD_BYTES = 16
 """Bytes of geometry and base color of a Gaussian."""
 
 PACKED_VARIANTS = ("rgb", "hsl")
-"""Variants of colors that packages and streams hold; the others are there to be compared."""
+"""Variants of colors that packages and streams support; the other variants serve comparisons."""
 
 
 def check_packed(name: str) -> str:
-    """Return the name of a variant if packages hold it.
+    """Return the name of a variant; raise unless packages support it.
 
     Raises:
-        ValueError: If they do not; names those that they hold.
+        ValueError: If packages do not support it; the error names the supported ones.
     """
     if name not in PACKED_VARIANTS:
         known = " or ".join(PACKED_VARIANTS)
@@ -39,7 +39,7 @@ def check_packed(name: str) -> str:
 
 @dataclass(frozen=True)
 class RecordLayout:
-    """How the 128 bits of a Gaussian are used.
+    """The layout of a Gaussian's 128 bits.
 
     Attributes:
         position: Bits of each coordinate in the box of the chunk.
@@ -59,35 +59,35 @@ class RecordLayout:
 
     @classmethod
     def from_variant(cls, name: str) -> RecordLayout:
-        """Return the layout for a variant of colors; those with a scale have fewer bits for the rest.
+        """Return the layout for a variant of colors. Variants with a color scale have fewer bits for geometry.
 
         Raises:
-            ValueError: If packages do not hold the variant.
+            ValueError: If packages do not support the variant.
         """
         return cls(13, 8, 8, True) if has_scales(variant(check_packed(name))) else cls(14, 9, 9, False)
 
     @property
     def packed_from(self) -> int:
-        """The byte at which the string of bits begins."""
+        """Byte at which the bit string begins."""
         return 5 if self.color_scale else 4
 
     @property
     def bits(self) -> tuple[int, int, int]:
-        """Of place, component of the quaternion and log-scale: what each of x, y and z has in the string."""
+        """Bits of place, quaternion component and log-scale, for each of x, y and z."""
         return self.position, self.rotation, self.scale
 
 
 @dataclass(frozen=True)
 class TermLayout:
-    """How the bits of a term are used.
+    """The layout of a term's bits.
 
     Attributes:
-        function: Bits of the index of the function; 0 where a variant has one.
+        function: Bits of the index of the function; 0 if the variant has only one function.
         theta: Bits of the polar angle of the center.
-        phi: Bits of its azimuth.
+        phi: Bits of the azimuth of the center.
         decay: Bits of the decay.
         intensity: Bits of each intensity.
-        intensities: How many intensities a term has.
+        intensities: Number of intensities of a term.
     """
 
     function: int
@@ -99,7 +99,7 @@ class TermLayout:
 
     @classmethod
     def from_grids(cls, grids: Grids) -> TermLayout:
-        """The layout for colors that were rounded to these tables.
+        """Return the layout for colors that were rounded to these tables.
 
         Raises:
             ValueError: If a term needs more than 64 bits, or a part of a base color more than 8.
@@ -115,12 +115,12 @@ class TermLayout:
 
     @property
     def widths(self) -> NDArray[np.int64]:
-        """Bits of function, polar angle, azimuth, decay and each intensity, lowest bits first."""
+        """(5 or more,) bits of function, polar angle, azimuth, decay and each intensity, lowest bits first."""
         return np.array(
             [self.function, self.theta, self.phi, self.decay, *[self.intensity] * self.intensities], np.int64
         )
 
     @property
     def nbytes(self) -> int:
-        """Bytes of a record."""
+        """Bytes of a term's record."""
         return -(-int(self.widths.sum()) // 8)

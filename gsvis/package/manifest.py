@@ -1,6 +1,7 @@
-"""The manifest of a package: what it holds, in which frame and at what cost, and the name of every part.
+"""The manifest of a package: its scene, frame, cost of rounding, and the name of every part.
 
-JSON, under a hash of its own. It is written last, so a folder that has one is whole. Nothing in it is a path.
+The manifest is JSON and contains its own hash. It is written last, so a folder with a manifest is complete. It holds no
+paths.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ _MOST = (1 << 31) - 1
 
 @dataclass(frozen=True)
 class Cost:
-    """What rounding to records costs in image quality: decoded against unrounded, highest level, all terms.
+    """The cost of rounding to records in image quality: decoded against unrounded, highest level, all terms.
 
     Attributes:
-        psnr: Mean over views, dB, 100 where images are equal.
-        worst: The least of them, dB.
-        views: How many.
-        width: Pixels.
-        height: Pixels.
+        psnr: Mean PSNR over views, dB; 100 for equal images.
+        worst: Least PSNR of a view, dB.
+        views: Number of views.
+        width: Width of the views, pixels.
+        height: Height of the views, pixels.
     """
 
     psnr: float
@@ -52,13 +53,13 @@ class Cost:
 
 @dataclass(frozen=True)
 class PackageInfo:
-    """What a package says of its scene that records do not.
+    """Facts about the scene of a package that are not in its records.
 
     Attributes:
         up: (3,) unit axis that points upwards.
-        meters_per_unit: Size of a scene unit; 0 where nobody knows.
-        cost: What rounding costs; None where it was not measured.
-        provenance: Anything that JSON can say.
+        meters_per_unit: Meters in a scene unit; 0 if unknown.
+        cost: Cost of rounding; None if it was not measured.
+        provenance: Any JSON values.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -83,13 +84,13 @@ class PackageInfo:
 
 @dataclass(frozen=True)
 class Block:
-    """Gaussians that stand together, as parts.
+    """A run of Gaussians and their terms, as parts.
 
     Attributes:
-        gaussians: Their records.
-        terms: The records of their terms, in their order, and how many each part has.
-        count: How many Gaussians.
-        num_terms: How many terms.
+        gaussians: Part with the records of the Gaussians.
+        terms: Parts with the records of their terms, in order, and the number of terms in each part.
+        count: Number of Gaussians.
+        num_terms: Number of terms.
     """
 
     gaussians: Part
@@ -103,8 +104,8 @@ class Blob:
     """A file of another format, cut into parts.
 
     Attributes:
-        parts: In their order.
-        nbytes: Bytes of all together.
+        parts: The parts, in order.
+        nbytes: Bytes of the file.
     """
 
     parts: tuple[Part, ...]
@@ -113,16 +114,16 @@ class Blob:
 
 @dataclass(frozen=True, eq=False)
 class Manifest:
-    """What `manifest.json` says.
+    """The content of `manifest.json`.
 
     Attributes:
         info: Frame, cost and provenance.
-        scene: `scene_hash` of the union before it was rounded; visible sets were built for it.
-        names: Of the levels, lowest first.
-        counts: Gaussians of each.
-        grids: What base colors and terms point into.
-        tables: Parts with the rows of chunks, and how many rows each has.
-        blocks: Gaussians and terms.
+        scene: `scene_hash` of the union before rounding; visible sets are built for this union.
+        names: Names of the levels, lowest first.
+        counts: Number of Gaussians of each level.
+        grids: The tables of base colors and terms.
+        tables: Parts with the rows of chunks, and the number of rows in each part.
+        blocks: Blocks of Gaussians and terms.
         visibility: The store of visible sets, or None.
         active_terms: The store of active terms, or None.
     """
@@ -139,16 +140,16 @@ class Manifest:
 
     @property
     def gaussians(self) -> int:
-        """N."""
+        """N, the number of Gaussians."""
         return sum(block.count for block in self.blocks)
 
     @property
     def terms(self) -> int:
-        """T."""
+        """T, the number of terms."""
         return sum(block.num_terms for block in self.blocks)
 
     def parts(self) -> Iterator[Part]:
-        """All parts."""
+        """Yield all parts."""
         yield from (part for part, _ in self.tables)
         for block in self.blocks:
             yield block.gaussians
@@ -158,7 +159,7 @@ class Manifest:
                 yield from blob.parts
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of the parts by what they hold: "records", "chunks", "terms", "visibility" and "active_terms"."""
+        """Return the bytes of the parts by content: "records", "chunks", "terms", "visibility" and "active_terms"."""
         return {
             "records": sum(block.gaussians.nbytes for block in self.blocks),
             "chunks": sum(part.nbytes for part, _ in self.tables),
@@ -168,7 +169,7 @@ class Manifest:
         }
 
     def to_json(self) -> bytes:
-        """The file; the same manifest gives the same bytes."""
+        """Return the bytes of the file; the same manifest gives the same bytes."""
         layout = RecordLayout.from_variant(self.grids.variant)
         blobs = {"visibility": self.visibility, "active_terms": self.active_terms}
         value = {
@@ -209,8 +210,9 @@ class Manifest:
         """Read and check a manifest.
 
         Raises:
-            FormatError: If it is none, damaged, of a newer version, a link out of its folder, or contradicts itself.
-            OSError: If it cannot be opened.
+            FormatError: If the file is no manifest, damaged, of a newer version, a link out of its folder, or
+                inconsistent.
+            OSError: If the file cannot be opened.
         """
         inside(path, "", path.parent, path.name)
         fields = parse_object(path, read_whole(path, _MOST_BYTES))

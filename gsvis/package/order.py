@@ -1,7 +1,7 @@
-"""The order of a package: by level, then along a Morton curve, within a chunk by what is seen most; where parts begin.
+"""The order of a package: by level, then along a Morton curve, then within a chunk by coverage. Also where parts begin.
 
-Gaussians that leave together with an upgrade stand together, and so do neighbors. The order depends on what the
-Gaussians are, never on how they came: a permutation changes nothing. Scene frame and units.
+Gaussians with the same levels are adjacent, and neighbors in space are near each other. The order depends only on the
+Gaussians, not on their order in the input. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ I64 = NDArray[np.int64]
 U64 = NDArray[np.uint64]
 
 MOST_GAUSSIANS = 1 << 15
-"""Gaussians of a part at most: 512 KiB of records."""
+"""Most Gaussians of a part: 512 KiB of records."""
 
 _TOP = 60  # bits below the eight largest cells of the curve
 
 
 @dataclass(frozen=True, eq=False)
 class PackageOrder:
-    """The order of N Gaussians and where it is cut.
+    """The order of N Gaussians, with the starts of parts and chunks.
 
     Attributes:
-        permutation: (N,) the Gaussians in the order of the package.
-        starts: (P + 1,) where its parts begin, and N: each a cell of the curve, or neighboring ones of one parent, of
-            one first and last level, so that an edit changes the parts that it lies in and no others.
+        permutation: (N,) ids of the Gaussians in the order of the package.
+        starts: (P + 1,) where parts begin, and N. A part is a cell of the curve, or neighboring cells of one parent. Its
+            Gaussians have the same first and last level. So an edit changes only the parts that it lies in.
         chunks: (C,) where chunks begin.
     """
 
@@ -45,7 +45,7 @@ class PackageOrder:
 
     @classmethod
     def from_levels(cls, levels: Levels) -> PackageOrder:
-        """The order for levels."""
+        """Return the order for levels."""
         union = levels.union
         codes = morton_codes(union.means, *_frame(union))
         keys = levels.first.astype(np.int64) * 16 + (15 - levels.last)
@@ -63,12 +63,12 @@ class PackageOrder:
 
 
 def in_package_order(levels: Levels) -> Levels:
-    """The same levels with their union in the order of a package, which is what `write_package` takes.
+    """Return the levels with their union in the order of a package, as `write_package` requires.
 
-    Visible sets, colors and active terms are to be built for what this gives: ids are places in it.
+    Build visible sets, colors and active terms for the returned levels: ids are places in their union.
 
     Args:
-        levels: In any order.
+        levels: Levels in any order.
     """
     order = PackageOrder.from_levels(levels).permutation
     return Levels(levels.union[order], levels.first[order], levels.last[order], levels.names)
@@ -80,7 +80,7 @@ def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: 
     Args:
         means: (N, 3) positions in the frame and units of `center`.
         center: (3,) middle of the even part of the curve.
-        half: Half the width of the even part, > 0; cells grow outside of it.
+        half: Half the width of the even part, > 0; outside of it, cells are larger.
     """
     codes = np.empty(len(means), np.uint64)
     kernels.morton(means, center, half, codes)
@@ -88,7 +88,7 @@ def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: 
 
 
 def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
-    """Center (3,) and half width of the curve's even part, rounded so that few edits change them."""
+    """Return the center (3,) and half width of the curve's even part, rounded so that few edits change them."""
     if len(g) == 0:
         return np.zeros(3), 1.0
     low, high = np.quantile(g.means.astype(np.float64), [0.02, 0.98], axis=0)
@@ -98,7 +98,7 @@ def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
 
 
 def _finest(g: Gaussians) -> float:
-    """Size of the small Gaussians of a scene, rounded so that few edits change it."""
+    """Return the scale of the small Gaussians of a scene, rounded so that few edits change it."""
     if len(g) == 0:
         return 0.0
     small = float(np.quantile(g.scales.max(axis=1).astype(np.float64), 0.02))
@@ -106,13 +106,13 @@ def _finest(g: Gaussians) -> float:
 
 
 def _strengths(g: Gaussians) -> NDArray[np.float64]:
-    """(N,) opacity times mean cross-section: what each is likely to cover."""
+    """Return (N,) opacity times a measure of the mean cross-section: an estimate of coverage."""
     s = g.scales.astype(np.float64)
     return np.asarray(g.opacities * (s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]))
 
 
 def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
-    """The order, with those in the same cell of the curve by what they are."""
+    """Return the order, with Gaussians in the same cell of the curve sorted by their values."""
     same = (np.diff(codes[order]) == 0) & (np.diff(keys[order]) == 0)
     tied = np.flatnonzero(np.append(same, False) | np.insert(same, 0, False))
     if len(tied) == 0:
@@ -126,7 +126,7 @@ def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
 
 
 def _parts(codes: U64, low: int, high: int, shift: int) -> list[tuple[int, int]]:
-    """Ranges of at most `MOST_GAUSSIANS`, cell by cell; neighboring small cells of one parent are joined."""
+    """Return ranges of at most `MOST_GAUSSIANS`, cell by cell; neighboring small cells of one parent are joined."""
     if high - low <= MOST_GAUSSIANS:
         return [(low, high)]
     if shift < 0:  # all in one smallest cell

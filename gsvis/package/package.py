@@ -1,7 +1,7 @@
 """A package on disk, open for reading: records, levels, colors, visible sets and active terms of a scene.
 
-Opening reads the manifest alone. Every part is checked against its name when it is read, and `verify` reads them all.
-Ids are places in the order of the package; scene frame and units.
+Opening reads only the manifest. Each part is checked against its name when it is read; `verify` reads all parts. Ids
+are places in the order of the package. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ _TABLE: dict[str, type[np.generic]] = {
 
 @dataclass(frozen=True)
 class Verified:
-    """What `Package.verify` has read.
+    """The result of `Package.verify`.
 
     Attributes:
-        parts: Different parts.
-        nbytes: Bytes of them and of the manifest.
-        gaussians: N.
-        terms: T.
-        cells: Cells of the visible sets, 0 without them.
-        strays: Files beside the parts that the manifest does not name.
+        parts: Number of different parts.
+        nbytes: Bytes of these parts and of the manifest.
+        gaussians: N, the number of Gaussians.
+        terms: T, the number of terms.
+        cells: Cells of the visible sets; 0 without visible sets.
+        strays: Number of files in the folder of parts that the manifest does not name.
     """
 
     parts: int
@@ -71,7 +71,7 @@ class Verified:
 
 
 class Package:
-    """An open package; `Package.open` or `write_package` make one.
+    """An open package, from `Package.open` or `write_package`.
 
     Attributes:
         path: The folder.
@@ -92,16 +92,16 @@ class Package:
         """Open a package.
 
         Args:
-            path: Its folder.
+            path: Folder of the package.
 
         Raises:
-            FormatError: If it is no package, damaged, or of a newer version.
-            OSError: If it cannot be opened.
+            FormatError: If the folder is no package, or the manifest is damaged or of a newer version.
+            OSError: If the manifest cannot be opened.
         """
         return cls(path)
 
     def close(self) -> None:
-        """Close the stores that were opened through it."""
+        """Close the stores that this package opened."""
         self._opened.close()
 
     def __enter__(self) -> Package:
@@ -113,7 +113,7 @@ class Package:
         self.close()
 
     def __len__(self) -> int:
-        """N, the Gaussians of all levels together."""
+        """Return N, the number of Gaussians of all levels together."""
         return self.manifest.gaussians
 
     def __repr__(self) -> str:
@@ -122,7 +122,7 @@ class Package:
 
     @cached_property
     def contents(self) -> Contents:
-        """All records, read and checked once: 16 bytes a Gaussian and a few a term in memory.
+        """All records, read and checked once; 16 bytes of memory a Gaussian and a few bytes a term.
 
         Raises:
             FormatError: If a part is missing, damaged, or does not fit the others.
@@ -149,11 +149,11 @@ class Package:
         return found
 
     def block(self, block: Block, budget: Budget | None = None) -> tuple[U8, U8, U8]:
-        """Records (M, 16), terms (T, B) and numbers of terms (M,) of one block of the manifest.
+        """Return the records (M, 16), the terms (T, B) and the numbers of terms (M,) of one block.
 
         Args:
-            block: Which.
-            budget: Where memory is claimed; None if the block is read by itself.
+            block: A block of the manifest.
+            budget: Memory budget to claim from; None gives each part a budget of its own.
 
         Raises:
             FormatError: If one of its parts is missing or damaged.
@@ -176,11 +176,11 @@ class Package:
 
     @cached_property
     def visibility(self) -> VisibilityStore:
-        """The store of visible sets, of the union in the order of the package.
+        """The store of visible sets; ids are places in the order of the package.
 
         Raises:
-            SceneError: If the package has none.
-            FormatError: If it is damaged, or of another scene.
+            SceneError: If the package has no visible sets.
+            FormatError: If the store is damaged, or belongs to another scene.
         """
         store = VisibilityStore(self._join(self.manifest.visibility, "sets.pvs"))
         self._opened.callback(store.close)
@@ -193,8 +193,8 @@ class Package:
         """The store of active terms.
 
         Raises:
-            SceneError: If the package has none.
-            FormatError: If it is damaged, or of other terms.
+            SceneError: If the package has no active terms.
+            FormatError: If the store is damaged, or belongs to another scene, other terms or other cells.
         """
         store = ActiveTerms(self._join(self.manifest.active_terms, "active.terms.arrow"))
         self._opened.callback(store.close)
@@ -205,13 +205,13 @@ class Package:
         return store
 
     def verify(self, *, progress: Progress = silent) -> Verified:
-        """Read, check and decode everything.
+        """Read, check and decode the whole package.
 
         Args:
             progress: Called with stage "verify", in parts.
 
         Raises:
-            FormatError: If anything is damaged or missing; names the first place.
+            FormatError: If anything is damaged or missing; the error names the first damaged place.
         """
         m = self.manifest
         parts = sorted({part.name: part for part in m.parts()}.values(), key=lambda part: part.name)
@@ -238,11 +238,11 @@ class Package:
 
     @property
     def _widths(self) -> tuple[int, int]:
-        """Bytes of a record and of a term."""
+        """Bytes of a Gaussian's record and of a term's record."""
         return RECORD_BYTES, TermLayout.from_grids(self.manifest.grids).nbytes
 
     def _budget(self) -> Budget:
-        """Memory for all parts together, by their real size; a part that is named twice counts once."""
+        """Return the memory budget of all parts together, from their size on disk; a part named twice counts once."""
         different = {part.name: part for part in self.manifest.parts()}.values()
         files = [self._parts.folder / part.name for part in different]
         return Budget(self.path, sum(file.stat().st_size for file in files if file.is_file()))
@@ -255,7 +255,7 @@ class Package:
             raise self._fault("chunks", "valid rows", str(error)) from error
 
     def _join(self, blob: Blob | None, name: str) -> Path:
-        """A store as one file, in a temporary folder that goes when the package is closed."""
+        """Write a store as one file in a temporary folder and return its path; `close` removes the folder."""
         if blob is None:
             raise SceneError(f"{self.path}: the package has no {name.split('.')[0]}; prepare it with visibility")
         folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
@@ -269,7 +269,7 @@ class Package:
 
 
 def columns_of(table: ChunkTable, levels: U8) -> dict[str, NDArray[Any]]:
-    """A table of chunks and the (C, 2) first and last level of each as columns of a part."""
+    """Return a table of chunks, with the (C, 2) first and last level of each chunk, as columns of a part."""
     values = [*table.origins.T, *table.steps.T, table.lows, table.strides, table.counts, *levels.T]
     return dict(zip(_TABLE, values, strict=True))
 

@@ -1,6 +1,7 @@
-"""Files named by the SHA-256 of their content, in one folder: written once, checked whenever they are read.
+"""Parts: files of one folder, named by the SHA-256 of their content. They are written once and checked at each read.
 
-A name is 64 hexadecimal digits and nothing else, so no name leads out of the folder. This module knows no columns.
+A name is 64 hexadecimal digits and a suffix, so no name leads out of the folder. This module does not know the content
+of columns.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = ["MOST_BYTES", "Part", "PartFolder"]
 FORMAT, VERSION = "gsvis-part", 1
 
 MOST_BYTES = 1 << 20
-"""Bytes that a part holds at most, before compression."""
+"""Most bytes of a part, before compression."""
 
 _DIGEST = re.compile("[0-9a-f]{64}")
 _OURS = re.compile(
@@ -39,11 +40,11 @@ _OURS = re.compile(
 
 @dataclass(frozen=True)
 class Part:
-    """One file.
+    """One file of a package.
 
     Attributes:
-        digest: SHA-256 of its content, 64 hexadecimal digits.
-        nbytes: Its size.
+        digest: SHA-256 of the content, 64 hexadecimal digits.
+        nbytes: Size of the file, bytes.
         suffix: "arrow" or "bin".
     """
 
@@ -53,10 +54,10 @@ class Part:
 
     @classmethod
     def from_fields(cls, fields: Fields, suffix: str = "arrow") -> Part:
-        """The part that an object of a manifest names.
+        """Return the part that an object of a manifest names.
 
         Raises:
-            FormatError: If it names none.
+            FormatError: If the object has no valid hash or size.
         """
         digest = fields.raw("sha256")
         if not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
@@ -65,12 +66,12 @@ class Part:
         return cls(digest, fields.integer("bytes", 0, 1 << 40), suffix)
 
     def as_dict(self) -> dict[str, Any]:
-        """For a manifest."""
+        """Return the JSON object of the part for a manifest."""
         return {"sha256": self.digest, "bytes": self.nbytes}
 
     @property
     def name(self) -> str:
-        """Its file name."""
+        """File name."""
         return f"{self.digest}.{self.suffix}"
 
 
@@ -78,10 +79,10 @@ class PartFolder:
     """The folder of parts of a package.
 
     Args:
-        folder: Where they are.
+        folder: Path of the folder.
 
     Attributes:
-        written: How many parts this object had to write; those that were there already do not count.
+        written: Number of parts that this object wrote; parts that existed already do not count.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
@@ -90,10 +91,10 @@ class PartFolder:
         self._swept = False
 
     def write_columns(self, kind: str, columns: dict[str, NDArray[Any]]) -> Part:
-        """Write columns of one length as an Arrow file.
+        """Write columns of one length as an Arrow file, and return its part.
 
         Args:
-            kind: What they are, kept in the header.
+            kind: Kind of the columns, stored in the header.
             columns: (R,) arrays of numbers by name.
         """
         fields = [pa.field(name, pa.from_numpy_dtype(values.dtype), nullable=False) for name, values in columns.items()]
@@ -103,7 +104,7 @@ class PartFolder:
         return self._write("arrow", lambda path: write_arrow(path, fields, header, [batch], sweep=False))
 
     def write_bytes(self, data: bytes) -> Part:
-        """Write bytes as they are."""
+        """Write bytes as they are, and return their part."""
 
         def write(path: Path) -> None:
             path.write_bytes(data)
@@ -111,10 +112,10 @@ class PartFolder:
         return self._write("bin", write)
 
     def path_of(self, part: Part) -> Path:
-        """Where a part is, after its size and its content have been checked.
+        """Check the size and content of a part, and return its path.
 
         Raises:
-            FormatError: If it is missing, a link, or another content.
+            FormatError: If the part is missing, a link, a folder, or has another content.
         """
         path = self.folder / part.name
         if path.is_symlink():
@@ -136,27 +137,28 @@ class PartFolder:
         return path
 
     def read_bytes(self, part: Part) -> bytes:
-        """The bytes of a part.
+        """Return the bytes of a part.
 
         Raises:
-            FormatError: As `path_of`.
+            FormatError: If the part is missing, a link, a folder, or has another content.
         """
         return read_whole(self.path_of(part))
 
     def read_columns(
         self, part: Part, kind: str, types: dict[str, type[np.generic]], rows: int, budget: Budget | None = None
     ) -> dict[str, Any]:
-        """The columns of a part.
+        """Return the columns of a part.
 
         Args:
-            part: Which.
-            kind: What it has to be.
-            types: The type of each column that it has to have.
-            rows: Their length.
-            budget: Where memory is claimed; None if the part is read by itself.
+            part: The part.
+            kind: Expected kind of the columns.
+            types: Expected columns and their types, in order.
+            rows: Expected number of rows.
+            budget: Memory budget to claim from; None gives the part a budget of its own.
 
         Raises:
-            FormatError: As `path_of`, or if the part is another kind of file, or has other columns.
+            FormatError: If the part is missing, a link, a folder, has another content, is of another kind, or has other
+                columns or another number of rows.
         """
         path = self.path_of(part)
         file = ArrowFile(path, FORMAT, VERSION)
@@ -174,10 +176,10 @@ class PartFolder:
         }
 
     def remove_all_but(self, kept: Iterable[Part]) -> int:
-        """Remove parts that no manifest names any more, and what a killed run left; files of others stay.
+        """Remove all parts but `kept`, and the leftovers of killed runs. Other files stay.
 
         Returns:
-            How many were removed.
+            Number of files removed.
         """
         names = {part.name for part in kept}
         stale = [p for p in sorted(self.folder.iterdir()) if p.name not in names and _OURS.fullmatch(p.name)]
@@ -186,11 +188,11 @@ class PartFolder:
         return len(stale)
 
     def _write(self, suffix: str, write: Callable[[Path], None]) -> Part:
-        """Write beside, take the hash, move into place unless the same is there already."""
+        """Write a temporary file, hash it, and rename it unless the same part exists already; return the part."""
         partial = self.folder / f".part-{secrets.token_hex(6)}.{suffix}"
         with output_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            if not self._swept:  # once: to list the folder for each of its many parts takes too long
+            if not self._swept:  # once: listing the folder for each of many parts is slow
                 remove_all_partials(self.folder)
                 self._swept = True
             try:

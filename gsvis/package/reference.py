@@ -1,4 +1,4 @@
-"""Slow twins of the kernels: one Gaussian at a time in plain Python, as a client would write it from the document."""
+"""Slow references of the kernels: one Gaussian at a time in plain Python, as a client would write them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 def decode_one(
     record: bytes, table: ChunkTable, row: int, layout: RecordLayout
 ) -> tuple[list[float], list[float], list[float], float]:
-    """Mean, quaternion, scales and opacity of one record, before they are rounded to float32."""
+    """Return mean, quaternion, scales and opacity of one record, before rounding to float32."""
     opacity = record[0] / 255.0
     low, stride = int(table.lows[row]), int(table.strides[row])
     bits = int.from_bytes(record[layout.packed_from :], "little")
@@ -48,7 +48,7 @@ def encode_one(
     chunk: tuple[ChunkTable, int],
     layout: RecordLayout,
 ) -> bytes:
-    """The record of one Gaussian of a chunk, given as a table and the row in it."""
+    """Return the record of one Gaussian. `chunk` is a table and a row of it."""
     table, row = chunk
     logs = [min(max(round(math.log2(float(s)) * 64.0), -126 * 64), 128 * 64 - 1) for s in scales]
     logs = [max(level, max(logs) - 11 * 64) for level in logs]

@@ -1,4 +1,4 @@
-"""Terms of SRBF colors as records of a few bytes, each decodable on its own given the scene's tables, and back."""
+"""Encode terms of SRBF colors as records of a few bytes, and decode them with the scene's tables."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Terms(NamedTuple):
 
 
 def encode_terms(colors: QuantizedColors) -> U8:
-    """(T, B) records of all terms, in their order.
+    """Return (T, B) uint8, the records of all terms, in order.
 
     Args:
-        colors: Colors that were rounded.
+        colors: Rounded colors.
 
     Raises:
         ValueError: If a term needs more than 64 bits.
@@ -52,14 +52,14 @@ def encode_terms(colors: QuantizedColors) -> U8:
 
 
 def decode_terms(records: ArrayLike, grids: Grids) -> Terms:
-    """What records of terms say; any bytes decode to something that can be shown.
+    """Return the terms of records. Any bytes decode to terms that can be drawn.
 
     Args:
         records: (T, B) uint8.
         grids: The tables that the terms point into.
 
     Raises:
-        ValueError: If the shape does not fit.
+        ValueError: If the records have another shape.
     """
     layout = TermLayout.from_grids(grids)
     packed = _check.integers("records", records, ("T", layout.nbytes), np.uint8)

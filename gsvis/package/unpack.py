@@ -1,4 +1,4 @@
-"""A package back to PLYs, one for each level, for viewers that know nothing of packages."""
+"""Convert a package to PLY files, one for each level, for viewers that do not read packages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["unpack_levels", "unpack_package"]
 
 
 def unpack_levels(package: Package, *, sh_degree: int | None = None, progress: Progress = silent) -> Levels:
-    """What a package stands for, with SH colors.
+    """Return the levels of a package, with SH colors.
 
     Args:
-        package: Open.
-        sh_degree: Degree of the SH that terms are fitted with; 0 keeps base colors alone. None means 3 where there
-            are terms, 0 elsewhere.
+        package: An open package.
+        sh_degree: Degree of the SH fitted to the terms; 0 keeps base colors alone. None means 3 if the package has
+            terms, 0 otherwise.
         progress: Called by the fit of the SH.
 
     Raises:
@@ -46,13 +46,10 @@ def unpack_package(
     """Write a package as one PLY for each level and the map of reuse, as `gsvis.io.levels.save_levels` does.
 
     Args:
-        package: Open.
-        folder: Where; made if it is missing.
-        sh_degree: As for `unpack_levels`.
-        progress: As for `unpack_levels`.
-
-    Returns:
-        What was written.
+        package: An open package.
+        folder: Folder to write to; created if it is missing.
+        sh_degree: Degree of the SH, as in `unpack_levels`.
+        progress: Called by the fit of the SH.
 
     Raises:
         ValueError: If the degree is not 0 to 3, or a level's name is no file name.

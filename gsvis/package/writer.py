@@ -1,7 +1,7 @@
-"""Writing a package: parts first, each under the name of its content, the manifest last.
+"""Write a package: first the parts, each named by the hash of its content, then the manifest.
 
-A killed run goes on where it was: what is there with the right content is not written again. The same scene gives the
-same files. What a scene's visible sets and active terms say is cut into parts as it is.
+A killed run resumes: a part that exists with the right content is not written again. The same scene gives the same
+files. The stores of visible sets and active terms are cut into parts without change.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gsvis.scene.levels import Levels
 
 __all__ = ["check_target", "write_package"]
 
-_ROWS = 1 << 14  # of the table of chunks in a part
+_ROWS = 1 << 14  # rows of the table of chunks in a part
 
 
 def write_package(
@@ -44,22 +44,24 @@ def write_package(
     active_terms: str | PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> Package:
-    """Write a scene as a package that can be served.
+    """Write a scene as a package.
 
     Args:
-        folder: Where, `scene.gsvis` by custom; an older package there is replaced when the new one is whole.
-        levels: In the order of a package, see `in_package_order`.
-        colors: Of their union, rounded.
-        info: Up axis, meters per unit, measured cost, provenance.
-        visibility: The store of visible sets, built for `levels.union`.
-        active_terms: The store of active terms, built for the same and for as many terms.
-        progress: Called with stage "package", in parts of the scene.
+        folder: Folder of the package, by custom `scene.gsvis`. An older package is replaced when the new one is
+            complete.
+        levels: Levels in the order of a package, from `in_package_order`.
+        colors: Rounded colors of their union.
+        info: Up axis, meters per unit, measured cost, provenance; None means `PackageInfo()`.
+        visibility: The store of visible sets of `levels.union`; None for no visible sets.
+        active_terms: The store of active terms of `levels.union`, with as many terms as `colors`; None for no active
+            terms.
+        progress: Called with stage "package", in blocks of the scene.
 
     Returns:
-        The package, open.
+        The open package.
 
     Raises:
-        ValueError: If lengths or the order do not fit, or active terms come without visible sets.
+        ValueError: If lengths do not match, the order is another one, or active terms come without visible sets.
         FormatError: If a store was built for another scene, or the folder holds something else.
         OSError: If the folder cannot be written.
     """
@@ -86,10 +88,10 @@ def write_package(
 
 
 def check_target(target: Path) -> None:
-    """Nothing, if a package may be written to a folder.
+    """Raise unless a package may be written to a folder.
 
     Raises:
-        FormatError: If something else is there.
+        FormatError: If the path holds something else.
     """
     if target.exists() and not target.is_dir():
         raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
@@ -135,7 +137,7 @@ def _blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterat
 
 
 def _planes(letter: str, rows: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]]:
-    """Bytes of records one by one: alike bytes stand together, and compress better so."""
+    """Return each byte of the records as a column; similar bytes are then adjacent and compress better."""
     return {f"{letter}{k}": rows[:, k] for k in range(rows.shape[1])}
 
 
