@@ -1,4 +1,4 @@
-"""Bytes on disk that are no scene: atomic writes, locks, the Arrow container, limits, caches, one way to resume."""
+"""Bytes on disk apart from scenes: atomic writes, locks, the Arrow container, limits, caches, one way to resume."""
 
 _MODULES = ("archive", "arrow", "atomic", "cache", "fields", "limits", "locks", "output", "resume", "sections")
 

@@ -1,6 +1,6 @@
-"""NumPy archives that are kept between runs: arrays by name, every byte under a checksum, read within their real size.
+"""NumPy archives that are kept between runs: arrays by name, all bytes under a checksum, memory bounded by file size.
 
-An archive is a `.npz` that NumPy reads, too. Its comment, the last bytes of the file, holds the CRC-32 of all bytes
+An archive is a `.npz` file that NumPy also reads. Its comment, at the end of the file, holds the CRC-32 of all bytes
 before the digits. Nothing is unpickled or decompressed.
 """
 
@@ -29,14 +29,14 @@ _BLOCK = 1 << 20
 
 
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays under their names, whole or not at all.
+    """Write arrays under their names, atomically.
 
     Raises:
-        OSError: If the file cannot be written; what was there before is still there.
+        OSError: If the file cannot be written; an older file stays.
     """
     with atomic_path(path) as partial:
         with partial.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # names are not those of its own parameters
+            np.savez(file, **arrays)  # type: ignore[arg-type]  # no name equals a parameter of savez
         with zipfile.ZipFile(partial, "a") as archive:
             archive.comment = _MARK + b"0" * _DIGITS
         with partial.open("r+b") as file:
@@ -46,15 +46,15 @@ def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]
 
 
 def load_arrays(path: str | os.PathLike[str], *, sealed: bool = False) -> dict[str, NDArray[Any]]:
-    """Read what `save_arrays` wrote.
+    """Return the arrays that `save_arrays` wrote, by name.
 
     Args:
         path: The file.
-        sealed: Refuse archives without a checksum, which earlier versions wrote.
+        sealed: Raise for archives without a checksum, which earlier versions wrote.
 
     Raises:
-        FormatError: If the file is no such archive, damaged, or promises more than it holds.
-        OSError: If it cannot be opened.
+        FormatError: If the file is no such archive, is damaged, or claims more bytes than it has.
+        OSError: If the file cannot be opened.
     """
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -67,13 +67,13 @@ def load_arrays(path: str | os.PathLike[str], *, sealed: bool = False) -> dict[s
         try:
             with zipfile.ZipFile(file) as archive:
                 return {info.filename.removesuffix(".npy"): _read(archive, info, size) for info in archive.infolist()}
-        except Exception as error:  # whatever reading damaged bytes raises, the bytes are at fault
+        except Exception as error:  # any error of reading means damaged bytes
             got = f"{type(error).__name__}: {error}"[:200]
             raise FormatError(path, "", "an archive of arrays", got) from error
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> NDArray[Any]:
-    """Return one array, which takes no more memory than the file has bytes."""
+    """Return one array; it needs no more memory than the file has bytes."""
     if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size or info.file_size > most:
         raise ValueError(f"{info.filename}: expected an array stored as it is, got another entry")
     with archive.open(info) as stream:
@@ -86,7 +86,7 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> NDArray
             raise ValueError(f"{info.filename}: expected {needed:,} bytes of numbers, got {left:,}")
         flat = np.empty(needed, np.uint8)
         filled = 0
-        while block := stream.read(_BLOCK):  # to the end, where the checksum of the entry is compared
+        while block := stream.read(_BLOCK):  # to the end: there zipfile compares the checksum of the entry
             flat[filled : filled + len(block)] = np.frombuffer(block, np.uint8)
             filled += len(block)
     if filled != needed:
@@ -96,7 +96,7 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> NDArray
 
 
 def _checksum(file: BufferedReader, size: int) -> bytes:
-    """Return the CRC-32 of the first bytes of a file as digits."""
+    """Return the CRC-32 of the first `size` bytes of a file, as 8 hexadecimal digits."""
     file.seek(0)
     crc, left = 0, size
     while left > 0 and (block := file.read(min(_BLOCK, left))):

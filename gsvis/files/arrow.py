@@ -1,10 +1,10 @@
-"""Arrow IPC files that any Arrow client reads, with a header of ours, every byte under a checksum, and bounded memory.
+"""Arrow IPC files that any Arrow client reads, with a gsvis header, a checksum over all bytes, and bounded memory.
 
-The schema's metadata hold a JSON header under `gsvis`, and one of two seals. A *whole* seal, under `checksum`, is the
-CRC-32 of the file with the digits of the checksum itself taken as zeros; it is checked when the file is opened. A
-*header* seal, under `gsvis-crc32`, is the CRC-32 of the header alone: opening reads a few kilobytes whatever the size
-of the file, batches are read when they are asked for, and rows bear checksums of their own that the caller checks.
-Nothing but the schema is parsed before the seal fits. This module knows no columns.
+The schema's metadata holds a JSON header under `gsvis`, and one of two seals. A *whole* seal, under `checksum`, is the
+CRC-32 of the file with zeros in place of the checksum's digits. It is checked when the file is opened. A *header*
+seal, under `gsvis-crc32`, is the CRC-32 of the header alone. Opening then reads a few kilobytes for any file size.
+Batches are read on demand, and the caller checks the checksum of each row. Only the schema is parsed before the seal is
+checked. This module knows no columns.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _Read = TypeVar("_Read")
 
 _MAGIC = b"ARROW1"
 _HEADER, _CHECKSUM, _HEADER_CHECKSUM = b"gsvis", b"checksum", b"gsvis-crc32"
-_MARK = b'{"crc32" : "'  # the space sets it apart from every value that compact JSON can hold
+_MARK = b'{"crc32" : "'  # compact JSON cannot contain this text, because of the space
 _DIGITS = 8
 _TAIL = 10  # length of the footer and magic
 _CHUNK = 1 << 24
 _BLOCK = np.dtype([("offset", "<i8"), ("metadata", "<i4"), ("padding", "<i4"), ("body", "<i8")])
 _FAULTS = (pa.ArrowException, ValueError, OSError, struct.error, MemoryError, OverflowError, StopIteration)
-"""What Arrow and the code here raise at damaged bytes."""
+"""Errors that Arrow and this module raise for damaged bytes."""
 
 
 def write_arrow(
@@ -54,15 +54,15 @@ def write_arrow(
     seal: Seal = "whole",
     sweep: bool = True,
 ) -> None:
-    """Write batches as they come, compressed with zstd, whole or not at all.
+    """Write batches atomically, compressed with zstd.
 
     Args:
         path: The file.
-        fields: Of the schema that all batches have.
-        header: What JSON can say; holds `format` and `version`.
-        batches: Kept in memory one at a time.
-        seal: What the checksum covers: "whole" file, or the "header" alone where each row has a checksum of its own.
-        sweep: As in `atomic_path`.
+        fields: Fields of the schema of all batches.
+        header: JSON values, among them `format` and `version`.
+        batches: The batches; memory holds one at a time.
+        seal: Bytes that the checksum covers: the "whole" file, or the "header" alone if each row has its own checksum.
+        sweep: Remove the leftovers of killed writers first; see `atomic_path`.
     """
     separators = (",", ":") if seal == "whole" else None
     text = json.dumps(dict(header), separators=separators, sort_keys=True, allow_nan=False).encode()
@@ -78,18 +78,18 @@ def write_arrow(
 
 
 class ArrowFile:
-    """An open file of one format, its header and its schema checked and its seal found to fit.
+    """An open file of one format. Its header, schema and seal are checked when it is opened.
 
     Args:
         path: The file.
-        name: The format that its header must name.
-        version: The newest version that is known.
-        seal: What its checksum covers, as it was written.
+        name: Expected format in the header.
+        version: The newest supported version.
+        seal: The kind of seal that the file was written with.
 
     Attributes:
         path: The file.
         header: The JSON header.
-        schema: Of its batches, without metadata.
+        schema: Schema of its batches, without metadata.
         nbytes: Size of the file.
 
     Raises:
@@ -105,7 +105,7 @@ class ArrowFile:
             got = f"{self.nbytes} bytes" if _MAGIC.startswith(head) else f"a file that begins {head!r}"
             raise FormatError(self.path, "byte 0", f"an Arrow file of format {name}", got)
         with pa.memory_map(os.fspath(self.path)) as source:
-            self._buffer: pa.Buffer | None = source.read_buffer()  # lives on without its source
+            self._buffer: pa.Buffer | None = source.read_buffer()  # stays valid after its source is closed
         self.nbytes = self._buffer.size
         data = memoryview(self._buffer)
         if data[-len(_MAGIC) :] != _MAGIC:
@@ -127,7 +127,7 @@ class ArrowFile:
 
     @property
     def num_batches(self) -> int:
-        """Batches that the file lists.
+        """Number of batches that the file lists.
 
         Raises:
             FormatError: If the list is damaged.
@@ -138,7 +138,7 @@ class ArrowFile:
         """Raise unless the columns are as expected.
 
         Raises:
-            FormatError: Names the first column of another type.
+            FormatError: If a column is missing or has another type; the error names the first such column.
         """
         if self.schema.equals(expected):
             return
@@ -157,9 +157,9 @@ class ArrowFile:
         """Return one batch, validated and without nulls.
 
         Args:
-            number: Which, from 0.
-            budget: Where the memory that it needs is claimed before it is decompressed.
-            where: Names the batch in errors; empty takes its number.
+            number: Number of the batch, from 0.
+            budget: Memory budget; the batch claims its size before it is decompressed.
+            where: Name of the batch in errors; empty means its number.
 
         Raises:
             FormatError: If the batch does not fit the schema, holds nulls, or needs more memory than the budget has.
@@ -184,7 +184,7 @@ class ArrowFile:
 
     @cached_property
     def _blocks(self) -> NDArray[Any]:
-        """Where the batches lie, as the footer lists them."""
+        """Places of the batches in the file, from the footer."""
         data = memoryview(self._opened())
         start, end = _footer_start(self.path, data), len(data) - _TAIL
         footer = bytes(data[start:end])
@@ -209,7 +209,7 @@ class ArrowFile:
     def _read_header(self, end: int, version: int, seal: Seal) -> tuple[Fields, pa.Schema]:
         def read() -> pa.Schema:
             found = pa.ipc.read_schema(self._opened().slice(8, end - 8))
-            _ = found.names  # those that are not UTF-8 raise here, not where an error lists them
+            _ = found.names  # names that are not UTF-8 must raise here, not in an error message
             return found
 
         schema = self._guard("byte 8", "an Arrow schema", read)
@@ -228,7 +228,7 @@ class ArrowFile:
         return header, schema.remove_metadata()
 
     def _guard(self, where: str, expected: str, read: Callable[[], _Read]) -> _Read:
-        """Return what `read` gives; what Arrow raises at damaged bytes becomes a FormatError."""
+        """Return `read()`; raise FormatError instead of Arrow's errors for damaged bytes."""
         self._opened()
         try:
             return read()
@@ -262,7 +262,7 @@ def _has_nulls(array: pa.Array) -> bool:
 
 
 def _schema_end(path: Path, data: memoryview) -> int:
-    """Where the schema's message, which begins at byte 8, ends."""
+    """Return the end of the schema's message, which begins at byte 8."""
     marker, length = struct.unpack_from("<iI", data, 8)
     end = 16 + int(length)
     if marker != -1 or end > len(data) - _TAIL:
@@ -279,7 +279,7 @@ def _footer_start(path: Path, data: memoryview) -> int:
 
 
 def _places(path: Path, data: memoryview) -> list[int]:
-    """Where the digits of the checksum stand: in the schema and, a second time, in the footer."""
+    """Return the two offsets of the checksum's digits: in the schema, and in the footer."""
     places = []
     for start, end in ((8, _schema_end(path, data)), (_footer_start(path, data), len(data) - _TAIL)):
         found = bytes(data[start:end]).find(_MARK)
@@ -290,7 +290,7 @@ def _places(path: Path, data: memoryview) -> list[int]:
 
 
 def _checksum(data: memoryview, places: list[int]) -> int:
-    """CRC-32 of everything, zeros in place of the checksum's digits."""
+    """Return the CRC-32 of the file, with zeros in place of the checksum's digits."""
     crc, start = 0, 0
     for end in [*places, len(data)]:
         for chunk in range(start, end, _CHUNK):
@@ -316,10 +316,10 @@ def _listed_blocks(footer: bytes) -> NDArray[Any]:
 
 
 def _count_uncompressed_bytes(message: pa.Message) -> int:
-    """Return what the buffers of a record batch need in memory, as the first eight bytes of each say.
+    """Return the bytes of memory for the buffers of a record batch, from the first eight bytes of each buffer.
 
     Raises:
-        struct.error: If the message is no record batch; `_FAULTS` names what else may be raised.
+        struct.error: If the message is no record batch; `_FAULTS` lists other possible errors.
 
     References:
         Apache Arrow columnar format, "Compression" of record batches; FlatBuffers internals, tables and vectors.

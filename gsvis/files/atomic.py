@@ -1,9 +1,9 @@
-"""Files and folders that appear whole or not at all.
+"""Write files and folders atomically.
 
-Work is written beside its destination under a hidden name and moved into place at the end, so a crash, a full
-disk or Ctrl-C leaves what was there before untouched. A hidden name is `.NAME.gsvis-` and 12 hexadecimal digits, the
-first four of them for the host. Its writer holds a lock on it: what SIGKILL leaves has no lock, and the next writer of
-the same destination on the same host removes it.
+Data is written beside the destination under a hidden name, and moved into place at the end. So a crash, a full disk or
+Ctrl-C leaves the old content untouched. A hidden name is `.NAME.gsvis-` and 12 hexadecimal digits; the first four
+stand for the host. The writer holds a lock on it. Leftovers of a killed writer have no lock; the next writer of the
+same destination on the same host removes them.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from gsvis.files.output import output_errors
 
 __all__ = ["atomic_folder", "atomic_path", "find_interrupted_moves", "remove_all_partials", "remove_partials"]
 
-_NOTE = ".gsvis-moves"  # in a hidden folder whose files are on their way: which they are
-_NO_HOST = "0000"  # in the place of the host: nobody removes it
+_NOTE = ".gsvis-moves"  # in a hidden folder: lists the files that are being moved
+_NO_HOST = "0000"  # in place of the host: never removed
 
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], *, sweep: bool = True) -> Iterator[Path]:
-    """A temporary path beside `path` that becomes `path` when the block ends well, and is removed otherwise.
+    """Yield a temporary file that replaces `path` when the block succeeds; an error removes it.
 
-    Write into the file that is there: a block that removes it and makes another loses the lock with it.
+    Write into the existing temporary file. A block that removes and recreates it loses the lock.
 
     Args:
-        path: The file to write; its folder is made if it is missing.
-        sweep: Whether to remove first what killed writers of the file left. This lists the folder, so leave it out for
-            each of many files in one folder, and call `remove_all_partials` once.
+        path: The file to write; its folder is created if it is missing.
+        sweep: First remove the leftovers of killed writers of the file. This lists the folder. For many files in one
+            folder, pass False and call `remove_all_partials` once.
 
     Yields:
         The path to write to, with the same suffix.
@@ -68,26 +68,26 @@ def atomic_path(path: str | os.PathLike[str], *, sweep: bool = True) -> Iterator
 
 @contextmanager
 def atomic_folder(path: str | os.PathLike[str], *, last: tuple[str, ...] = ()) -> Iterator[Path]:
-    """A temporary folder whose files move into `path` when the block ends well.
+    """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    Files of the same name are replaced one by one; other files already in `path` stay: nothing a user made is lost.
-    If an error comes between two moves, a small note beside `path` remembers which files have moved.
+    Files of the same name are replaced one by one. Other files in `path` stay, so no file of a user is lost. After an
+    error between two moves, a small note beside `path` lists the files that have moved.
 
     Args:
-        path: The folder to fill; made if it is missing.
-        last: Names of the files that move after all others, in this order, for those that say that the folder is whole.
+        path: The folder to fill; created if it is missing.
+        last: Names of files that move after all others, in this order. Use it for files that mark the folder complete.
 
     Yields:
         The folder to write to.
 
     Raises:
         OutputError: If the folder cannot be written.
-        IsADirectoryError: If `path` has a folder of the name of a file; no file moves.
-        NotADirectoryError: If `path` has a file of the name of a folder; no file moves.
+        IsADirectoryError: If `path` has a folder where a file must go; no file moves.
+        NotADirectoryError: If `path` has a file where a folder must go; no file moves.
     """
     target = _check.path("path", path)
     _make(target.parent, path)
-    _remove(target, with_notes=False)  # what a killed run had moved is known until this one has ended well
+    _remove(target, with_notes=False)  # keeps the notes of killed runs until this one succeeds
     with output_errors(path, target.parent):
         partial, descriptor = _new_folder(target)
     with output_errors(path, partial):
@@ -103,21 +103,21 @@ def atomic_folder(path: str | os.PathLike[str], *, last: tuple[str, ...] = ()) -
 
 
 def remove_partials(path: str | os.PathLike[str]) -> None:
-    """Remove what killed writers of a file or folder on this host left beside it.
+    """Remove the leftovers of killed writers of a file or folder on this host.
 
-    What a live process writes stays: it holds a lock. Where the file system has no locks everything stays.
+    Files of live processes stay, because they hold a lock. On a file system without locks, everything stays.
 
     Args:
-        path: The file or folder that was to be written.
+        path: The destination of the writers.
     """
     _remove(_check.path("path", path), with_notes=True)
 
 
 def remove_all_partials(folder: str | os.PathLike[str]) -> None:
-    """Remove what killed writers of any file or folder on this host left in a folder, as `remove_partials` does.
+    """Remove the leftovers of killed writers on this host of all files and folders in a folder; see `remove_partials`.
 
     Args:
-        folder: The folder; there may be none.
+        folder: The folder; it may be missing.
     """
     ours = re.compile(rf"\..+\.gsvis-{_host()}[0-9a-f]{{8}}(\.[^.]*)?", re.DOTALL)
     for name in _names(Path(folder)):
@@ -128,20 +128,20 @@ def remove_all_partials(folder: str | os.PathLike[str]) -> None:
 
 
 def find_interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
-    """Files in a folder that `atomic_folder` had moved there when it was cut short, and nobody has changed since.
+    """Return the files that interrupted runs of `atomic_folder` moved into a folder, if they are unchanged since.
 
     Args:
         path: The folder.
 
     Returns:
-        Their names, relative to the folder, with forward slashes.
+        Names relative to the folder, with forward slashes.
     """
     target = _check.path("path", path)
     return {name for partial in _partials(target, "[0-9a-f]{4}") for name in _find_moved(partial, target)}
 
 
 def _move(partial: Path, target: Path, last: tuple[str, ...]) -> None:
-    """Move all files of a folder into another, with a note beside them from before the first to after the last."""
+    """Move all files of a folder into another; a note lists them from before the first move to after the last."""
     places = {name: place for place, name in enumerate(last, 1)}
     sources = sorted(partial.rglob("*"), key=lambda source: (places.get(source.name, 0), source))
     _check_destinations(partial, target, sources)
@@ -156,7 +156,7 @@ def _move(partial: Path, target: Path, last: tuple[str, ...]) -> None:
 
 
 def _check_destinations(partial: Path, target: Path, sources: list[Path]) -> None:
-    """Raise if a file is to replace a folder or a folder a file, while nothing has moved yet."""
+    """Raise, before any move, if a file would replace a folder or a folder a file."""
     for source in sources:
         destination = target / source.relative_to(partial)
         if source.is_dir() and os.path.lexists(destination) and not destination.is_dir():
@@ -166,7 +166,7 @@ def _check_destinations(partial: Path, target: Path, sources: list[Path]) -> Non
 
 
 def _write_note(partial: Path, target: Path, files: list[Path]) -> None:
-    """Note what is about to move and what earlier runs had moved, and remove the notes of those."""
+    """Write a note of the files to move and those that earlier runs moved; remove the notes of earlier runs."""
     note = {source.relative_to(partial).as_posix(): [_identity(source)] for source in files}
     with ExitStack() as stack:
         earlier = [other for other in _partials(target, _host()) if stack.enter_context(_is_owned(other))]
@@ -180,7 +180,7 @@ def _write_note(partial: Path, target: Path, files: list[Path]) -> None:
 
 
 def _find_moved(partial: Path, target: Path) -> dict[str, list[int]]:
-    """Files of the target that the note in a hidden folder names and nobody changed since; half a note names none."""
+    """Return the target's files that a hidden folder's note lists and that are unchanged; none for a broken note."""
     try:
         note = json.loads(read_whole(partial / _NOTE))
         found = {name: _identity_or_none(target / name) for name in note}
@@ -190,7 +190,7 @@ def _find_moved(partial: Path, target: Path) -> dict[str, list[int]]:
 
 
 def _settle(partial: Path, target: Path) -> None:
-    """Remove a hidden folder; if some of its files have moved, all in it but the note that names them."""
+    """Remove a hidden folder; if some of its files have moved, keep the note that lists them."""
     if not _find_moved(partial, target):
         _delete(partial)
         return
@@ -209,7 +209,7 @@ def _remove(target: Path, *, with_notes: bool) -> None:
 
 
 def _partials(target: Path, host: str) -> list[Path]:
-    """Everything beside the target that has a hidden name of ours for it; `host` is a pattern of four digits."""
+    """Return the paths beside the target with a hidden name for it; `host` is a pattern of four digits."""
     file, folder = f".{target.stem}.gsvis-", f".{target.name}.gsvis-"
     ours = re.compile(
         rf"{re.escape(file)}{host}[0-9a-f]{{8}}{re.escape(target.suffix)}|{re.escape(folder)}{host}[0-9a-f]{{8}}"
@@ -219,7 +219,7 @@ def _partials(target: Path, host: str) -> list[Path]:
 
 
 def _names(folder: Path) -> list[str]:
-    """What is in a folder; nothing where it cannot be listed."""
+    """Return the names in a folder; empty if it cannot be listed."""
     try:
         return os.listdir(folder)
     except OSError:
@@ -228,7 +228,7 @@ def _names(folder: Path) -> list[str]:
 
 @cache
 def _host() -> str:
-    """Four hexadecimal digits for this host: on some file systems a lock holds for one host alone."""
+    """Return four hexadecimal digits for this host; on some file systems a lock works within one host only."""
     digest = hashlib.sha256(os.fsencode(platform.node())).digest()
     return f"{1 + int.from_bytes(digest[:4], 'big') % 0xFFFF:04x}"  # never `_NO_HOST`
 
@@ -239,19 +239,19 @@ def _hidden(name: str, suffix: str = "", host: str = "") -> str:
 
 @contextmanager
 def _is_owned(partial: Path) -> Iterator[bool]:
-    """Whether a hidden file or folder has no live writer; if so it is locked during the block."""
+    """Yield whether a hidden file or folder has no live writer; if so, it is locked during the block."""
     with ExitStack() as stack:
         try:
             owned = try_lock(stack.enter_context(_open(partial))) == "held"
-        except OSError:  # another user's, or gone meanwhile
+        except OSError:  # owned by another user, or removed meanwhile
             owned = False
         yield owned
 
 
 @contextmanager
 def _open(path: Path) -> Iterator[int]:
-    """A file or a folder opened to be locked; nothing else is, and no link is followed."""
-    access = os.O_RDONLY if path.is_dir() else os.O_RDWR  # NFS locks no file that is open for reading alone
+    """Yield the descriptor of a file or folder, opened to lock it; raise for links and anything else."""
+    access = os.O_RDONLY if path.is_dir() else os.O_RDWR  # NFS cannot lock a file that is open for reading only
     descriptor = os.open(path, access | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     try:
         mode = os.fstat(descriptor).st_mode
@@ -263,10 +263,13 @@ def _open(path: Path) -> Iterator[int]:
 
 
 def _new_file(target: Path) -> tuple[Path, int | None]:
-    """An empty file with a hidden name, and its descriptor if that holds a lock; without a lock nobody removes it."""
+    """Create an empty file with a hidden name; return its path, and its descriptor if that holds a lock.
+
+    Without a lock, its name gets `_NO_HOST`, so that no other writer removes it.
+    """
     while True:
         partial = target.with_name(_hidden(target.stem, target.suffix))
-        descriptor = os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)  # the usual rights, unlike mkstemp's
+        descriptor = os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)  # default rights, unlike mkstemp's
         held = _lock(partial, descriptor)
         if held == "held" and _lets_others_write(partial):
             return partial, descriptor
@@ -274,18 +277,18 @@ def _new_file(target: Path) -> tuple[Path, int | None]:
             os.close(descriptor)
         if held != "lost":
             unlocked = target.with_name(_hidden(target.stem, target.suffix, _NO_HOST))
-            with suppress(FileNotFoundError):  # swept up meanwhile
+            with suppress(FileNotFoundError):  # removed by a sweep meanwhile
                 partial.rename(unlocked)
                 return unlocked, None
 
 
 def _new_folder(target: Path) -> tuple[Path, int | None]:
-    """An empty folder with a hidden name, and its descriptor if that holds a lock."""
+    """Create an empty folder with a hidden name; return its path, and its descriptor if that holds a lock."""
     while True:
         partial = target.with_name(_hidden(target.name))
         partial.mkdir(0o700)
         descriptor: int | None = None
-        with suppress(PermissionError):  # a system that opens no folders
+        with suppress(PermissionError):  # a system that cannot open folders
             descriptor = os.open(partial, os.O_RDONLY)
         held = "none" if descriptor is None else _lock(partial, descriptor)
         if held != "lost":
@@ -293,7 +296,7 @@ def _new_folder(target: Path) -> tuple[Path, int | None]:
 
 
 def _lock(partial: Path, descriptor: int) -> str:
-    """Lock what was just made: "held", "none" where there are no locks, or "lost" to one who swept it up meanwhile."""
+    """Lock a new file or folder; return "held", "none" without locks, or "lost" if a sweep removed it meanwhile."""
     state = try_lock(descriptor)
     if state == "none":
         os.close(descriptor)
@@ -310,14 +313,14 @@ def _lock(partial: Path, descriptor: int) -> str:
 
 
 def _lets_others_write(partial: Path) -> bool:
-    """Whether a locked empty file takes what another descriptor writes; on SMB (CIFS) a lock keeps others out."""
+    """Return whether another descriptor can write to a locked empty file; on SMB (CIFS) it cannot."""
     try:
         with open(partial, "r+b", buffering=0) as file:
             file.write(b"0")
             file.truncate(0)
     except PermissionError:
         return False
-    except OSError:  # such as a full disk: the writer will meet it, too
+    except OSError:  # such as a full disk: the writer will get this error too
         return True
     return True
 
@@ -335,7 +338,7 @@ def _close(descriptor: int | None) -> None:
 
 
 def _identity(path: Path) -> list[int]:
-    """What a file keeps when it is renamed and loses when it is written: its inode, size and time of change."""
+    """Return inode, size and modification time of a file: a rename keeps them, a write changes them."""
     found = path.stat()
     return [found.st_ino, found.st_size, found.st_mtime_ns]
 
@@ -348,6 +351,6 @@ def _identity_or_none(path: Path) -> list[int] | None:
 
 
 def _make(folder: Path, path: str | os.PathLike[str]) -> None:
-    """Make a folder and those above it; `path` is what the user asked for."""
+    """Create a folder and its parents; errors name `path`, which the user gave."""
     with output_errors(path, folder.absolute().anchor):
         folder.mkdir(parents=True, exist_ok=True)

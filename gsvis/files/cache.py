@@ -1,4 +1,4 @@
-"""The one cache of what was read or decoded: the least recently used goes first when it takes too much room."""
+"""A cache of data that was read or decoded. It removes the least recently used values when it is too large."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ _Value = TypeVar("_Value")
 
 
 class Cache(Generic[_Value]):
-    """Values by key; may be used from several threads.
+    """Values by key; threads may share it.
 
     Args:
-        max_bytes: Bytes of all values together. A larger value is not kept, unless `keep_last`. None sets no bound.
-        max_items: How many values are kept. None sets no bound.
-        keep_last: Keep the value that came last, however large it is.
+        max_bytes: Most bytes of all values together. A larger value is not kept, unless `keep_last`. None sets no
+            limit.
+        max_items: Most values. None sets no limit.
+        keep_last: Always keep the last value, whatever its size.
 
     Attributes:
-        nbytes: Bytes of the values that are kept.
+        nbytes: Bytes of the kept values.
     """
 
     def __init__(self, max_bytes: int | None = None, *, max_items: int | None = None, keep_last: bool = False) -> None:
@@ -35,11 +36,11 @@ class Cache(Generic[_Value]):
 
     @property
     def fill(self) -> float:
-        """Share of `max_bytes` in use; 0 without a bound."""
+        """Share of `max_bytes` in use; 0 without a limit."""
         return self.nbytes / max(1, self.max_bytes) if self.max_bytes is not None else 0.0
 
     def find(self, key: Hashable) -> _Value | None:
-        """Return the value kept under a key, or None."""
+        """Return the value of a key, or None."""
         with self._lock:
             found = self._values.get(key)
             if found is None:
@@ -48,12 +49,12 @@ class Cache(Generic[_Value]):
             return found[0]
 
     def keep(self, key: Hashable, value: _Value, nbytes: int | None = None) -> None:
-        """Keep a value; older ones make room.
+        """Keep a value; the least recently used values are removed if there is no room.
 
         Args:
-            key: Names it. A value that is kept under the name already stays.
+            key: The key. If it has a value already, that value stays.
             value: The value.
-            nbytes: Its size; None takes its attribute `nbytes`.
+            nbytes: Size of the value; None takes its attribute `nbytes`.
         """
         size = _size_of(value) if nbytes is None else nbytes
         with self._lock:
@@ -66,7 +67,7 @@ class Cache(Generic[_Value]):
                 self.nbytes -= self._values.popitem(last=False)[1][1]
 
     def find_or_make(self, key: Hashable, make: Callable[[], _Value]) -> _Value:
-        """Return the value kept under a key, or make it and keep it; two threads may both make it."""
+        """Return the value of a key, or make and keep it; two threads may both make it."""
         found = self.find(key)
         if found is None:
             found = make()

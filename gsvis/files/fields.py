@@ -1,6 +1,6 @@
-"""JSON that names its faults: every value is checked for its type and range where it is read.
+"""JSON with checked types: each value is checked for type and range when it is read, and errors name its place.
 
-A `Fields` is one object of a file with the trail of keys that led to it. This module knows no format.
+A `Fields` is one object of a file and the keys that lead to it. This module knows no format.
 """
 
 from __future__ import annotations
@@ -19,62 +19,62 @@ from gsvis.files.limits import Budget
 
 __all__ = ["Fields", "estimate_parsed_bytes", "parse_json", "parse_object"]
 
-# Bytes in memory, at most, of what each character of JSON text can become (measured in tests).
+# Most bytes of memory for each kind of JSON value and for each character (measured in tests).
 _OBJECT, _LIST, _VALUE, _CHARACTER = 256, 128, 88, 8
 
 
 def estimate_parsed_bytes(data: bytes) -> int:
-    """Return at least the bytes that JSON text takes in memory when it is parsed, without parsing it.
+    """Return an upper bound of the memory for parsed JSON text, in bytes, without parsing it.
 
-    Every value but the first has a comma, a colon or a bracket before it. Characters inside strings are counted too.
+    Every value but the first has a comma, a colon or a bracket before it. Characters inside strings count too.
     """
     values = data.count(b",") + data.count(b":") + 1
     return _OBJECT * data.count(b"{") + _LIST * data.count(b"[") + _VALUE * values + _CHARACTER * len(data)
 
 
 def parse_json(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None, **options: Any) -> Any:
-    """Return the value that JSON text holds, its memory claimed before it is parsed.
+    """Return the value of JSON text; claim its memory before it is parsed.
 
     Args:
         path: The file, for messages.
         data: The text.
-        budget: Where memory is claimed; None if the text itself was read from disk and bounds it.
-        **options: Passed on to `json.loads`.
+        budget: Memory budget to claim from; None makes one from the size of the text.
+        **options: Passed to `json.loads`.
 
     Raises:
-        FormatError: If it is no JSON, nested too deeply, or needs more memory than the budget has.
+        FormatError: If the text is no JSON, nested too deeply, or needs more memory than the budget has.
     """
     (Budget(path, len(data)) if budget is None else budget).claim(estimate_parsed_bytes(data), "JSON")
     try:
         return json.loads(data, **options)
     except RecursionError as error:
         raise FormatError(path, "", "JSON", "objects nested too deeply") from error
-    except ValueError as error:  # includes JSONDecodeError, UnicodeDecodeError and integers of absurd length
+    except ValueError as error:  # includes JSONDecodeError, UnicodeDecodeError and integers with too many digits
         got = "text that is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
         raise FormatError(path, "", "JSON", got, "is the file truncated?") from error
 
 
 def parse_object(path: str | os.PathLike[str], data: bytes, budget: Budget | None = None) -> Fields:
-    """Return the object that a JSON file holds.
+    """Return the object of JSON text.
 
     Args:
         path: The file, for messages.
         data: The text.
-        budget: Where memory is claimed; see `parse_json`.
+        budget: Memory budget to claim from; None makes one from the size of the text.
 
     Raises:
-        FormatError: If it is no JSON, nested too deeply, no object, or needs more memory than the budget has.
+        FormatError: If the text is no JSON object, nested too deeply, or needs more memory than the budget has.
     """
     return Fields(path, "", parse_json(path, data, budget))
 
 
 class Fields:
-    """One JSON object and where it stands.
+    """One JSON object and its place in a file.
 
     Args:
         path: The file, for error messages.
-        trail: Keys that lead to the object, such as `shN`; empty for the outermost.
-        value: What the file holds there.
+        trail: Keys that lead to the object, such as `shN`; empty for the outermost object.
+        value: The value at this place.
 
     Raises:
         FormatError: If `value` is no object.
@@ -87,18 +87,18 @@ class Fields:
         self.value: dict[str, Any] = value
 
     def where(self, key: str) -> str:
-        """Trail of a key, for error messages."""
+        """Return the trail of a key, for error messages."""
         return f"{self.trail}.{key}" if self.trail else key
 
     def __contains__(self, key: str) -> bool:
         return self.value.get(key) is not None
 
     def raw(self, key: str) -> Any:
-        """The value as it is; None where the key is missing."""
+        """Return the unchecked value at a key; None if the key is missing."""
         return self.value.get(key)
 
     def text(self, key: str, choices: Iterable[str] | None = None) -> str:
-        """Return the string at a key: one of the choices, or any that can be written as UTF-8."""
+        """Return the string at a key: one of the choices, or any string that UTF-8 can encode."""
         value = self.raw(key)
         known = None if choices is None else tuple(choices)
         if not isinstance(value, str) or not _is_utf8(value) or (known is not None and value not in known):
@@ -107,11 +107,11 @@ class Fields:
         return value
 
     def child(self, key: str) -> Fields:
-        """The object at a key."""
+        """Return the object at a key."""
         return Fields(self.path, self.where(key), self.raw(key))
 
     def integer(self, key: str, low: int, high: int) -> int:
-        """The integer at a key, in [low, high]; 3.0 counts as 3."""
+        """Return the integer at a key, in [low, high]; 3.0 counts as 3."""
         value = self.raw(key)
         if isinstance(value, float) and value.is_integer():
             value = int(value)
@@ -120,15 +120,15 @@ class Fields:
         return value
 
     def number(self, key: str) -> float:
-        """The finite number at a key."""
+        """Return the finite number at a key."""
         return float(self._numbers(key, [self.raw(key)])[0])
 
     def numbers(self, key: str, length: int | None = None) -> NDArray[np.float64]:
-        """The list of finite numbers at a key, of the given length."""
+        """Return the list of finite numbers at a key; None allows any length."""
         return self._numbers(key, self.items(key, length))
 
     def items(self, key: str, length: int | None = None) -> list[Any]:
-        """The list at a key, of the given length."""
+        """Return the list at a key; None allows any length."""
         value = self.raw(key)
         if not isinstance(value, list) or (length is not None and len(value) != length):
             wanted = "a list" if length is None else f"a list of {length}"
@@ -144,7 +144,7 @@ class Fields:
 
 
 def _is_utf8(text: str) -> bool:
-    """Return whether UTF-8 can hold the text; JSON can name half a character."""
+    """Return whether UTF-8 can encode the text; JSON can hold half of a surrogate pair."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -153,7 +153,7 @@ def _is_utf8(text: str) -> bool:
 
 
 def _spell(value: Any) -> str:
-    """A JSON value in a few words."""
+    """Describe a JSON value in a few words."""
     if value is None:
         return "nothing"
     if isinstance(value, list):

@@ -1,8 +1,8 @@
-"""What a reader may believe: regular files, names that stay inside the folder, memory bounded by the files' real size.
+"""Limits for readers: regular files only, names inside the folder only, memory bounded by the real size of the files.
 
-A compressed file says how large it will become. Readers claim that size from a `Budget` before they allocate, so a
-few bytes that promise gigabytes are refused while every real scene passes. This module knows no format.
-docs/design/026-hostile-inputs.md lists what is bounded by what.
+A compressed file states its uncompressed size. Readers claim that size from a `Budget` before they allocate. So a few
+bytes that claim gigabytes raise an error, while every real scene passes. This module knows no format.
+docs/design/026-hostile-inputs.md lists the bound of each input.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ __all__ = [
 ]
 
 DAMAGED = "the file is damaged: copy it again, or make it again"
-"""What helps where bytes are not as they were written: the remedy of every `FormatError` of a damaged file of ours."""
+"""Remedy of every `FormatError` for a damaged gsvis file."""
 
 MAX_EXPANSION = 256
-"""Bytes in memory that one byte on disk may become; real compressed scenes need 3 to 20."""
+"""Most bytes of memory for one byte on disk; real compressed scenes need 3 to 20."""
 
 MIN_BUDGET = 64 << 20
-"""Bytes that any file may claim, however small: procedural scenes compress extremely well."""
+"""Bytes that a file of any size may claim: procedural scenes compress extremely well."""
 
 _LONGEST_PART = 255  # bytes
 
 
 class Budget:
-    """The memory that a set of files may ask for, given how large they really are.
+    """The memory that a set of files may claim, based on their real size.
 
     Args:
         path: The scene, for the error message.
@@ -55,14 +55,14 @@ class Budget:
         self.claimed = 0
 
     def claim(self, nbytes: int, where: str) -> None:
-        """Set `nbytes` aside.
+        """Add `nbytes` to the claims; raise if they exceed the budget.
 
         Args:
             nbytes: Bytes that the caller is about to allocate.
-            where: What promises them, for the error message.
+            where: Place in the file that states this size, for the error message.
 
         Raises:
-            FormatError: If all claims together exceed what files of this size can hold.
+            FormatError: If all claims together exceed the limit for files of this size.
         """
         self.claimed += nbytes
         allowed = MIN_BUDGET + MAX_EXPANSION * self.file_bytes
@@ -77,19 +77,19 @@ class Budget:
 
 
 def safe_name(path: str | os.PathLike[str], where: str, name: object) -> str:
-    """A relative file name that stays inside its folder, in normal form.
+    """Return a relative file name in normal form; raise unless it stays inside its folder.
 
     Args:
         path: The file that holds the name, for the error message.
-        where: The key or entry that holds it.
-        name: What was found there.
+        where: The key or entry that holds the name.
+        name: The value found there.
 
     Returns:
         The name with forward slashes and without `.` parts.
 
     Raises:
-        FormatError: If it is no text, empty, absolute, climbs with `..`, holds a backslash, a drive, a NUL or half of a
-            pair of UTF-16, or a part of it is too long for a file system.
+        FormatError: If the name is no text, empty, longer than 1000 characters or absolute; if it holds `..`, a
+            backslash, a colon, a NUL or half of a surrogate pair; or if a part is too long for a file system.
     """
     expected = "the name of a file inside the scene's folder"
     if not isinstance(name, str):
@@ -103,18 +103,19 @@ def safe_name(path: str | os.PathLike[str], where: str, name: object) -> str:
 
 
 def inside(path: str | os.PathLike[str], where: str, folder: Path, name: str) -> Path:
-    """Return the path of that name in a folder, unless links lead out of it; a link inside the folder is fine.
+    """Return the path of a name in a folder; raise if links lead out of the folder.
 
-    A folder in a cache of the Hugging Face hub, `CACHE/snapshots/REVISION/...`, may link into its own `CACHE/blobs`.
+    Links inside the folder are allowed. A folder in a cache of the Hugging Face hub,
+    `CACHE/snapshots/REVISION/...`, may link into its own `CACHE/blobs`.
 
     Args:
         path: The file that holds the name, for the error message.
-        where: The key or entry that holds it.
+        where: The key or entry that holds the name.
         folder: The folder, which may be a link itself.
-        name: A name that `safe_name` gave.
+        name: A name from `safe_name`.
 
     Raises:
-        FormatError: If links lead out of the folder. What they lead to is not looked at.
+        FormatError: If links lead out of the folder. Their target is not read.
     """
     root = Path(os.path.realpath(folder))
     found = Path(os.path.realpath(root / name))
@@ -125,7 +126,7 @@ def inside(path: str | os.PathLike[str], where: str, folder: Path, name: str) ->
 
 
 def _blobs_of(root: Path) -> list[Path]:
-    """Return the folder that holds the content of the snapshot that a real path is in, if it is in one."""
+    """Return the `blobs` folder of the Hugging Face snapshot that a real path is in; empty if it is in none."""
     parts = root.parts
     at = max((i for i, part in enumerate(parts[:-1]) if part == "snapshots"), default=-1)
     return [Path(*parts[:at], "blobs")] if at > 0 else []
@@ -140,12 +141,12 @@ _KINDS = {
 
 
 def check_regular(path: str | os.PathLike[str]) -> os.stat_result:
-    """Raise unless there is a regular file at `path`; a pipe, a socket or a device would be waited for without end.
+    """Return the status of a regular file; raise for anything else. A read from a pipe or a device could block forever.
 
     Raises:
-        FormatError: If it is a pipe, a socket or a device.
-        IsADirectoryError: If it is a folder.
-        OSError: If it cannot be looked at.
+        FormatError: If the path is a pipe, a socket or a device.
+        IsADirectoryError: If the path is a folder.
+        OSError: If the status cannot be read.
     """
     found = os.stat(path)
     _refuse_others(path, found)
@@ -161,18 +162,18 @@ def _refuse_others(path: str | os.PathLike[str], found: os.stat_result) -> None:
 
 
 def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
-    """Open a regular file to read its bytes: what every reader uses, so that none waits for a pipe.
+    """Open a regular file for reading. Every reader uses this, so that none blocks on a pipe.
 
     Raises:
-        FormatError: If it is a pipe, a socket or a device.
-        IsADirectoryError: If it is a folder.
-        OSError: If it cannot be opened.
+        FormatError: If the path is a pipe, a socket or a device.
+        IsADirectoryError: If the path is a folder.
+        OSError: If the file cannot be opened.
     """
-    check_regular(path)  # before it is opened: opening a device can do something
+    check_regular(path)  # before opening: to open a device can have effects
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
     descriptor = os.open(path, flags)
     try:
-        _refuse_others(path, os.fstat(descriptor))  # again: it may have been replaced since
+        _refuse_others(path, os.fstat(descriptor))  # again: the file may have been replaced meanwhile
         return os.fdopen(descriptor, "rb")
     except BaseException:
         os.close(descriptor)
@@ -180,15 +181,15 @@ def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
 
 
 def read_whole(path: str | os.PathLike[str], most: int | None = None) -> bytes:
-    """Return all bytes of a regular file; one that changes meanwhile is refused.
+    """Return all bytes of a regular file; raise if its size changes meanwhile.
 
     Args:
         path: The file.
-        most: Bytes that it may have.
+        most: Most bytes of the file; None sets no limit.
 
     Raises:
-        FormatError: If it is no regular file, larger, or its size changes.
-        OSError: If it cannot be read.
+        FormatError: If the file is not regular, is larger than `most`, or changes its size.
+        OSError: If the file cannot be read.
     """
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size

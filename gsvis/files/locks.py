@@ -1,4 +1,4 @@
-"""Locks that keep two processes from one piece of work; they go with the process that holds them."""
+"""Locks that keep two processes from the same work. A lock ends with the process that holds it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ __all__ = ["locked", "try_lock"]
 
 
 def locked(file: IO[str]) -> bool:
-    """Return whether an open file could be locked, until it is closed.
+    """Lock an open file until it is closed; return whether that succeeded.
 
-    Where the system or the file system has no such locks, a file `NAME.lock` beside it takes their place until the
-    file object is gone. It says who made it: one of a process of this host that was killed keeps nobody out.
+    If the system or the file system has no locks, a file `NAME.lock` beside it serves as the lock until the file
+    object is deleted. It records its process, so the leftover of a killed process of this host blocks nobody.
     """
     state = try_lock(file.fileno())
     return _mark(file) if state == "none" else state == "held"
@@ -22,15 +22,16 @@ def try_lock(descriptor: int) -> Literal["held", "busy", "none"]:
     """Lock an open file or folder until it is closed, without waiting.
 
     Args:
-        descriptor: Of the open file. Another opening of the same file conflicts, in this process too.
+        descriptor: Descriptor of the open file or folder. A second opening of the same file conflicts, even in this
+            process.
 
     Returns:
-        "held" if the lock is ours now, "busy" if another has it, "none" where the system or the file system has no
-        such locks.
+        "held" if the caller now has the lock, "busy" if another has it, "none" if the system or the file system has
+        no locks.
     """
     try:
         import fcntl
-    except ImportError:  # as on Windows
+    except ImportError:  # such as on Windows
         return _try_other_lock(descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -42,7 +43,7 @@ def try_lock(descriptor: int) -> Literal["held", "busy", "none"]:
 
 
 def _try_other_lock(descriptor: int) -> Literal["held", "busy", "none"]:
-    """Do what `try_lock` does with the locks of another system than Unix."""
+    """Lock as `try_lock` does, on systems other than Unix."""
     from filelock import lock_descriptor
 
     try:
@@ -52,7 +53,7 @@ def _try_other_lock(descriptor: int) -> Literal["held", "busy", "none"]:
 
 
 def _mark(file: IO[str]) -> bool:
-    """Return whether the file beside an open file that takes the place of a lock could be made."""
+    """Create the file `NAME.lock` beside an open file; return whether that succeeded."""
     from filelock import SoftFileLock, Timeout
 
     mark = SoftFileLock(f"{file.name}.lock", timeout=0, is_singleton=False)

@@ -1,7 +1,7 @@
-"""One way to report a file that cannot be written: with its path and what helps, as attributes of `OutputError`.
+"""Report files that cannot be written: `OutputError` carries the path and a remedy as attributes.
 
-The number of the fault decides, never its text. A full disk is a full disk wherever it shows; missing rights and broken
-disks count only below the place that is being written, since a block that writes may read as well.
+The error number decides, never the text. A full disk counts for any path. Missing permissions and broken disks count
+only below the path that is being written, because the block may also read.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gsvis.errors import OutputError
 __all__ = ["TEMPORARY", "check_writable", "keeping", "output_errors"]
 
 TEMPORARY = "make room there, or name a folder for temporary files on another disk in TMPDIR"
-"""What helps where the temporary files of a command do not fit."""
+"""Remedy if the temporary files of a command do not fit."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
@@ -25,12 +25,12 @@ _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 @contextmanager
 def output_errors(path: str | os.PathLike[str], *inside: str | os.PathLike[str], remedy: str = "") -> Iterator[None]:
-    """Raise OutputError for `path` where a write in the block fails.
+    """Raise OutputError for `path` if a write in the block fails.
 
     Args:
         path: The file or folder that the user knows.
-        inside: Files and folders that stand for it while it is written.
-        remedy: What the user can do about it; empty takes the usual one of the fault.
+        inside: Temporary files and folders that are written in its place.
+        remedy: What the user can do; empty means the usual remedy of the error.
 
     Raises:
         OutputError: If the disk is full, or `path` may not be written.
@@ -41,9 +41,9 @@ def output_errors(path: str | os.PathLike[str], *inside: str | os.PathLike[str],
         code = error.errno
         if code not in _FULL and code not in _FORBIDDEN:
             raise
-        name = error.filename if isinstance(error.filename, str | bytes) else None  # it may be a descriptor
+        name = error.filename if isinstance(error.filename, str | bytes) else None  # a file name can be a descriptor
         named = None if name is None else Path(os.fsdecode(name)).absolute()
-        if named is None:  # a read fails without a name as a write does, but never because the disk is full
+        if named is None:  # reads and writes fail without a name, but only writes fail on a full disk
             ours = code in _FULL
         else:
             ours = any(named.is_relative_to(Path(place).absolute()) for place in (path, *inside))
@@ -57,7 +57,7 @@ def output_errors(path: str | os.PathLike[str], *inside: str | os.PathLike[str],
 
 @contextmanager
 def keeping(text: str) -> Iterator[None]:
-    """Add what is kept of the work, and how to go on, to an OutputError that says nothing of it yet."""
+    """Add a text about kept work to an OutputError from the block that has none yet."""
     try:
         yield
     except OutputError as error:
@@ -65,10 +65,10 @@ def keeping(text: str) -> Iterator[None]:
 
 
 def check_writable(folder: str | os.PathLike[str]) -> None:
-    """Raise unless a file can be written into a folder that exists; leaves no trace.
+    """Raise unless a file can be written into an existing folder. Leaves no file.
 
     Raises:
-        OutputError: If nothing can be written there.
+        OutputError: If no file can be written there.
     """
     import tempfile
 

@@ -1,8 +1,8 @@
-"""The one way to resume: a folder that keeps what a long run has found, so that a killed run continues from there.
+"""Resume long runs: a folder keeps finished work, so that a killed run continues from it.
 
-The folder lies beside the result and bears a digest of the plan, of all that decides the result, so that runs of
-different settings never meet in one. Every entry is under a checksum; a damaged one counts as missing. The folder goes
-when the result is whole. docs/design/029-resume.md says which runs keep what.
+The folder lies beside the result. Its name holds a digest of the plan, which is everything that decides the result. So
+runs with different settings never share a folder. Every entry has a checksum; a damaged entry counts as missing. The
+folder is removed when the result is complete. docs/design/029-resume.md lists what each run keeps.
 
     kept = KeptWork.beside("scene.pvs", plan)
     with kept.opened():
@@ -41,48 +41,48 @@ _HEAD = struct.Struct("<4sI")
 _MAGIC = b"gvc2"
 _LOCK = "lock"
 PLAN = "plan.json"
-"""Name of the file that says for people what is kept."""
-_KEY = "key"  # of an archive in a folder that the user named: the digest of the plan
+"""Name of the file that describes the kept work for people."""
+_KEY = "key"  # in an archive of `keep_own`: the digest of the plan
 
 
 def folder_beside(target: str | os.PathLike[str], plan: Any, *, hidden: bool = False) -> Path:
-    """Return the folder that keeps unfinished work on a result: `NAME.partial-DIGEST`, beside it.
+    """Return the folder for unfinished work on a result: `NAME.partial-DIGEST`, beside the result.
 
     Args:
-        target: The result.
-        plan: All that decides it; JSON values.
-        hidden: Begin the name with a dot.
+        target: Path of the result.
+        plan: Everything that decides the result; JSON values.
+        hidden: Whether the name begins with a dot.
     """
     path = _check.path("path", target)
     return path.with_name(f"{'.' if hidden else ''}{path.name}.partial-{_digest(plan)[:12]}")
 
 
 class KeptWork:
-    """Entries by name in a folder.
+    """Kept work: entries by name in a folder.
 
     Args:
-        folder: The folder; there may be none yet.
-        plan: All that decides the result; JSON values. Written into the folder for people to read.
-        argument: Names the result in errors.
+        folder: The folder, which may not exist yet.
+        plan: Everything that decides the result; JSON values. Written into the folder for people to read.
+        argument: Name of the argument that errors mention.
 
     Attributes:
         folder: The folder.
     """
 
     lock_name = _LOCK
-    """Name of the file that keeps other processes out."""
+    """Name of the lock file."""
 
     def __init__(self, folder: str | os.PathLike[str], plan: Mapping[str, Any], *, argument: str = "path") -> None:
         self.folder, self.plan, self._argument = Path(folder), dict(plan), argument
 
     @classmethod
     def beside(cls, target: str | os.PathLike[str], plan: Mapping[str, Any]) -> KeptWork:
-        """The work that is kept beside a result; see `folder_beside`."""
+        """Return the kept work beside a result; see `folder_beside`."""
         return cls(folder_beside(target, plan), plan)
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Make the folder and keep other processes out of it; it goes at the end if nothing was kept in it.
+        """Create the folder and lock it for the block; an empty folder is removed at the end.
 
         Raises:
             ValueError: If another process works there.
@@ -98,7 +98,7 @@ class KeptWork:
                     f" {self.folder}; wait for it or stop it"
                 )
             try:
-                remove_all_partials(self.folder)  # of a run that was killed
+                remove_all_partials(self.folder)  # leftovers of a killed run
                 if not (self.folder / PLAN).exists():
                     with atomic_path(self.folder / PLAN, sweep=False) as partial:
                         partial.write_text(json.dumps(self.plan, indent=1) + "\n", encoding="utf-8")
@@ -108,22 +108,22 @@ class KeptWork:
                     self.remove()
 
     def names(self) -> set[str]:
-        """Return the names of all entries, whole or not; hidden files are none."""
+        """Return the names of all entries, also of damaged ones; hidden files do not count."""
         if not self.folder.is_dir():
             return set()
         return {name for name in os.listdir(self.folder) if name[:1] != "." and name not in (PLAN, self.lock_name)}
 
     def keep(self, name: str, data: bytes) -> None:
-        """Keep bytes under a name.
+        """Keep bytes under a name; replace an older entry.
 
         Raises:
-            OSError: If they cannot be written.
+            OSError: If the entry cannot be written.
         """
-        with atomic_path(self.folder / name, sweep=False) as partial:  # to list all entries for each takes too long
+        with atomic_path(self.folder / name, sweep=False) as partial:  # a sweep lists all entries
             partial.write_bytes(seal(data))
 
     def read(self, name: str, *, at_most: int | None = None) -> bytes | None:
-        """Return the bytes of an entry; None if there is none that is whole, or it has more bytes than `at_most`."""
+        """Return the bytes of an entry; None if it is missing, damaged, or longer than `at_most` bytes."""
         most = None if at_most is None else _HEAD.size + at_most
         try:
             return unseal(read_whole(self.folder / name, most))
@@ -131,21 +131,21 @@ class KeptWork:
             return None
 
     def keep_arrays(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep arrays as one entry, instead of what was kept under the name before.
+        """Keep arrays as one entry; replace an older entry.
 
         Raises:
-            OSError: If they cannot be written.
+            OSError: If the entry cannot be written.
         """
         save_arrays(self.folder / name, arrays)
 
     def read_arrays(
         self, name: str, like: Mapping[str, tuple[tuple[int, ...], type[np.generic]]]
     ) -> dict[str, NDArray[Any]]:
-        """Return those arrays of an entry that are of these shapes and types; none of one that is not whole.
+        """Return the arrays of an entry that have the expected shape and type; empty if it is missing or damaged.
 
         Args:
-            name: The entry.
-            like: Shape and type of the arrays that may be there.
+            name: Name of the entry.
+            like: Expected shape and type of each array, by name.
         """
         try:
             found = load_arrays(self.folder / name, sealed=True)
@@ -154,17 +154,17 @@ class KeptWork:
         return {key: array for key, array in found.items() if like.get(key) == (array.shape, array.dtype.type)}
 
     def keep_own(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep arrays in a folder that the user named, with the digest of the plan among them."""
+        """Keep arrays in a folder that the user named, together with the digest of the plan."""
         save_arrays(self.folder / name, {_KEY: np.frombuffer(_digest(self.plan).encode(), np.uint8), **arrays})
 
     def read_own(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """Return arrays that `keep_own` kept; None if there are none.
+        """Return the arrays that `keep_own` kept; None if there is no such file.
 
-        To start again without a word could cost a day in a folder that the user named, so nothing counts as missing.
+        A silent restart could lose a day of work in a folder that the user named. So a damaged entry raises an error.
 
         Raises:
             FormatError: If the entry is damaged.
-            ValueError: If it is of another plan.
+            ValueError: If the entry belongs to another plan.
         """
         path = self.folder / name
         if not path.exists():
@@ -183,7 +183,7 @@ class KeptWork:
         return found
 
     def has_file(self, name: str) -> bool:
-        """Return whether a file is there with the content that `seal_file` saw."""
+        """Return whether a file exists with the content that `seal_file` recorded."""
         try:
             noted = read_whole(self.folder / f"{name}.sha256", 64)
             return noted.decode("ascii") == digest_of(self.folder / name)
@@ -191,10 +191,10 @@ class KeptWork:
             return False
 
     def seal_file(self, name: str) -> None:
-        """Note the content of a finished file that something else wrote into the folder, so that damage is seen.
+        """Record the digest of a finished file in the folder, so that `has_file` finds damage.
 
         Raises:
-            OSError: If it cannot be read, or the note not be written.
+            OSError: If the file cannot be read, or the record cannot be written.
         """
         with atomic_path(self.folder / f"{name}.sha256") as partial:
             partial.write_text(digest_of(self.folder / name), encoding="ascii")
@@ -205,12 +205,12 @@ class KeptWork:
 
 
 def seal(data: bytes) -> bytes:
-    """Return bytes behind a head that holds their checksum."""
+    """Return the bytes with a head that holds their checksum."""
     return _HEAD.pack(_MAGIC, zlib.crc32(data)) + data
 
 
 def unseal(data: bytes) -> bytes | None:
-    """Return the bytes that `seal` took; None if a byte has changed or is missing."""
+    """Return the bytes that were given to `seal`; None if a byte has changed or is missing."""
     if len(data) < _HEAD.size:
         return None
     magic, crc = _HEAD.unpack_from(data)

@@ -1,11 +1,10 @@
-"""A file of named sections behind a head of 40 bytes, every byte of it under a checksum, read through a memory map.
+"""A file of named sections after a head of 40 bytes. All bytes are under a checksum, and a memory map reads them.
 
-The second container beside `gsvis.files.arrow`, for data that another coder has packed already and that is read in
-small pieces, each under a checksum of its own. docs/design/030-two-containers.md says why it is no
-Arrow file.
+This is the second container beside `gsvis.files.arrow`. It is for data that is packed already and read in small pieces,
+each with its own checksum. docs/design/030-two-containers.md explains why it is no Arrow file.
 
-Head, sections one after the other, and a JSON object last, which lists them. The head holds the length of the whole
-file, so that a cut is noticed before anything is read. This module knows nothing of what sections hold.
+The file holds the head, then the sections, then a JSON header that lists them. The head holds the length of the file,
+so a cut file is found before anything is read. This module does not know the content of sections.
 """
 
 from __future__ import annotations
@@ -32,13 +31,14 @@ HEAD_BYTES = _HEAD.size
 
 @dataclass(frozen=True)
 class FileKind:
-    """What a file of sections is of.
+    """A kind of file of sections.
 
     Attributes:
-        magic: Its first 8 bytes. Begin with one that no text file has, end with a line break that a transfer breaks.
-        version: The only version of the container that is known.
-        name: What the file is, as in "a store of visible sets".
-        remedy: What helps where a file is of another kind.
+        magic: First 8 bytes. Begin with a byte that no text file has, and end with a line break, which a text-mode
+            transfer changes.
+        version: The only supported version of the container.
+        name: Name of the kind, such as "a store of visible sets".
+        remedy: Remedy for a file of another kind.
     """
 
     magic: bytes
@@ -49,7 +49,7 @@ class FileKind:
 
 @dataclass(frozen=True)
 class Section:
-    """Where a section lies: first byte, length, and the CRC-32 of its bytes."""
+    """The place of a section: first byte, length, and CRC-32."""
 
     offset: int
     length: int
@@ -61,7 +61,7 @@ class SectionWriter:
 
     Args:
         file: The file, empty.
-        kind: What it is of.
+        kind: Kind of the file.
     """
 
     def __init__(self, file: BinaryIO, kind: FileKind) -> None:
@@ -77,7 +77,7 @@ class SectionWriter:
         return self._end
 
     def append(self, data: bytes) -> tuple[int, int, int]:
-        """Add bytes to the section under construction; their offset inside it, their length and CRC-32."""
+        """Add bytes to the open section; return their offset in the section, their length and their CRC-32."""
         offset = self._end - self._start
         self._file.write(data)
         self._crc = zlib.crc32(data, self._crc)
@@ -85,12 +85,12 @@ class SectionWriter:
         return offset, len(data), zlib.crc32(data)
 
     def close_section(self, name: str) -> None:
-        """Name what was appended since the last call."""
+        """Close the section that holds everything appended since the last call, and name it."""
         self._sections[name] = Section(self._start, self._end - self._start, self._crc)
         self._start, self._crc = self._end, 0
 
     def finish(self, header: Mapping[str, Any]) -> None:
-        """Write the header with the list of sections, and then the head."""
+        """Write the header with the list of sections, then the head."""
         listed = [[name, s.offset, s.length, s.crc] for name, s in self._sections.items()]
         text = json.dumps({**header, "sections": listed}, separators=(",", ":"), sort_keys=True, allow_nan=False)
         data = text.encode()
@@ -106,10 +106,10 @@ class SectionFile:
 
     Args:
         path: The file.
-        kind: What it has to be of.
+        kind: Expected kind of the file.
 
     Raises:
-        FormatError: If head, length, header or list of sections are not as they must be.
+        FormatError: If the head, the length, the header or the list of sections is not valid.
         OSError: If the file cannot be opened.
     """
 
@@ -181,13 +181,13 @@ class SectionFile:
         return sections
 
     def section(self, name: str) -> Section:
-        """Where a section lies."""
+        """Return the place of a section; raise FormatError if it is missing."""
         if name not in self.sections:
             raise FormatError(self.path, "sections", f"a section {name!r}", "none", DAMAGED)
         return self.sections[name]
 
     def read(self, name: str) -> bytes:
-        """A whole section, checked."""
+        """Return the bytes of a section, checked against its CRC-32."""
         s = self.section(name)
         data = self._bytes(s.offset, s.length)
         if zlib.crc32(data) != s.crc:
@@ -195,7 +195,7 @@ class SectionFile:
         return data
 
     def read_part(self, name: str, offset: int, length: int, crc: int, where: str) -> bytes:
-        """A part of a section, checked against its own CRC-32."""
+        """Return a part of a section, checked against the part's CRC-32 `crc`."""
         s = self.section(name)
         if min(offset, length) < 0 or offset + length > s.length:
             raise FormatError(self.path, where, f"a place inside section {name!r}", f"byte {offset}", DAMAGED)
@@ -206,5 +206,5 @@ class SectionFile:
         return data
 
     def damaged(self, where: str) -> FormatError:
-        """The error for bytes that do not fit their checksum."""
+        """Return the error for bytes that do not match their checksum."""
         return FormatError(self.path, where, "bytes that fit their checksum", "other bytes", DAMAGED)

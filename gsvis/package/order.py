@@ -34,8 +34,8 @@ class PackageOrder:
 
     Attributes:
         permutation: (N,) ids of the Gaussians in the order of the package.
-        starts: (P + 1,) where parts begin, and N. A part is a cell of the curve, or neighboring cells of one parent. Its
-            Gaussians have the same first and last level. So an edit changes only the parts that it lies in.
+        starts: (P + 1,) where parts begin, and N. A part is a cell of the curve, or neighboring cells of one parent.
+            Its Gaussians have the same first and last level. So an edit changes only the parts that it lies in.
         chunks: (C,) where chunks begin.
     """
 
