@@ -138,7 +138,7 @@ class ArrowFile:
         """Raise unless the columns are as expected.
 
         Raises:
-            FormatError: If a column is missing or has another type; the error names the first such column.
+            FormatError: If the columns differ; the error names the first one that is missing or has another type.
         """
         if self.schema.equals(expected):
             return

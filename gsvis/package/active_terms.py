@@ -135,6 +135,10 @@ class ActiveTerms:
             scene: The scene that the store must belong to, compared by content; None skips this check.
             colors: The colors that it must belong to, compared by content; None skips this check.
             sets: The visible sets that it must belong to, compared by content; None skips this check.
+
+        Raises:
+            FormatError: If the file is no such store, damaged, cut, of a newer version, or made from other sources.
+            OSError: If the file cannot be opened.
         """
         store = cls(path)
         try:

@@ -115,7 +115,7 @@ class TermLayout:
 
     @property
     def widths(self) -> NDArray[np.int64]:
-        """(5 or more,) bits of function, polar angle, azimuth, decay and each intensity, lowest bits first."""
+        """(4 + I,) bits of function, polar angle, azimuth, decay and each intensity, lowest bits first."""
         return np.array(
             [self.function, self.theta, self.phi, self.decay, *[self.intensity] * self.intensities], np.int64
         )

@@ -51,6 +51,9 @@ def unpack_package(
         sh_degree: Degree of the SH, as in `unpack_levels`.
         progress: Called by the fit of the SH.
 
+    Returns:
+        The levels that were written.
+
     Raises:
         ValueError: If the degree is not 0 to 3, or a level's name is no file name.
         FormatError: If the package is damaged.

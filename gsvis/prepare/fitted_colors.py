@@ -48,7 +48,7 @@ class FittedColors:
         preparation: The fit and its data.
         precision: One of `PRECISION_NAMES`.
         file_bytes: Size of the file, geometry included.
-        epsilon: Contribution above which a term is active; None if it was not needed.
+        epsilon: Contribution above which a term is active; None if it was not asked for.
         calibration: The calibration of epsilon; None if epsilon was given.
         quality: Comparison with SH; None if it was not measured.
         cell_shares: (C,) share of all terms that each cell of the visible sets needs; None if it was not measured.
