@@ -83,7 +83,7 @@ class ActiveTermsInfo:
 
 @dataclass(frozen=True)
 class ActiveShare:
-    """How many terms a cell needs.
+    """The number of terms that a cell needs, and their shares.
 
     Attributes:
         active: Number of active terms.

@@ -63,7 +63,7 @@ def beyond_free(gaussians: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class StoreInfo:
-    """What a store holds besides its cells.
+    """The facts of a store besides its cells.
 
     Attributes:
         gaussians: N.
@@ -101,7 +101,7 @@ class StoreInfo:
 
 @dataclass(frozen=True, eq=False)
 class CellSet:
-    """What one cell sees.
+    """The visible set of one cell.
 
     Attributes:
         ids: (V,) visible Gaussians, ascending, each once.

@@ -26,7 +26,7 @@ I32 = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class CellView:
-    """What one cell sees.
+    """The visible set of one cell, with its direction sets.
 
     Attributes:
         ids: (V,) int32, visible Gaussians, ascending.
