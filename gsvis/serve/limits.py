@@ -19,25 +19,26 @@ _SILENT_S = 5.0  # seconds of silence after which a seat goes to another viewer 
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of one server; the defaults are safe for one that strangers can reach.
+    """Bounds of one server; the defaults are safe for a public server.
 
     Attributes:
-        connections: Streaming clients at once.
-        waiting: Connections at once that do not stream: requests, idle ones, handshakes. None: as many as
-            `connections`, at least 32. Beyond it the one that waits longest gives way.
-        per_address: Streaming clients of one address at once, and as many connections that do not stream. None: a
-            half of `connections`, at least 8. An IPv6 network of 64 bits is one address.
-        message_bytes: Bytes of one message of a client. None: what the holdings of the largest scene can take.
-        messages_per_s: Messages of a client a second, in the mean over `burst_s`; one that sends more is sent away.
-        burst_s: Seconds of messages that may come at once, as they do after a link has stalled.
-        poses_per_s: Poses of a client a second that are looked at; further ones are passed over.
-        handshake_s: Seconds from a connection to a whole request, TLS included, and from there to the first message.
+        connections: Most streaming clients at once.
+        waiting: Most connections at once that do not stream: requests, idle ones, handshakes. None means as many as
+            `connections`, at least 32. Above it the server closes the one that has waited longest.
+        per_address: Most streaming clients of one address at once, and most other connections of it. None means half of
+            `connections`, at least 8. An IPv6 network of 64 bits counts as one address.
+        message_bytes: Most bytes of one message of a client. None means enough for the holdings of the largest scene.
+        messages_per_s: Most messages of a client a second, averaged over `burst_s`; the server disconnects a client
+            that sends more.
+        burst_s: Seconds' worth of messages that may arrive at once, as after a link has stalled.
+        poses_per_s: Most poses of a client a second that are used; the server ignores further ones.
+        handshake_s: Seconds from a connection to a complete request, TLS included, and from there to the first message.
         keep_alive_s: Seconds from an answer to the end of the next request of a connection.
-        idle_s: Seconds of silence after which a client is gone.
-        stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
-            client does not read.
-        tick_s: Seconds after which a client to whom there was nothing to send is planned for again.
-        batch_bytes: Most bytes of one batch, about.
+        idle_s: Seconds of silence after which a client counts as gone.
+        stall_s: Seconds without an acknowledgement, or without room in the socket, after which a client counts as not
+            reading.
+        tick_s: Seconds before the server plans again for a client that had nothing to receive.
+        batch_bytes: Most bytes of one batch, approximately.
     """
 
     connections: int = 100
