@@ -1,4 +1,4 @@
-"""Adaptive streaming: which records a client gets next, from its pose, its bandwidth and what it holds already.
+"""Choose the records that a client gets next, from its pose, its bandwidth and what it holds already.
 
     candidates = CandidateIndex(index)                                      # one for a scene
     planner = Planner(candidates, FieldOfView.from_degrees(90, 70, margin=8))   # one for a client
@@ -6,7 +6,7 @@
     batch = planner.next_batch(t, budget, rate)
 
 Pure functions and small state machines: no socket, no clock (time is an argument), no torch. `gsvis.stream.Session`
-measures the link and turns batches into messages. Names are imported when first used.
+measures the link and turns batches into messages. Names are imported on first use.
 """
 
 from __future__ import annotations

@@ -38,17 +38,17 @@ class Candidates:
     """U units of a cell and its neighbors, in S words.
 
     Attributes:
-        cell: Its number.
-        words: (S,) int32 rising, the words that have candidates: Gaussians 64 w to 64 w + 63.
-        places: (6, S) float32 of each word: center (x, y, z) and radius of a sphere around its Gaussians, mean square
+        cell: Number of the cell.
+        words: (S,) int32 ascending, the words that have candidates: word w is Gaussians 64 w to 64 w + 63.
+        places: (6, S) float32 for each word: center (x, y, z) and radius of a sphere around its Gaussians, mean square
             of their distance from its center, mean bytes of their records.
         owing: (S,) uint64, which Gaussians have active terms.
         units: The units.
-        runs: Where units of another ring or word begin.
+        runs: Where the ring or word of the units changes.
         union: (W,) uint64, all candidates.
-        active: (X,) uint64, active terms of the cell as a packed set; empty where the scene has no terms.
-        term_bytes: Mean bytes of the active terms of a Gaussian that has some.
-        level_bytes: (L,) bytes of what the cell itself sees of each level, with its active terms.
+        active: (X,) uint64, active terms of the cell as a packed set; empty if the scene has no terms.
+        term_bytes: Mean bytes of the active terms of a Gaussian that has any.
+        level_bytes: (L,) bytes of the Gaussians of each level that the cell itself sees, with its active terms.
     """
 
     cell: int
@@ -80,15 +80,15 @@ class CandidateIndex:
         index: The scene.
         pixel: Angle of a pixel of the clients, radians: the rasterizer adds 0.3 square pixels to the size of each
             Gaussian.
-        cache: Where to keep candidates and sets of cells; None means one of 256 MiB.
+        cache: Cache of candidates and sets of cells; None means one of 256 MiB.
 
     Attributes:
-        index: As given.
-        cache: As given.
+        index: The scene.
+        cache: The cache.
         spheres: (W, 4) float32 center and radius of a sphere around the Gaussians of each word.
-        spreads: (W,) float32 mean square of their distance from its center.
-        bodies: (4, 64 W) float32 center and radius of each Gaussian, coordinate by coordinate; a radius of -inf where
-            there is none.
+        spreads: (W,) float32 mean square of the distance of these Gaussians from the center.
+        bodies: (4, 64 W) float32 center and radius of each Gaussian, coordinate by coordinate; the radius is -inf if
+            there is no such Gaussian.
         least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
         records: Bytes of all records.
         links: Which Gaussians replace which.
@@ -134,7 +134,7 @@ class CandidateIndex:
         return found
 
     def build(self, cell: int) -> Candidates:
-        """Compute the candidates of a cell.
+        """Compute the candidates of a cell, without the cache.
 
         Raises:
             ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
@@ -182,7 +182,7 @@ class CandidateIndex:
         return plan.Work(*(array[:size] for arrays, size in parts for array in arrays))
 
     def _words(self, cell: int) -> Words:
-        """Return what a cell sees as a packed set, and keep it: cells share their neighbors."""
+        """Return the visible set of a cell, packed; cache it, since cells share neighbors."""
         words: Words | None = self.cache.find(("words", cell))
         if words is None:
             words = self.index.sets.visible_words(cell)
@@ -195,7 +195,7 @@ class CandidateIndex:
         return words
 
     def _add_ring(self, ring: int, cells: list[int], seen: Words) -> Units:
-        """Return the units that a ring of cells adds to what has been seen, and add them."""
+        """Return the units that a ring of cells adds, and add their Gaussians to `seen`."""
         fresh = np.zeros_like(seen)
         for other in cells:
             kernels.add_words(self._words(other), seen, fresh)
@@ -217,7 +217,7 @@ class CandidateIndex:
         return active, owing, len(ids)
 
     def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32) -> Units:
-        """Return the units of what one cell sees, in ring 0, with words instead of slots."""
+        """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""
         if ones(words) != len(classes):
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
@@ -227,7 +227,7 @@ class CandidateIndex:
 
 
 def strengths(index: SceneIndex, pixel: float) -> F32:
-    """Return (N, 2) importance times area, and times the area that a pixel adds at distance 1, for each byte."""
+    """Return (N, 2) per byte: importance times area, and importance times the area that a pixel adds at distance 1."""
     value = (index.importance / index.gaussian_bytes).astype(np.float64)
     both = np.stack([value * index.areas, value * (2.0 * np.pi * 0.3 * pixel**2)], axis=1)
     return np.minimum(both, 1e30).astype(np.float32)
@@ -244,13 +244,13 @@ def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
 
 
 def _level_bytes(sums: F64, levels: int) -> F64:
-    """Return the (L,) bytes of each level from those by first and last level."""
+    """Return the (L,) bytes of each level from (L * L,) bytes by first and last level."""
     square = sums.reshape(levels, levels)
     return np.array([square[: k + 1, k:].sum() for k in range(levels)])
 
 
 def _room(count: int) -> Units:
-    """Return units to be written."""
+    """Return uninitialized units to write to."""
     one = np.empty(count, np.float32)
     codes = np.empty(count, np.uint16)
     return Units(np.empty(count, np.int32), np.empty(count, np.uint64), one, np.empty_like(one), codes)

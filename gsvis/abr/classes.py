@@ -1,8 +1,7 @@
-"""FoV, Peripheral and Adjacent Gaussians (section 6.3): from a pose, what it can see, and the cells around it.
+"""Classify Gaussians as FoV, Peripheral or Adjacent (section 6.3) for a pose and the cells around it.
 
-A Gaussian is in the field of view when the sphere in which it ends touches the frustum, widened by a margin; it is
-Peripheral when the cell of the eye sees it from elsewhere, Adjacent when only a neighboring cell sees it. Scene frame
-and units; cameras in OpenCV axes.
+A Gaussian visible from the cell of the eye is FoV if its bounding sphere touches the frustum, widened by a margin, and
+Peripheral if not. It is Adjacent if only a neighboring cell sees it. Scene frame and units; cameras in OpenCV axes.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ _WIDEST = np.radians(89.0)
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """What a client shows: the tangents of the angles between its axis and the borders of its image.
+    """A client's field of view: tangents of the angles between the camera axis and the borders of the image.
 
     Attributes:
-        left: To the left border, > 0 where the axis is inside the image.
-        right: To the right border.
-        top: To the upper border.
-        bottom: To the lower border.
-        margin: Radians by which each border is moved outwards, for what the head does until records arrive.
+        left: Tangent of the angle to the left border, > 0 if the axis is inside the image.
+        right: Tangent of the angle to the right border.
+        top: Tangent of the angle to the upper border.
+        bottom: Tangent of the angle to the lower border.
+        margin: Radians by which each border is moved outward, to cover head motion until records arrive.
         near: Distance in front of the eye at which the frustum begins, scene units.
     """
 
@@ -76,7 +75,7 @@ class FieldOfView:
         """Return (5, 4) float32 unit normals that point inward and offsets: left, right, top, bottom and near plane.
 
         Args:
-            position: (3,) eye.
+            position: (3,) eye, scene frame.
             quat: (4,) wxyz, world from camera, any length but 0.
         """
         eye, (w, x, y, z) = finite_vector("position", position, 3), finite_vector("quat", quat, 4).tolist()
@@ -96,7 +95,7 @@ class FieldOfView:
 
     @cached_property
     def _normals(self) -> F64:
-        """(5, 3) of the planes, in the frame of the camera."""
+        """(5, 3) unit normals of the planes, in the frame of the camera."""
         angles = np.arctan([self.left, self.right, self.top, self.bottom]) + self.margin
         sines, cosines = np.sin(np.minimum(angles, _WIDEST)), np.cos(np.minimum(angles, _WIDEST))
         local = np.zeros((5, 3))
@@ -111,9 +110,9 @@ class Classes:
     """Classes of N Gaussians.
 
     Attributes:
-        classes: (N,) uint8: FOV, PERIPHERAL, ADJACENT, or NONE for what no cell around sees.
-        distances: (N,) float32, from the cell of the eye to the nearest of the cells looked at that sees each, between
-            their centers, scene units: 0 for FoV and Peripheral, inf for NONE.
+        classes: (N,) uint8: FOV, PERIPHERAL, ADJACENT, or NONE if neither the cell nor a neighbor sees the Gaussian.
+        distances: (N,) float32, scene units, between centers of cells: from the cell of the eye to the nearest one that
+            sees the Gaussian; 0 for FoV and Peripheral, inf for NONE.
     """
 
     classes: U8
@@ -121,7 +120,7 @@ class Classes:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many are in each class."""
+        """Number of Gaussians of each class."""
         names = {"fov": FOV, "peripheral": PERIPHERAL, "adjacent": ADJACENT, "none": NONE}
         return {name: int(np.count_nonzero(self.classes == code)) for name, code in names.items()}
 
@@ -132,7 +131,7 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     Args:
         index: The scene.
         cell: The cell of the eye.
-        planes: (F, 5, 4) frusta, or (5, 4) one; in one of them is in view.
+        planes: (F, 5, 4) frusta, or (5, 4) for one. A Gaussian in any of them is in view.
 
     References:
         SRBF-Gaussian, section 6.3.

@@ -1,4 +1,4 @@
-"""How a stream adapts to its viewer and link: one configuration of planner and session. Seconds, bytes, radians."""
+"""The configuration of planner and session: how a stream adapts to its viewer and link. Seconds, bytes, radians."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class AbrConfig:
         policy: One of `POLICIES`.
         estimator: One of `ESTIMATORS`.
         predictor: One of `PREDICTORS`.
-        lead: Seconds ahead for which the pose is predicted; what is in view now or then counts as in view. 0: only now.
-        turn: Radians by which the head turns before records are ranked again; at most the margin of the view.
-        move: Share of the side of a cell by which the head moves before records are ranked again.
+        lead: Seconds ahead to predict the pose for. A Gaussian in view now or then counts as in view; 0 means now only.
+        turn: Radians by which the head must turn before records are ranked again; at most the margin of the view.
+        move: Share of the side of a cell by which the head must move before records are ranked again.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
         window: Seconds of data that may be in flight.
-        piece: Seconds that the link should take for one message; a client shows nothing of it before all has arrived.
+        piece: Seconds that the link should take for one message. A client shows a message only when it is complete.
         start_rate: Bytes of messages a second, assumed before the first acknowledgement.
         utility: Factors of the policy "utility".
     """

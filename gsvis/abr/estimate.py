@@ -1,6 +1,6 @@
-"""How fast the link is: estimators of throughput from what transfers have taken. Bytes and seconds.
+"""Estimate the throughput of a link from the times of its transfers. Bytes and seconds.
 
-All share one protocol: `observe` a transfer, ask for an `estimate`. They know no clock and no network.
+All estimators share one protocol: `observe` a transfer, ask for an `estimate`. They use no clock and no network.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from gsvis import _check
 __all__ = ["ESTIMATORS", "Ewma", "HarmonicMean", "RobustMpc", "ThroughputEstimator", "estimator"]
 
 DEFAULT_START = 250e3
-"""Bytes a second that is believed before anything has been seen: 2 Mbit/s."""
+"""Bytes a second assumed before the first transfer: 2 Mbit/s."""
 
 
 class ThroughputEstimator(Protocol):
-    """What an estimator can do."""
+    """Interface of an estimator."""
 
     def observe(self, sent: float, seconds: float, /) -> None:
-        """Take in that `sent` bytes took `seconds`."""
+        """Record that `sent` bytes took `seconds`."""
         ...
 
     def estimate(self) -> float:
@@ -33,12 +33,12 @@ class ThroughputEstimator(Protocol):
 class Ewma:
     """The lower of two exponentially weighted means, a quick and a slow one, as dash.js and hls.js do.
 
-    A transfer counts by its duration: after `half_life` seconds of transfers what was before counts half. Both means
-    are freed of the bias toward 0 with which they begin.
+    A transfer counts by its duration: after `half_life` seconds of transfers, earlier ones count half. The estimate
+    corrects the bias toward 0 with which both means start.
 
     Args:
-        fast: Half-life of the quick one, seconds of transfers.
-        slow: Half-life of the slow one.
+        fast: Half-life of the quick mean, seconds of transfers.
+        slow: Half-life of the slow mean, seconds of transfers.
         start: Bytes a second before the first transfer.
     """
 
@@ -67,11 +67,11 @@ class Ewma:
 
 
 class HarmonicMean:
-    """The harmonic mean of the last few rates: one quick transfer says little, one slow one says much.
+    """The harmonic mean of the last few rates: one quick transfer changes it little, one slow transfer much.
 
     Args:
-        last: Transfers that count.
-        start: Bytes a second before the first.
+        last: Number of transfers in the mean.
+        start: Bytes a second before the first transfer.
     """
 
     def __init__(self, last: int = 5, start: float = DEFAULT_START) -> None:
@@ -90,10 +90,10 @@ class HarmonicMean:
 
 
 class RobustMpc:
-    """A harmonic mean, less by what its forecasts of late have been wrong at the most.
+    """A harmonic mean, reduced by the largest relative error of its recent forecasts.
 
     Args:
-        last: Transfers and errors that count.
+        last: Number of transfers and of errors in use.
         start: Bytes a second before the first transfer.
 
     References:

@@ -1,6 +1,6 @@
-"""What a client holds: sets of Gaussians and terms, and who has been replaced. What is held is never sent again.
+"""What a client holds: sets of Gaussians and terms, and of replaced Gaussians. Held records are never sent again.
 
-As packed words for the kernels, as roaring bitmaps in their portable format for a client that comes back.
+The sets are packed words for the kernels, and portable roaring bitmaps for a client that reconnects.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ class Holdings:
     """What one client has received.
 
     Args:
-        gaussians: N of the scene.
-        terms: T of the scene.
+        gaussians: N, number of Gaussians of the scene.
+        terms: T, number of terms of the scene.
 
     Attributes:
-        gaussians: N.
-        terms: T.
-        sent: Words of the Gaussians received.
-        sent_terms: Words of the terms received.
-        gone: Words of the Gaussians that have been replaced: they are not shown, and not sent if they have not been.
+        gaussians: N, number of Gaussians of the scene.
+        terms: T, number of terms of the scene.
+        sent: Packed set of the Gaussians received.
+        sent_terms: Packed set of the terms received.
+        gone: Packed set of the replaced Gaussians: the client does not show them, and the server does not send them.
     """
 
     def __init__(self, gaussians: int, terms: int = 0) -> None:
@@ -56,36 +56,41 @@ class Holdings:
 
     @property
     def words(self) -> Held:
-        """The three sets, as the kernels take and change them."""
+        """The three packed sets, for the kernels, which change them."""
         return Held(self.sent, self.sent_terms, self.gone)
 
     @property
     def shown(self) -> I64:
-        """Rising ids of the Gaussians that the client shows: received and not replaced."""
+        """Ascending ids of the Gaussians that the client shows: received and not replaced."""
         return ids_of(self.sent & ~self.gone)
 
     @property
     def received(self) -> I64:
-        """Rising ids of all Gaussians received, replaced or not."""
+        """Ascending ids of all Gaussians received, replaced or not."""
         return ids_of(self.sent)
 
     @property
     def received_terms(self) -> I64:
-        """Rising ids of the terms received."""
+        """Ascending ids of the terms received."""
         return ids_of(self.sent_terms)
 
     def copy(self) -> Holdings:
-        """Return the same, apart."""
+        """Return an independent copy."""
         other = Holdings(self.gaussians, self.terms)
         for mine, theirs in zip(self.words, other.words, strict=True):
             theirs[:] = mine
         return other
 
     def add(self, gaussians: NDArray[Any], terms: NDArray[Any], dropped: NDArray[Any]) -> None:
-        """Enter the content of a batch, on the client's side.
+        """Add the ids of a batch, on the client's side.
+
+        Args:
+            gaussians: (G,) ids of the Gaussians received.
+            terms: (M,) ids of the terms received.
+            dropped: (D,) ids of replaced Gaussians.
 
         Raises:
-            ValueError: If an id is out of range, or a Gaussian or term is there already.
+            ValueError: If an id is out of range, or a Gaussian or term is held already.
         """
         for name, ids, words, size in (
             ("gaussians", gaussians, self.sent, self.gaussians),
@@ -113,15 +118,15 @@ class Holdings:
 
     @classmethod
     def from_bytes(cls, data: bytes, gaussians: int, terms: int) -> Holdings:
-        """Return what a client reports to hold of a scene.
+        """Return the holdings that a client reports.
 
         Args:
-            data: What `to_bytes` gave.
-            gaussians: N of the scene.
-            terms: T of the scene.
+            data: Bytes from `to_bytes`.
+            gaussians: N, number of Gaussians of the scene.
+            terms: T, number of terms of the scene.
 
         Raises:
-            ValueError: If these are other bytes, or those of another scene.
+            ValueError: If the bytes are malformed, or the holdings are of another scene.
         """
         out = cls(gaussians, terms)
         if len(data) < _HEAD.size or data[:4] != _MAGIC:
@@ -144,9 +149,9 @@ class Holdings:
 def _words_of(data: bytes, size: int) -> Words:
     try:
         bitmap = BitMap.deserialize(data)
-        if bitmap.serialize() != data:  # one that hides something, or is in disorder
+        if bitmap.serialize() != data:  # with extra bytes, or not in normal form
             raise ValueError("another spelling")
-    except (ValueError, IndexError) as error:  # the latter of no bytes at all
+    except (ValueError, IndexError) as error:  # IndexError if there are no bytes
         raise ValueError(f"data: expected a roaring bitmap, got other bytes ({str(error)[:60]})") from error
     if len(bitmap) and (bitmap.max() >= size or len(bitmap) > size):
         raise ValueError(f"data: expected ids below {size}, got {bitmap.max()}")

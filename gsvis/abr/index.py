@@ -1,8 +1,8 @@
-"""What a planner knows of a scene: places, sizes, levels and bytes of its records, and what each cell sees.
+"""What a planner knows of a scene: positions, sizes, levels and bytes of its records, and what each cell sees.
 
-Plain arrays without geometry or colors. Scene frame and units; bytes as they travel. Any order of ids works; 64
-consecutive ids are ranked together, so records should be in the order of a package (`gsvis.package.order`). This module
-knows no file and no client.
+Plain arrays without shapes or colors. Scene frame and units; bytes as sent. Any order of ids works; 64 consecutive ids
+are ranked together, so records should be in the order of a package (`gsvis.package.order`). This module knows no file
+and no client.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ U8 = NDArray[np.uint8]
 Words = NDArray[np.uint64]
 
 EXTENT = 3.0
-"""Standard deviations from its center at which a Gaussian ends, for tests whether it is in view."""
+"""Standard deviations from its center at which a Gaussian ends, for the test if it is in view."""
 
 
 class CellSets(Protocol):
-    """What cells see; a `VisibilityStore` is one. Several threads call it at once."""
+    """Interface of the visible sets of cells, such as a `VisibilityStore`. Several threads call it at once."""
 
     def classes(self, cell: int, /) -> tuple[I64, U8]:
-        """Return the (V,) rising ids that a cell sees, and the (V,) weight class of each."""
+        """Return (V,) ascending ids of the Gaussians that a cell sees, and (V,) the weight class of each."""
         ...
 
     def visible_words(self, cell: int, /) -> Words:
-        """Return what a cell sees as a packed set, see `gsvis.pvs.codec.pack`."""
+        """Return the visible set of a cell, packed as by `gsvis.pvs.codec.pack`."""
         ...
 
 
 class ActiveSets(Protocol):
-    """The active terms of cells; `ActiveTerms` is one. Several threads call it at once."""
+    """Interface of the active terms of cells, such as `ActiveTerms`. Several threads call it at once."""
 
     def active_ids(self, cell: int, /) -> I64:
-        """Return the (A,) rising ids of the terms that are active in a cell, of Gaussians that it sees."""
+        """Return (A,) ascending ids of the active terms of a cell, all of Gaussians that it sees."""
         ...
 
 
@@ -60,20 +60,20 @@ class SceneIndex:
         means: (N, 3) centers.
         radii: (N,) distance from the center at which each Gaussian ends, scene units.
         areas: (N,) mean cross-section, scene units squared.
-        importance: (N,) >= 0, blending weight of each where it is seen, or a factor of the weight of its class.
+        importance: (N,) >= 0, blending weight of each visible Gaussian, or a factor on the weight of its class.
         gaussian_bytes: (N,) bytes of each record of geometry and base color, >= 1, or one number for all.
-        first: (N,) uint8 lowest level of each.
-        last: (N,) uint8 highest level of each.
+        first: (N,) uint8 lowest level of each Gaussian.
+        last: (N,) uint8 highest level of each Gaussian.
         level_names: L names, lowest first.
         term_offsets: (N + 1,) terms of Gaussian i are `term_offsets[i]:term_offsets[i + 1]`.
         term_bytes: (T,) bytes of the record of each term, > 0, or one number for all.
         replacement_offsets: (N + 1,) Gaussian i, if it ends below the highest level, is replaced by
             `replacement_ids[replacement_offsets[i]:replacement_offsets[i + 1]]`, which enter at the level above it.
-        replacement_ids: (M,) int32.
-        class_weights: (K,) weight that stands for each class of a cell.
+        replacement_ids: (M,) int32 ids of replacements.
+        class_weights: (K,) representative weight of each class of a cell.
         grid: The cells.
-        sets: What they see.
-        active: Their active terms; None means no terms are sent.
+        sets: Visible sets of the cells.
+        active: Active terms of the cells; None means no terms are sent.
 
     Raises:
         ValueError: If lengths differ or a value is out of range.
@@ -149,18 +149,18 @@ class SceneIndex:
         term_bytes: ArrayLike = 4.5,
         class_weights: ArrayLike | None = None,
     ) -> SceneIndex:
-        """Return the index of levels; derive what is not given from their Gaussians.
+        """Return the index of levels; derive missing values from their Gaussians.
 
         Args:
             levels: The scene, its union in the order of ids.
             grid: The cells.
-            sets: What they see.
-            active: Their active terms; None means no terms are sent.
-            gaussian_bytes: One number, or (N,).
-            term_offsets: (N + 1,); None means no terms.
-            term_bytes: One number, or (T,).
-            class_weights: (K,) weight that stands for each class of a cell; None means one class, in which the opacity
-                of a Gaussian stands for its weight.
+            sets: Visible sets of the cells.
+            active: Active terms of the cells; None means no terms are sent.
+            gaussian_bytes: (N,) bytes of each record of a Gaussian, or one number for all.
+            term_offsets: (N + 1,) offsets of the terms of each Gaussian; None means no terms.
+            term_bytes: (T,) bytes of the record of each term, or one number for all.
+            class_weights: (K,) representative weight of each class of a cell; None means one class, with the opacity of
+                a Gaussian as its weight.
         """
         union, n = levels.union, len(levels.union)
         (radii, areas), (starts, ids) = extents(union), nearest_replacements(levels)
@@ -185,7 +185,7 @@ class SceneIndex:
         )
 
     def __len__(self) -> int:
-        """Return N."""
+        """Return N, the number of Gaussians."""
         return len(self.means)
 
     def __repr__(self) -> str:
@@ -194,24 +194,24 @@ class SceneIndex:
 
     @property
     def num_terms(self) -> int:
-        """T."""
+        """T, the number of terms."""
         return int(self.term_offsets[-1])
 
     @property
     def num_levels(self) -> int:
-        """L."""
+        """L, the number of levels."""
         return len(self.level_names)
 
     @cached_property
     def replaced(self) -> tuple[I64, I32]:
-        """(N + 1,) offsets and (M,) ids: what each Gaussian replaces."""
+        """(N + 1,) offsets and (M,) ids of the Gaussians that each Gaussian replaces."""
         n = len(self)
         owners = np.repeat(np.arange(n, dtype=np.int32), np.diff(self.replacement_offsets))
         order = np.argsort(self.replacement_ids, kind="stable")
         return _offsets(self.replacement_ids, n), owners[order]
 
     def cell_of(self, position: NDArray[np.float64]) -> int:
-        """Return the cell that holds a position (3,), or else the cell with the nearest center."""
+        """Return the cell that contains a position (3,); if none does, the cell with the nearest center."""
         grid = self.grid
         with np.errstate(over="ignore"):
             boxes = np.floor((position - grid.origin) / grid.cell_size).tolist()
@@ -240,7 +240,7 @@ class SceneIndex:
 def extents(g: Gaussians) -> tuple[F32, F32]:
     """Return the radius (N,) at which each Gaussian ends, and its mean cross-section (N,).
 
-    The cross-section is the integral of its response over a plane, averaged over the planes across its three axes.
+    The cross-section is the integral of the response over a plane, averaged over the planes across the three axes.
     """
     s = g.scales.astype(np.float64)
     pairs = s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]
@@ -252,14 +252,14 @@ def extents(g: Gaussians) -> tuple[F32, F32]:
 def nearest_replacements(levels: Levels) -> tuple[I64, I32]:
     """Return the replacements of each Gaussian that ends below the highest level.
 
-    A Gaussian that enters a level replaces the nearest one that ends below it. One that nothing replaces in this way is
-    replaced by the nearest one that enters, so that all are dropped in the end.
+    A Gaussian that enters at a level replaces the nearest one that ends below it. A Gaussian without such a replacement
+    is replaced by the nearest one that enters, so that all are dropped in the end.
 
     Returns:
-        offsets: (N + 1,).
-        ids: (M,) int32, rising for each Gaussian.
+        offsets: (N + 1,) offsets into `ids`.
+        ids: (M,) int32 ids of replacements, ascending for each Gaussian.
     """
-    from scipy.spatial import cKDTree  # here: it takes long to import, and few need it
+    from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
     means, n = levels.union.means, len(levels.union)
     pairs = [np.zeros((0, 2), np.int64)]

@@ -1,8 +1,8 @@
-"""What one client gets next: records ranked for its pose, then sent in that order until the view changes.
+"""Choose what one client gets next: rank records for its pose, and send them in that order until the view changes.
 
 A plan covers the bytes of the near future; when it is used up, ranking continues behind it. Between two changes of the
-view, all batches together are one order, whatever their sizes. The planner knows no link and no message: time and rate
-are arguments.
+view, all batches together follow one order, whatever their sizes. The planner knows no link and no message: time and
+rate are arguments.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["Batch", "Planner"]
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
-_REACH = 0.4  # seconds of data that are ranked at a time: most views last no longer
+_REACH = 0.4  # seconds of data to rank at a time: most views last no longer
 _NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64))
 
 
@@ -61,18 +61,18 @@ class Planner:
 
     Args:
         candidates: Candidates of the scene, shared by all clients.
-        view: What the client shows; its margin should be a few degrees.
-        config: None means `AbrConfig()`.
-        holdings: What the client holds; None is nothing. `take` changes it.
-        poses: A predictor instead of the one that the config names.
+        view: The client's field of view; its margin should be a few degrees.
+        config: Settings; None means `AbrConfig()`.
+        holdings: What the client holds; None means nothing. `take` changes it.
+        poses: Predictor of poses; None means the one that the config names.
 
     Attributes:
-        candidates: As given.
-        view: As given.
-        config: As given.
+        candidates: Candidates of the scene.
+        view: The client's field of view.
+        config: The settings.
         holdings: What the client holds.
-        reach: Bytes that are ranked at least at a time.
-        regime: What the bandwidth allows, one of `REGIMES`; None before the first batch.
+        reach: Least bytes to rank at a time.
+        regime: Bandwidth regime, one of `REGIMES`; None before the first batch.
         cell: The cell of the viewer; -1 before the first pose.
         plans: Number of views for which records were ranked.
 
@@ -110,11 +110,11 @@ class Planner:
 
     @property
     def done(self) -> bool:
-        """Whether all that the view asks for has been taken."""
+        """Whether all records for the view have been taken."""
         return self._whole and self._place == len(self._plan.entries)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """Take in the pose of the client at time t; ignore one that is older than the last.
+        """Update the pose of the client at time t; ignore one that is older than the last.
 
         Args:
             t: Seconds.
@@ -122,7 +122,7 @@ class Planner:
             quat: (4,) wxyz, world from camera, any length but 0.
 
         Raises:
-            ValueError: If a value is not finite, or the quaternion is 0. The state is unchanged then.
+            ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
         """
         pose = Pose.from_arrays(position, quat)
         if not np.isfinite(t):
@@ -150,7 +150,7 @@ class Planner:
         Args:
             cell: The cell of the eye.
             eye: (3,) position.
-            planes: (F, 5, 4) frusta; what is in one of them is in view.
+            planes: (F, 5, 4) frusta; a Gaussian in any of them is in view.
             regime: One of `REGIMES`.
         """
         self._aim(cell, _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4)), regime)
@@ -172,7 +172,7 @@ class Planner:
         taken, total = [0, 0, 0], 0.0
         while not self.done:
             if self._place == len(self._plan.entries):
-                self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # a view that lasts is ranked seldom
+                self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
             rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], queue)
             self._place, *found, size = kernels.take(
@@ -185,7 +185,7 @@ class Planner:
         return Batch(gaussians, terms, dropped, total)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
-        """Aim at a pose and the one predicted from it, if they, the cell or the regime have changed enough."""
+        """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
         config = self.config
         then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
         here = self._here

@@ -1,4 +1,4 @@
-"""In which order records go: policies by name, and how they bend to the bandwidth (paper, section 6.3).
+"""Policies by name: the order in which records are sent, depending on the bandwidth (paper, section 6.3).
 
 A policy is a table of offsets. The sort key of a record is the bucket of its gain plus the offsets of its group (in
 view, out of view, rings 1 to 3 of neighboring cells), of the level at which it enters, and of its kind (geometry, or
@@ -32,16 +32,16 @@ _STICKY = 1.2
 
 @dataclass(frozen=True)
 class UtilityConfig:
-    """Worth of a record against one in view of the same gain, in (0, 1].
+    """Factors of the policy "utility": the value of a record, relative to a record in view with the same gain.
 
     Attributes:
-        peripheral: Out of view, seen from the cell.
-        adjacent: Seen from a neighbor by face only; by edge and by corner it is the second and third power of its
-            share in `peripheral`, times that.
-        terms: Active terms of a Gaussian against its geometry.
-        beyond: Above the level that a regime of less bandwidth is after.
-        medium: Power of `peripheral` and `adjacent` under medium bandwidth.
-        low: The same under low bandwidth: the less there is, the more goes to what is in view.
+        peripheral: Factor in (0, 1] for Gaussians that the cell sees, but that are out of view.
+        adjacent: Factor in (0, 1] for Gaussians that only a neighbor by face sees. With r = adjacent / peripheral, it
+            is peripheral * r^2 for a neighbor by edge and peripheral * r^3 for one by corner.
+        terms: Factor in (0, 1] for active terms, relative to the geometry of their Gaussian.
+        beyond: Factor in (0, 1] for levels above the highest level of the regime.
+        medium: Exponent on `peripheral` and `adjacent` at medium bandwidth.
+        low: Exponent on `peripheral` and `adjacent` at low bandwidth, which then favors what is in view.
     """
 
     peripheral: float = 0.1
@@ -61,16 +61,16 @@ class UtilityConfig:
 
 
 def regime_of(rate: float, level_bytes: NDArray[np.float64], horizon: float, before: str | None = None) -> str:
-    """Return what the bandwidth allows in a cell: its highest level within the horizon, the one below it, or less.
+    """Return the bandwidth regime of a cell.
 
     Args:
         rate: Estimated throughput, bytes a second.
         level_bytes: (L,) bytes of what the cell sees of each level, lowest first.
         horizon: Seconds.
-        before: The regime until now, which is left only when the rate is a fifth beyond its border; None has none.
+        before: The regime until now; it changes only if the rate is a fifth beyond the border. None if there is none.
 
     Returns:
-        "high", "medium" or "low".
+        "high" if the highest level arrives within the horizon, "medium" if the level below does, else "low".
     """
     sizes = np.maximum.accumulate(level_bytes)
     borders = float(sizes[-1]), float(sizes[max(len(sizes) - 2, 0)])  # of high, of medium or better
@@ -87,12 +87,12 @@ def regime_of(rate: float, level_bytes: NDArray[np.float64], horizon: float, bef
 
 
 def lowest_last(regime: str, levels: int) -> int:
-    """Gaussians that end below this level are not sent: under high bandwidth those of low levels alone are skipped."""
+    """Return the lowest last level of Gaussians to send: the highest level at high bandwidth, else level 0."""
     return levels - 1 if _check.one_of("regime", regime, REGIMES) == "high" else 0
 
 
 def caps(regime: str, levels: int) -> tuple[int, int]:
-    """Return the highest level that a regime is after, in view and elsewhere; what is above goes last."""
+    """Return the highest level to send first in a regime, in view and elsewhere; higher levels go last."""
     middle = max(levels - 2, 0)
     return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (middle, 0)}[regime]
 
@@ -103,8 +103,8 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
     Args:
         policy: "fov-first": in view from low to high, the low level out of view, the rest by distance; "low-first": low
             in view, low out of view, medium in view, the rest by distance.
-        regime: Levels above those that it is after go behind all others, in the same order.
-        levels: L.
+        regime: One of `REGIMES`. Levels above those of `caps` go last, in the same order.
+        levels: L, number of levels.
     """
     _check.one_of("policy", policy, POLICIES[:2])
     _check.one_of("regime", regime, REGIMES)
@@ -121,12 +121,12 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
 
 @lru_cache(maxsize=256)
 def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> I64:
-    """Return (5, L, 2) what is added to the bucket of a record: by group, level at which it enters, geometry or terms.
+    """Return (5, L, 2) offsets to add to the bucket of a record: by group, level at which it enters, geometry or terms.
 
     Args:
         policy: One of `POLICIES`.
         regime: One of `REGIMES`.
-        levels: L.
+        levels: L, number of levels.
         config: Factors of `utility`; None means `UtilityConfig()`.
     """
     _check.one_of("policy", policy, POLICIES)
@@ -152,11 +152,10 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
 def table(
     policy: str, regime: str, levels: int, config: UtilityConfig | None = None
 ) -> tuple[NDArray[np.int32], int]:  # fmt: skip
-    """Return (4 L L, 2, 2) `offsets` for the kernels: by code of a unit, geometry or terms, in view or out of view.
+    """Return (4 L L, 2, 2) `offsets` for the kernels, and the number of keys.
 
-    And how many keys there are.
-
-    What is not sent, terms of what neighbors see and Gaussians that end below `lowest_last`, has a key that is none.
+    The offsets are by code of a unit, geometry or terms, in view or out of view. They are `NEVER` for records that are
+    not sent: terms of Gaussians that only neighbors see, and Gaussians that end below `lowest_last`.
     """
     found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)

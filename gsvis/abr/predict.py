@@ -1,7 +1,7 @@
-"""Where the head will be: predictors of position and orientation from the poses so far, for what is sent ahead.
+"""Predict where the head will be, from its poses so far, to send records ahead.
 
-Positions in any frame and unit, quaternions wxyz, world from camera; seconds. All share one protocol: `observe` poses
-as time goes on, `predict` one for a time. Angular velocities are in the axes of the head.
+Positions in any frame and unit, quaternions wxyz, world from camera; seconds. All predictors share one protocol:
+`observe` each pose, `predict` the pose at a time. Angular velocities are in the axes of the head.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class Pose:
 
 
 class PosePredictor(Protocol):
-    """What a predictor can do."""
+    """Interface of a predictor."""
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike, /) -> None:
-        """Take in the pose at time t, seconds; times must rise, one that does not is passed over."""
+        """Record the pose at time t, in seconds; ignore a pose that is not later than the last."""
         ...
 
     def predict(self, t: float, /) -> Pose:
@@ -67,7 +67,7 @@ class PosePredictor(Protocol):
 
 
 class LastPose:
-    """The head stays where it is."""
+    """Predict that the head stays where it is."""
 
     def __init__(self) -> None:
         self._time, self._pose = -np.inf, Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -84,11 +84,11 @@ class LastPose:
 
 
 class LinearPose:
-    """The head goes on as it went over the last moments.
+    """Predict that the head keeps the mean velocity and angular velocity of the last moments.
 
     Args:
-        window: Seconds over which velocity and angular velocity are taken.
-        longest: Seconds ahead for which they are believed; beyond it the head stands still.
+        window: Seconds over which velocities are averaged.
+        longest: Most seconds ahead to extrapolate; after that the head stands still.
     """
 
     def __init__(self, window: float = 0.1, longest: float = 1.0) -> None:
@@ -121,18 +121,18 @@ class LinearPose:
 
 
 class KalmanPose:
-    """Two Kalman filters with constant velocity: of the position, and of the rotation by its error state.
+    """Predict with two Kalman filters of constant velocity: one of the position, one of the rotation's error state.
 
-    The error of the orientation is a rotation vector in the head's axes, its velocity the angular velocity; a measured
-    orientation is compared with the predicted one, and the orientation itself takes in the error. Axes are independent
-    and alike, so each filter has one covariance of 2 x 2.
+    The error of the orientation is a rotation vector in the head's axes; its velocity is the angular velocity. The
+    filter compares a measured orientation with the predicted one, and adds the error to the orientation. Axes are
+    independent and alike, so each filter has one covariance of 2 x 2.
 
     Args:
         acceleration: Density of the random acceleration of the head, units a second^2 for each root of hertz.
         noise: Standard deviation of measured positions, units.
         turning: Density of the random angular acceleration, radians a second^2 for each root of hertz.
         turn_noise: Standard deviation of measured orientations, radians.
-        longest: Seconds ahead for which velocities are believed.
+        longest: Most seconds ahead to extrapolate; after that the head stands still.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class _Filter:
     def __init__(self, density: float, noise: float) -> None:
         self.density, self.noise = density, noise
         self.velocity = np.zeros(3)
-        self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity: nothing is known of it
+        self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity, which is unknown at first
 
     def update(self, step: float, innovation: F64) -> F64:
         """Return what to add to the predicted values; update the velocity."""
@@ -247,7 +247,7 @@ def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, 
 
 
 def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
-    """Return `_check.floats` of a float64 vector, without the checks for one that already fits."""
+    """Return a checked float64 vector; skip `_check.floats` if the value already fits."""
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,):
         given: F64 = value
         if all(map(math.isfinite, given.tolist())):

@@ -36,9 +36,9 @@ class QoeConfig:
     """Constants of equation 8.
 
     Attributes:
-        psnr_scale: PSNR that counts as 1, dB; more counts no more.
-        latency_scale: Latency that counts as 1, seconds: the paper's time-out; more counts no more.
-        delay_weight: Lambda.
+        psnr_scale: PSNR that counts as 1, dB; higher values count as 1 too.
+        latency_scale: Latency that counts as 1, seconds: the paper's time-out; higher values count as 1 too.
+        delay_weight: Lambda, weight of the delay.
         shown_db: PSNR at which a pose counts as shown.
     """
 
@@ -63,8 +63,8 @@ class Qoe:
         score: quality - delay weight * delay.
         quality: f of equation 8, in [0, 1].
         delay: g of equation 8, in [0, 1].
-        psnr: dB, mean as it is.
-        latency: Seconds, mean as it is, but for the time-out.
+        psnr: dB, mean of the values, each at most 100.
+        latency: Seconds, mean of the values, each at most `latency_scale`.
         steps: Number of steps.
     """
 
@@ -115,9 +115,9 @@ def latencies(times: ArrayLike, arrivals: ArrayLike, timeout: float = 1.0) -> F6
 
     Args:
         times: (S,) seconds of the poses.
-        arrivals: (S,) seconds from which on what the client held was enough for each pose; -inf where it always was,
-            inf where it never was.
-        timeout: Seconds; more counts as this.
+        arrivals: (S,) seconds at which the client first held enough for each pose; -inf if it always did, inf if it
+            never did.
+        timeout: Seconds; longer times count as this.
 
     Returns:
         (S,) in [0, timeout].
@@ -142,9 +142,9 @@ def stall(times: ArrayLike, psnr: ArrayLike, least: float = 25.0, end: float | N
 
     Args:
         times: (S,) seconds, rising; each step lasts until the next.
-        psnr: (S,) dB.
-        least: dB.
-        end: When the last step ends; None: it lasts as long as the one before.
+        psnr: (S,) dB of each step.
+        least: dB of an acceptable image.
+        end: Seconds at which the last step ends; None means that it lasts as long as the one before.
     """
     at, values = _check.floats("times", times, ("S",), np.float64), _steps("psnr", psnr)
     if _check.same_length(times=at, psnr=values) == 0:
@@ -161,11 +161,11 @@ class Difference:
     """Mean of paired differences with its confidence interval.
 
     Attributes:
-        mean: Of first minus second.
+        mean: Mean of first minus second.
         low: Lower end of the interval.
-        high: Upper end.
+        high: Upper end of the interval.
         pairs: Number of pairs.
-        confidence: Of the interval.
+        confidence: Confidence of the interval, in (0, 1).
         method: "t" or "bootstrap".
     """
 
@@ -195,15 +195,15 @@ def paired_difference(
     resamples: int = 10_000,
     seed: int = 0,
 ) -> Difference:
-    """Return by how much one system is better, over the same sessions.
+    """Return the mean difference of two systems over the same sessions, with its confidence interval.
 
     Args:
         first: (M,) a figure of each session of one system, M >= 2.
-        second: (M,) of the other, in the same order.
-        confidence: In (0, 1).
+        second: (M,) the same figure of the other system, sessions in the same order.
+        confidence: Confidence of the interval, in (0, 1).
         method: "t", Student's interval of the mean, or "bootstrap", percentiles of means of resampled pairs.
-        resamples: Of the bootstrap.
-        seed: Of the bootstrap.
+        resamples: Number of resamples of the bootstrap.
+        seed: Seed of the bootstrap.
 
     Examples:
         >>> found = paired_difference([3.0, 4.0, 6.0], [2.0, 2.0, 3.0])
@@ -219,7 +219,7 @@ def paired_difference(
     apart = a - b
     mean = float(apart.mean())
     if _check.one_of("method", method, ("t", "bootstrap")) == "t":
-        from scipy import stats  # here: it takes long to import, and few need it
+        from scipy import stats  # slow to import, and seldom needed
 
         error = float(apart.std(ddof=1)) / np.sqrt(len(apart))
         reach = float(stats.t.ppf(0.5 + confidence / 2.0, len(apart) - 1)) * error

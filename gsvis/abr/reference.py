@@ -1,6 +1,6 @@
-"""The order of records, said plainly: one Gaussian and one term after the other, sorted by what the policy adds up.
+"""The order of records, written simply: one Gaussian and one term after the other, sorted by the key of the policy.
 
-The slow twin of `candidates.py` and `planner.py`: tests hold that both give the same records in the same order.
+The slow twin of `candidates.py` and `planner.py`. Tests check that both give the same records in the same order.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What `Planner.aim` takes: the cell, the eye (3,), frusta (F, 5, 4), the regime."""
+    """Arguments of `Planner.aim`: the cell, the eye (3,), frusta (F, 5, 4), the regime."""
 
     cell: int
     eye: F32
@@ -45,15 +45,15 @@ def order_records(
     """Return all records that a view needs, first to last.
 
     Args:
-        shared: Only its scene and the spheres of its words are used.
+        shared: Candidates of the scene, of which only the index and the spheres of words are used.
         view: Cell, eye, frusta and regime.
         policy: One of `POLICIES`.
-        holdings: What is held; not changed.
-        pixel: As in `CandidateIndex`.
+        holdings: What the client holds; not changed.
+        pixel: Angle of a pixel of the clients, radians.
         utility: Factors of the policy "utility".
 
     Returns:
-        ("gaussian", id) and ("term", id), and ("drop", id) right after the Gaussian whose arrival lets go of it.
+        ("gaussian", id), ("term", id), and ("drop", id) right after the Gaussian that completes its replacement.
     """
     index = shared.index
     units, strength = _units(index, view.cell), strengths(index, pixel)
@@ -66,7 +66,7 @@ def order_records(
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         if ends < top:
             continue
-        alike = range(64 * word, min(64 * word + 64, len(index)))  # of neighbors all that are alike in the word count
+        alike = range(64 * word, min(64 * word + 64, len(index)))  # for neighbors, all alike in the word count
         alike_too = [g for g in alike if (index.first[g], index.last[g]) == (enters, ends)]
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
         gain = _gain(shared, word, [strength[g] for g in (alike_too if ring else members)], view.eye, weight)
@@ -98,7 +98,7 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
         for g in sorted(here):
             key = ring, g >> 6, here[g], int(index.first[g]), int(index.last[g])
             found.setdefault(key, []).append(g)
-    whole: dict[tuple[int, int, int], int] = {}  # units of neighbors stand as those of the whole scene
+    whole: dict[tuple[int, int, int], int] = {}  # units of neighbors are in the order of the whole scene
     for g in range(len(index)):
         whole.setdefault((g >> 6, int(index.first[g]), int(index.last[g])), g)
 

@@ -1,6 +1,6 @@
-"""Bandwidth over time: how many bytes a recorded link carries, and how long it takes for so many.
+"""Bandwidth over time: how many bytes a recorded link carries, and how long a number of bytes takes.
 
-Rates are constant between given times and come round again after the last. Seconds, Mbit/s (10^6 bits), bytes.
+Rates are constant between given times and repeat after the last. Seconds, Mbit/s (10^6 bits), bytes.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ BYTES = 125_000.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BandwidthTrace:
-    """A link whose rate is known.
+    """A link with known rates over time.
 
     Args:
-        times: (S,) seconds > 0, strictly rising, at which each rate ends; the first begins at 0. The last is the
-            period.
+        times: (S,) seconds > 0, strictly rising, at which each rate ends; the first rate starts at 0. The last time is
+            the period.
         mbit_per_s: (S,) rates, >= 0.
-        name: For reports.
+        name: Name for reports.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -63,7 +63,7 @@ class BandwidthTrace:
 
     @classmethod
     def constant(cls, mbit_per_s: float, name: str = "") -> BandwidthTrace:
-        """Return a link of one rate."""
+        """Return a link with a constant rate."""
         return cls(np.ones(1), np.array([mbit_per_s]), name or f"{mbit_per_s:g} Mbit/s")
 
     def __repr__(self) -> str:
@@ -71,12 +71,12 @@ class BandwidthTrace:
 
     @property
     def period(self) -> float:
-        """Seconds after which it comes round."""
+        """Seconds after which the rates repeat."""
         return float(self.times[-1])
 
     @property
     def mean(self) -> float:
-        """Mbit/s over a period."""
+        """Mean rate over a period, Mbit/s."""
         return float(self._total / BYTES / self.period)
 
     def rate_at(self, t: float) -> float:
@@ -113,13 +113,13 @@ class BandwidthTrace:
         if size <= left:
             return max(self._when(self._until(within) + size) - within, 0.0)
         more, rest = divmod(size - left, self._total)
-        if rest == 0.0:  # the last byte comes before the link falls silent at the end of a period, if it does
+        if rest == 0.0:  # the last byte arrives before a silent end of the period
             more, rest = more - 1.0, self._total
         whole = self.period - within
         return float(whole + max(more, 0.0) * self.period + self._when(rest)) if more >= 0 else float(whole)
 
     def from_time(self, start: float) -> BandwidthTrace:
-        """Return the same link, begun at another time of its period."""
+        """Return the same link, starting at another time of its period."""
         _, within = self._turns(start)
         if within == 0.0:
             return self
@@ -131,7 +131,7 @@ class BandwidthTrace:
         return BandwidthTrace(edges, rates, self.name)
 
     def scaled(self, factor: float) -> BandwidthTrace:
-        """Return the same link, so many times as fast."""
+        """Return the same link with rates multiplied by a factor."""
         if not (np.isfinite(factor) and factor > 0):
             raise ValueError(f"factor: expected a finite number > 0, got {factor!r}")
         return BandwidthTrace(self.times, self.mbit_per_s * factor, self.name)
@@ -141,7 +141,7 @@ class BandwidthTrace:
         return float(self._carried[-1])  # type: ignore[attr-defined]
 
     def _turns(self, t: float) -> tuple[float, float]:
-        """Return the whole periods before t, and the seconds within its own."""
+        """Return the number of whole periods before t, and the seconds since the last one ended."""
         if not (np.isfinite(t) and t >= 0):
             raise ValueError(f"t: expected finite seconds >= 0, got {t!r}")
         turns, within = divmod(t, self.period)
@@ -152,10 +152,10 @@ class BandwidthTrace:
         return float(np.interp(within, edges, carried))
 
     def _when(self, carried: float) -> float:
-        """Return the first moment of a period at which so much (> 0) has been carried."""
+        """Return the first time in a period at which this many bytes (> 0) have been carried."""
         edges, sums = self._edges, self._carried  # type: ignore[attr-defined]
         k = min(max(int(np.searchsorted(sums, carried, side="left")), 1), len(edges) - 1)
-        while sums[k] <= sums[k - 1]:  # beyond the end by rounding, where the link is silent
+        while sums[k] <= sums[k - 1]:  # rounding may lead past the end, where the link is silent
             k -= 1
         return float(edges[k - 1] + (carried - sums[k - 1]) / (sums[k] - sums[k - 1]) * (edges[k] - edges[k - 1]))
 

@@ -1,7 +1,7 @@
 """The command line: arguments to library calls, status to stderr, results to stdout.
 
-Exit codes: 0 done, 2 the input or the arguments are wrong, 1 anything else, a full disk among them, 130 interrupted,
-141 nobody reads stdout.
+Exit codes: 0 success; 2 wrong input or arguments; 130 interrupted; 141 stdout was closed; 1 any other error, such as a
+full disk.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             _run(command)
         with _stdout():
             sys.stdout.flush()
-    except SystemExit as done:  # from tyro, which has said what it had to say
+    except SystemExit as done:  # from tyro, which has printed its message
         return done.code if isinstance(done.code, int) else 2
     except KeyboardInterrupt as stopped:
         return _exit_with(f"interrupted; {str(stopped) or 'nothing was left half-written'}", 130)
     except BrokenPipeError:
-        # What reads stdout has gone. Python would complain once more when it flushes at exit.
+        # The reader of stdout has gone. Python would report it again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except Exception as error:
@@ -82,10 +82,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """The command that the arguments ask for.
+    """Parse arguments into a command.
 
     Raises:
-        SystemExit: After help (0), or after wrong arguments (2); what was wrong is on stderr.
+        SystemExit: After help (0), or after wrong arguments (2); the message is on stderr.
     """
     import tyro
 
@@ -106,7 +106,7 @@ def parse(arguments: Sequence[str]) -> Command:
 
 
 def _without_options(commands: Any) -> Any:
-    """Return commands without their options, for `gsvis --help`, which shows none: tyro then takes half the time."""
+    """Return commands without their options. `gsvis --help` shows none, and tyro then takes half the time."""
     from dataclasses import make_dataclass
     from functools import reduce
     from operator import or_
@@ -116,7 +116,7 @@ def _without_options(commands: Any) -> Any:
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:
-    """The arguments with the value of --up, which may begin with a minus, made to look like a value."""
+    """Return the arguments with a space before the value of --up, so that tyro does not read -y as an option."""
     words: list[str] = []
     for word in arguments:
         option, equals, value = word.partition("=")
@@ -128,7 +128,7 @@ def _axes_as_values(arguments: Sequence[str]) -> list[str]:
 
 
 def version() -> str:
-    """The installed version of gsvis."""
+    """Return the installed version of gsvis."""
     from importlib.metadata import version as installed
 
     return installed("gsvis")
@@ -196,7 +196,7 @@ def _run(command: Command) -> None:
 
 
 def _explain(error: Exception) -> tuple[str, int]:
-    """One line for the user, and the exit code."""
+    """Return one line for the user, and the exit code."""
     from gsvis.errors import GsvisError, OutputError
 
     text = " ".join(str(error).split())
@@ -215,14 +215,14 @@ def _explain(error: Exception) -> tuple[str, int]:
 
 
 def _stdout() -> AbstractContextManager[None]:
-    """What raises OutputError where standard output goes to a file and the disk is full."""
+    """Return a context that raises OutputError if standard output cannot be written, as on a full disk."""
     from gsvis.cli.terminal import check_stdout
 
     return check_stdout()
 
 
 def _drop_stdout_if_full(error: Exception) -> None:
-    """Send the rest of standard output nowhere after it failed: Python would fail once more when it flushes at exit."""
+    """Discard the rest of standard output after it failed: Python would fail again when it flushes at exit."""
     from gsvis.cli.terminal import STDOUT
     from gsvis.errors import OutputError
 
@@ -236,7 +236,7 @@ def _exit_with(line: str, code: int) -> int:
 
 
 def _stop_politely() -> signal._HANDLER:
-    """Let SIGTERM stop the work as Ctrl-C does, so that half-written files are removed; what it did before."""
+    """Let SIGTERM stop the work as Ctrl-C does, so that half-written files are removed; return the old handler."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""`gsvis analyze`: which Gaussians views need, from which directions each can be seen, as a report."""
+"""`gsvis analyze`: report which Gaussians are visible in views, and from which directions each can be seen."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ __all__ = ["PICTURE", "run_analyze"]
 PICTURE = 400
 """Pixels of the longer side of the pictures."""
 
-_COMPARABLE = 50  # views of a capture, from which their mean stands beside the paper's
+_COMPARABLE = 50  # least views of a capture whose mean is compared with the paper's
 _VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
 
 
 def run_analyze(command: Analyze) -> None:
-    """Read, trace, render, write the report, print a table or JSON.
+    """Analyze a scene: read, trace, render, write the report, print a table or JSON.
 
     Raises:
-        GsvisError: If a file cannot be read, or the scene cannot serve.
+        GsvisError: If a file cannot be read, or the scene cannot be used.
         ValueError: If an argument is wrong.
         FileNotFoundError: If a file is missing.
         OSError: If the report cannot be written.
@@ -51,7 +51,7 @@ def run_analyze(command: Analyze) -> None:
     check_source(command.scene, command.lod)
     check_report(command.out)
     given = _given_cameras(command)
-    differs = _differs(command, 0 if given is None else len(given))  # now: the file may change before the end
+    differs = _differs(command, 0 if given is None else len(given))  # read it now: the file may change later
     with Status() as status:
         document = _write_report(command, given, differs, status)
     if command.json:
@@ -61,7 +61,7 @@ def run_analyze(command: Analyze) -> None:
 
 
 def _write_report(command: Analyze, given: Cameras | None, differs: str, status: Status) -> dict[str, Any]:
-    """Everything between reading the scene and a written report."""
+    """Read the scene, analyze it and write the report; return its document."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.analysis import AnalysisConfig, analyze
     from gsvis.report import Subject, picture_views, write_report
@@ -102,7 +102,7 @@ def _write_report(command: Analyze, given: Cameras | None, differs: str, status:
 
 
 def _differs(command: Analyze, cameras: int) -> str:
-    """What keeps the paper's figures from being compared with these; empty where they can be."""
+    """Return why these figures cannot be compared with the paper's; empty if they can."""
     if is_builtin(command.scene):
         return "this scene was made, not captured"
     if command.cameras is None:
@@ -115,14 +115,14 @@ def _differs(command: Analyze, cameras: int) -> str:
 
 
 def _repeats_views(command: Analyze) -> bool:
-    """Whether the cameras are those that gsvis wrote into a report or a rendering."""
+    """Return whether gsvis wrote these cameras into a report or a rendering."""
     from gsvis.io.cameras import holds_repeated_views
 
     return command.cameras is not None and holds_repeated_views(command.cameras)
 
 
 def _warm_up() -> None:
-    """Compile the kernels, or load them, on a scene of one Gaussian, so that the first run tells what it waits for."""
+    """Compile or load the kernels on a scene of one Gaussian, so that progress shows this time as a stage."""
     from gsvis.raycast.analysis import AnalysisConfig, analyze
 
     one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
@@ -131,14 +131,14 @@ def _warm_up() -> None:
 
 
 def _given_cameras(command: Analyze) -> Cameras | None:
-    """The cameras of a file, resized as asked; None without a file."""
+    """Return the cameras of --cameras at the size of --width and --height; None without a file."""
     if command.cameras is None:
         return None
     if command.fov is not None:
         raise ValueError(
             f"--fov: expected none with --cameras, whose file states it, got {command.fov:g}; leave it out"
         )
-    at_most = None if _repeats_views(command) else _WIDTH  # a report's views are repeated as they were
+    at_most = None if _repeats_views(command) else _WIDTH  # views of a report keep their size
     cameras = file_cameras(command.cameras, command.width, command.height, at_most=at_most)
     return cameras if command.views is None else evenly(cameras, command.views)
 
@@ -156,7 +156,7 @@ def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space
 
 
 def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
-    """All that decides the result, with defaults filled in."""
+    """Return all parameters that the result depends on, with defaults filled in."""
     return {
         "scene": command.scene,
         "lod": command.lod,
@@ -173,7 +173,7 @@ def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
 
 
 def _command_line(command: Analyze) -> str:
-    """The command line that makes the report again."""
+    """Return the command line that makes the report again."""
     words = ["gsvis", "analyze", command.scene, "-o", command.out]
     for name in ("lod", "cameras", "views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face"):
         value = getattr(command, name)
@@ -183,7 +183,7 @@ def _command_line(command: Analyze) -> str:
 
 
 def _tables(document: dict[str, Any]) -> list[Any]:
-    """What was looked at, and what was found beside the paper's figures."""
+    """Return two tables: what was analyzed, and the figures beside those of the paper."""
     visible, rays, found = document["visible_fraction"], document["rays"], document["directions"]
     low, high = rays["horizontal_fov_degrees"]
     angle = f"{low:.0f}" if high - low < 0.5 else f"{low:.0f} to {high:.0f}"
@@ -211,7 +211,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
                 shares.append((text, f"{each['of_all']:.2%}", paper if way == "gathered" else ""))
     if found["agreement"]:
         shares.append(("agreement of the two: mean Jaccard index", f"{found['agreement']['mean_jaccard']:.3f}", ""))
-    shown = 3 if document["paper"]["comparable"] else 2  # columns; the paper's is the last
+    shown = 3 if document["paper"]["comparable"] else 2  # columns; the last is the paper's
     header = ("share of all Gaussians", "here", "paper")[:shown]
     return [facts(document["scene"]["name"], about), facts("", [row[:shown] for row in shares], header)]
 

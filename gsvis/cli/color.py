@@ -1,4 +1,4 @@
-"""`gsvis color`: base colors and a few terms in place of SH colors, as a file, with how good they are."""
+"""`gsvis color`: fit base colors and a few terms that replace SH colors; write them, and measure their quality."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ _NUMBERS = (
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What is to be done."""
+    """What to do: the scene, its visible sets and space, settings, and remarks for the user."""
 
     source: Source
     store: VisibilityStore | None
@@ -79,14 +79,14 @@ class _Plan:
 
 
 def run_color(command: Color) -> None:
-    """Read, find directions, fit, write, compare, say what came out.
+    """Fit colors: read, find directions, fit, write, compare, print the result.
 
     Raises:
-        GsvisError: If a file cannot be read, the visible sets are of another scene, or the scene cannot serve.
+        GsvisError: If a file cannot be read, the visible sets are of another scene, or the scene cannot be used.
         ValueError: If an argument is wrong.
         FileNotFoundError: If a file is missing.
         OSError: If a file cannot be written.
-        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     config = _check_arguments(command)
     with ExitStack() as opened, Status() as status:
@@ -98,7 +98,7 @@ def run_color(command: Color) -> None:
 
 
 def _check_arguments(command: Color) -> ColorConfig:
-    """Everything about the arguments that can be known before work begins."""
+    """Check the arguments before work begins; return the settings of the fit."""
     check_source(command.scene, command.lod)
     if command.pvs is not None and not Path(command.pvs).exists():
         raise FileNotFoundError(2, "no such file or folder", command.pvs)
@@ -132,7 +132,7 @@ def _check_arguments(command: Color) -> ColorConfig:
 
 
 def fit_config(command: Color | Prepare) -> FitConfig:
-    """The colors that are asked for."""
+    """Return the settings of the fit from the arguments."""
     from gsvis.color.fit import FitConfig
 
     chosen: dict[str, Any] = {name: getattr(command, name) for name in ("variant", "max_terms", "mean_terms")}
@@ -143,7 +143,7 @@ def fit_config(command: Color | Prepare) -> FitConfig:
 
 
 def _check_no_input(name: str, path: str, command: Color) -> None:
-    """Refuse to replace what is read: a slip of the keyboard must not cost a scene."""
+    """Raise if an output would replace an input or a file of another kind, so that a typo does not destroy a scene."""
     target = Path(path)
     for given in (*inputs_of(command.scene), *([] if command.pvs is None else [Path(command.pvs)])):
         if target.exists() and given.exists() and target.samefile(given):
@@ -159,7 +159,7 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
 
 
 def _plan(command: Color, config: ColorConfig, store: VisibilityStore | None, status: Status) -> _Plan:
-    """The scene and where eyes may be."""
+    """Read the scene and find its navigable space."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     g = source.gaussians
@@ -189,7 +189,7 @@ def _plan(command: Color, config: ColorConfig, store: VisibilityStore | None, st
 
 
 def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
-    """The space that visible sets were built in, or as much of it as their cells tell."""
+    """Return the navigable space that visible sets were built in, or the closest one that their cells allow."""
     space, _ = found_space(source, up=store.grid.up)
     if space is not None:
         if store.info.config.get("space") == space_hash(space):
@@ -206,7 +206,7 @@ def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
 
 
 def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
-    """Everything between a read scene and the last file that was asked for."""
+    """Fit the colors and write all files; return the fitted colors."""
     from gsvis.prepare.colors import find_kept, prepare_colors
     from gsvis.prepare.fitted_colors import FittedColors, rounded
 
@@ -248,7 +248,7 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
 def _epsilon(
     command: Color, plan: _Plan, colors: SrbfColors, status: Status
 ) -> tuple[float | None, EpsilonCalibration | None]:
-    """The epsilon that was given or that the model observer comes to, where it is needed and possible."""
+    """Return the given epsilon, or else one calibrated by the model observer; None if not needed or not possible."""
     from gsvis.prepare.color_quality import has_flip
     from gsvis.scene.view_sampling import ViewSampling
 
@@ -259,7 +259,7 @@ def _epsilon(
         return None, None
     if colors.num_terms == 0 or plan.space is None:
         plan.remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
-        return (DEFAULT_EPSILON if needed else None), None  # where there are no terms, any value does
+        return (DEFAULT_EPSILON if needed else None), None  # without terms, any value works
     from gsvis.color import FLIP_JND, MetricObserver, calibrate_epsilon
     from gsvis.report.approximations import Approximations, flip_difference
 
@@ -279,7 +279,7 @@ def _epsilon(
 def _write(
     command: Color, plan: _Plan, found: ColorPreparation, known: tuple[float | None, EpsilonCalibration | None]
 ) -> int:
-    """The file written; its size."""
+    """Write the file of colors; return its size in bytes."""
     from gsvis.color.storage import save_srbf
 
     epsilon, calibration = known
@@ -298,7 +298,7 @@ def _write(
 
 
 def _examine(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> FittedColors:
-    """What is made of the colors once they are safe."""
+    """Write and measure everything else, after the file of colors is written: active terms, comparison, report."""
     g, colors, epsilon = fitted.gaussians, fitted.colors, fitted.epsilon
     if command.active is not None and plan.store is not None and epsilon is not None:
         from gsvis.prepare.active_terms import build_active_terms
@@ -375,7 +375,7 @@ def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Sta
 
 
 def _command_line(command: Color) -> str:
-    """The command line that makes all this again."""
+    """Return the command line that makes all this again."""
     words = ["gsvis", "color", command.scene, "-o", command.out]
     for name in (*_PATHS[2:], *_NUMBERS):
         value = getattr(command, name)

@@ -1,4 +1,4 @@
-"""What `gsvis color` says at its end: a table, or one JSON document."""
+"""Print the result of `gsvis color`: a table, or one JSON document."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["tell_result"]
 def tell_result(
     command: Color, source: Source, fitted: FittedColors, remarks: list[str], seconds: dict[str, float]
 ) -> None:
-    """Print what came out.
+    """Print the result.
 
     Args:
-        command: What was asked for.
+        command: The arguments.
         source: The scene.
-        fitted: Its colors.
+        fitted: The fitted colors.
         remarks: Lines for people.
         seconds: How long each stage took.
     """

@@ -1,4 +1,4 @@
-"""`gsvis convert`: a scene in another format, cut, thinned, simplified or turned."""
+"""`gsvis convert`: write a scene in another format; cut, thin, simplify or rotate it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WRITTEN = (".ply", ".spz", ".sog")
 
 
 def run_convert(command: Convert) -> None:
-    """Read, convert, write, say what became of it.
+    """Convert a scene: read, convert, write, print the result.
 
     Raises:
         GsvisError: If the file cannot be read, or nothing is left of the scene.
@@ -79,7 +79,7 @@ def run_convert(command: Convert) -> None:
 
 
 def _axes(up: str | None) -> tuple[str, str] | None:
-    """'-y:+z' as ('-y', '+z')."""
+    """Return the two axes of --up: ('-y', '+z') for '-y:+z'; None without it."""
     if up is None:
         return None
     old, _, new = up.strip().partition(":")

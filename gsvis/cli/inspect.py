@@ -1,4 +1,4 @@
-"""`gsvis inspect`: what a scene holds and what looks wrong with it."""
+"""`gsvis inspect`: show what a scene holds and what looks wrong with it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["run_inspect"]
 
 
 def run_inspect(command: Inspect) -> None:
-    """Read the scene, measure it, print a table or JSON.
+    """Inspect a scene: read it, measure it, print a table or JSON.
 
     Raises:
         GsvisError: If the file cannot be read as a scene.

@@ -1,4 +1,4 @@
-"""Kernels loaded before work begins, or compiled once after an installation: the first run tells what it waits for."""
+"""Load kernels before work begins, or compile them once after an installation, so that progress shows this time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["warm_colors", "warm_levels", "warm_sets"]
 
 
 def warm_levels(config: LevelsConfig, status: Status) -> None:
-    """Those that train levels."""
+    """Load or compile the kernels that train levels."""
     from gsvis.scene.cameras import Cameras
     from gsvis.train.images import render_views
     from gsvis.train.levels import LevelsConfig, train_levels
@@ -36,8 +36,8 @@ def warm_levels(config: LevelsConfig, status: Status) -> None:
 
 
 def warm_sets(config: PvsConfig, status: Status) -> None:
-    """Those that look from cells."""
-    if config.method == "hybrid":  # the others need libraries that this process may have no room for
+    """Load or compile the kernels that find visible sets."""
+    if config.method == "hybrid":  # other methods need libraries that may take too much memory in this process
         from gsvis.pvs.look import Look
 
         status("kernels", 0, 1)
@@ -47,7 +47,7 @@ def warm_sets(config: PvsConfig, status: Status) -> None:
 
 
 def warm_colors(config: ColorConfig, status: Status) -> None:
-    """Those that fit colors."""
+    """Load or compile the kernels that fit colors."""
     from gsvis.color.activation import Activation
     from gsvis.color.evaluate import evaluate
     from gsvis.prepare.colors import ColorConfig, prepare_colors

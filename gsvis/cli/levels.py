@@ -1,4 +1,4 @@
-"""`gsvis levels`: lower levels of a scene that share Gaussians with it, as a folder, with how good they are."""
+"""`gsvis levels`: train lower levels of a scene that share Gaussians with it; write a folder, measure quality."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ __all__ = ["check_views", "levels_config", "run_levels", "view_sampling"]
 
 _VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 160, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
-_REUSE = (0.90, 0.96)  # the last for all further ones
+_REUSE = (0.90, 0.96)  # for each level; the last repeats
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
-_MEMORY_SHARE = 0.5  # of what the machine has, for images
+_MEMORY_SHARE = 0.5  # share of the machine's memory for images
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What is to be done.
+    """What to do.
 
     Attributes:
         source: The scene.
         config: Sizes and training.
         drawn: Images to train on and to measure on.
-        work: The folder that keeps what is not finished.
-        remarks: What the user should know.
+        work: The folder with unfinished work.
+        remarks: Remarks for the user.
     """
 
     source: Source
@@ -56,14 +56,14 @@ class _Plan:
 
 
 def run_levels(command: Levels) -> None:
-    """Check, draw or read views, choose what stays, train, measure, write, say what came out.
+    """Make levels: check, draw or read views, choose what stays, train, measure, write, print the result.
 
     Raises:
-        GsvisError: If a file cannot be read, or the scene or the photographs cannot serve.
+        GsvisError: If a file cannot be read, or the scene or the photographs cannot be used.
         ValueError: If an argument is wrong, or something else would be replaced.
         FileNotFoundError: If a file is missing.
         OSError: If the folder cannot be written.
-        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     require("gsvis levels", "torch")
     config = _check_arguments(command)
@@ -76,7 +76,7 @@ def run_levels(command: Levels) -> None:
 
 
 def _begun(work: Path) -> bool:
-    """Whether a folder of unfinished work holds anything to go on from."""
+    """Return whether a folder of unfinished work holds anything to resume from."""
     from gsvis.train.levels import SUBSETS
 
     return (work / SUBSETS).exists()
@@ -87,7 +87,7 @@ def _target(out: str) -> Path:
 
 
 def _check_arguments(command: Levels) -> LevelsConfig:
-    """Everything about the arguments that can be known before work begins."""
+    """Check the arguments before work begins; return the settings of the levels."""
     check_source(command.scene, command.lod)
     if command.photos is not None:
         if not Path(command.photos).exists():
@@ -105,7 +105,7 @@ def _check_arguments(command: Levels) -> LevelsConfig:
     except ValueError as error:
         raise ValueError(f"--{error}") from None
     check_folder(command.out)
-    check_folder(_target(command.out).parent)  # where unfinished work is kept
+    check_folder(_target(command.out).parent)  # unfinished work is kept there
     _check_target(command, config.names)
     if command.photos is None:  # photographs check themselves
         held_out = _HELD_OUT if command.held_out is None else command.held_out
@@ -120,10 +120,10 @@ def levels_config(
     iterations: int,
     seed: int,
 ) -> LevelsConfig:
-    """Sizes and training of the levels that are asked for.
+    """Return the settings of levels from the arguments.
 
     Raises:
-        ValueError: If they contradict each other, or a name is no file name.
+        ValueError: If they contradict each other, or a name cannot be a file name.
     """
     from gsvis.train.levels import LevelsConfig
 
@@ -136,10 +136,10 @@ def levels_config(
 
 
 def check_views(sampling: ViewSampling, held_out: int) -> None:
-    """Refuse views that would not fit beside everything else.
+    """Raise unless all images fit into half of the machine's memory.
 
     Raises:
-        ValueError: If so.
+        ValueError: If they do not fit.
     """
     width, height, count = sampling.width, sampling.height, sampling.count + held_out
     needed = 12 * count * width * height
@@ -155,7 +155,7 @@ def check_views(sampling: ViewSampling, held_out: int) -> None:
 
 
 def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
-    """The scene, the views, and where the work is kept."""
+    """Read the scene, draw or read the views, and find the folder of unfinished work."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     g = source.gaussians
@@ -189,7 +189,7 @@ def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
 
 
 def _check_target(command: Levels, names: tuple[str, ...]) -> None:
-    """Refuse to replace what is no level, before work begins: a slip of the keyboard must not cost a scene."""
+    """Raise, before work begins, if a file that is not a level would be replaced: a typo must not destroy a scene."""
     folder = _target(command.out)
     files = {name: folder / f"{name}.ply" for name in names}
     for file in files.values():
@@ -211,7 +211,7 @@ def _check_target(command: Levels, names: tuple[str, ...]) -> None:
 
 
 def _check_replaced(command: Levels, g: Gaussians) -> None:
-    """Refuse to replace levels of another scene: they took hours of training."""
+    """Raise if levels of another scene would be replaced: they took hours of training."""
     folder = _target(command.out)
     if not (folder / MAP).exists():
         return
@@ -225,7 +225,7 @@ def _check_replaced(command: Levels, g: Gaussians) -> None:
 
 
 def _draw_views(command: Levels, source: Source, status: Status) -> LevelViews:
-    """Renders of the scene to train on and to measure on, from cameras that have nothing to do with each other."""
+    """Render the scene to train on and to measure on, from two independent sets of cameras."""
     from gsvis.train.level_views import draw_views
 
     status("space", 0, 1)
@@ -239,14 +239,14 @@ def _draw_views(command: Levels, source: Source, status: Status) -> LevelViews:
 
 
 def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:
-    """Cameras to train on where there are no photographs."""
+    """Return how to sample cameras to train on without photographs."""
     from gsvis.scene.view_sampling import ViewSampling
 
     return ViewSampling(views or _VIEWS, *(size or (_WIDTH, _HEIGHT)), _FOV, seed)
 
 
 def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, dict[str, object]]:
-    """Everything between a plan and the last file; the record of it."""
+    """Train the levels, measure them and write all files; return the levels and their record."""
     from gsvis.prepare.levels import make_levels
 
     g, work = plan.source.gaussians, plan.work
@@ -256,7 +256,7 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
 
             def report(stage: str, done: int, total: int) -> None:
                 nonlocal said
-                if (stage, done) != said:  # an end may be reported twice
+                if (stage, done) != said:  # the last step may be reported twice
                     status(stage.replace("train ", "training ", 1), done, total)
                 said = stage, done
                 stop_if_asked()

@@ -1,4 +1,4 @@
-"""What `gsvis levels` tells of its result: the record that is kept with the levels, a document, or tables."""
+"""Report the result of `gsvis levels`: the record in the folder of levels, a JSON document, or tables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_OVERHEAD = 0.05
 
 
 class _Run(Protocol):
-    """What was to be done."""
+    """What `record_of` needs of a plan."""
 
     source: Source
     config: LevelsConfig
@@ -35,13 +35,13 @@ class _Run(Protocol):
 
 
 def record_of(command: Command, run: Any, trained: TrainedLevels, quality: LevelQuality | None) -> dict[str, Any]:
-    """How the levels came about and how good they are, for JSON; the same for the same run.
+    """Return the record of how the levels were made and how good they are, for JSON; equal runs give equal records.
 
     Args:
         command: The arguments.
-        run: What was to be done.
-        trained: The levels.
-        quality: In held-out views; None where there are none.
+        run: The plan of the run.
+        trained: The trained levels.
+        quality: Quality in held-out views; None without held-out views.
     """
     plan: _Run = run
     levels, g, drawn = trained.levels, plan.source.gaussians, plan.drawn
@@ -131,7 +131,7 @@ def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, A
 
 
 def _explain(record: Mapping[str, Any]) -> list[str]:
-    """What the columns mean, and what went wrong."""
+    """Return lines that explain the columns and say what went wrong."""
     views, top = record["views"], record["levels"][-1]["name"]
     lines = [
         f" Reuse is the share of a level that stands unchanged in the next; {top} is the scene itself, bit by bit."
@@ -154,6 +154,6 @@ def _spread(values: Any) -> dict[str, float]:
 
 
 def _step(record: Record) -> dict[str, Any]:
-    """One point of a curve; times differ from run to run and are left out."""
+    """Return one point of a curve, without times, which differ from run to run."""
     point = record.as_json()
     return {"step": point["step"], "loss": point["loss"], "gaussians": point["count"], "psnr": point["psnr"]}

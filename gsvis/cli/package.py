@@ -1,4 +1,4 @@
-"""`gsvis verify` and `gsvis unpack`: is a package whole, and back to PLYs."""
+"""`gsvis verify` and `gsvis unpack`: check that a package is whole, and write it back as PLYs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["run_unpack", "run_verify", "size_rows"]
 
 
 def run_verify(command: Verify) -> None:
-    """Read everything, say what it is.
+    """Verify a package: read everything and print what it holds.
 
     Raises:
         FormatError: If anything is missing, damaged or of a newer version.
@@ -55,7 +55,7 @@ def run_verify(command: Verify) -> None:
 
 
 def run_unpack(command: Unpack) -> None:
-    """Write one PLY for each level, say where.
+    """Unpack a package: write one PLY for each level and print the paths.
 
     Raises:
         FormatError: If the package is damaged.
@@ -88,10 +88,10 @@ def run_unpack(command: Unpack) -> None:
 
 
 def _check_replaced(folder: Path, manifest: Manifest) -> None:
-    """Refuse to replace what is not an earlier unpacking of this scene.
+    """Raise if files would be replaced that are not an earlier unpacking of this scene.
 
     Raises:
-        ValueError: If a file of that name is something else.
+        ValueError: If the folder holds such files, or its map cannot be read.
     """
     known: tuple[str, ...] = ()
     wanted = f"--out: expected a new folder, or what was unpacked from this scene, got {folder}"
@@ -109,7 +109,7 @@ def _check_replaced(folder: Path, manifest: Manifest) -> None:
 
 
 def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
-    """Rows that tell where the bytes of a package are."""
+    """Return table rows with the bytes of each kind of part of a package."""
     sizes, n = manifest.sizes(), max(1, manifest.gaussians)
     records = sizes["records"] + sizes["chunks"]
     rows = [("  records", f"{size_of(records)}, {records / n:.1f} bytes a Gaussian")]

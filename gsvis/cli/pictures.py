@@ -1,4 +1,4 @@
-"""Pictures into files: a PNG, a numbered sequence or an animated GIF, with depth beside it; whole or not at all.
+"""Write pictures atomically: a PNG, a numbered sequence or an animated GIF, with depth pictures beside them.
 
 Colors of trained scenes are display-referred already: clipped to [0, 1] and written in 8 bits.
 """
@@ -26,14 +26,14 @@ from gsvis.files.output import TEMPORARY, output_errors
 
 __all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
 
-_MARK = "gsvis"  # in the pictures that are ours, and so may be replaced
-_SEEN = 1.0 / 255.0  # alpha from which a pixel has a depth
+_MARK = "gsvis"  # marks pictures of gsvis, which may be replaced
+_SEEN = 1.0 / 255.0  # least alpha of a pixel with a depth
 _RANGE = (0.01, 0.99)  # quantiles of the depths of a frame that the colors span
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What one camera sees.
+    """The render of one camera.
 
     Attributes:
         image: (H, W, 3) float32, 0 black, 1 white.
@@ -48,12 +48,12 @@ class Frame:
 
 @dataclass(frozen=True)
 class Target:
-    """Where pictures go.
+    """Where to write pictures.
 
     Attributes:
         path: The file or the folder.
         kind: One picture, an animation, or a folder of numbered pictures.
-        count: How many frames there will be.
+        count: Number of frames.
     """
 
     path: Path
@@ -62,25 +62,25 @@ class Target:
 
     @property
     def files(self) -> list[Path]:
-        """The pictures, in order."""
+        """Paths of the pictures, in order."""
         if self.kind != "folder":
             return [self.path]
         return [self.path / f"{i:0{self._digits}d}.png" for i in range(self.count)]
 
     @property
     def depth_files(self) -> list[Path]:
-        """The depth pictures, in the same order."""
+        """Paths of the depth pictures, in the same order."""
         return [path.with_name(f"{path.stem}_depth{path.suffix}") for path in self.files]
 
     def older(self) -> int:
-        """How many numbered pictures of an earlier, longer sequence the folder holds."""
+        """Return how many numbered pictures of an earlier, longer sequence the folder holds."""
         if self.kind != "folder" or not self.path.is_dir():
             return 0
         numbers = (path.stem for path in self.path.glob("*.png") if len(path.stem) >= self._digits)
         return sum(stem.isdecimal() and int(stem) >= self.count for stem in numbers)
 
     def foreign(self, depth: bool) -> list[Path]:
-        """Files that would be replaced and that `gsvis render` did not write."""
+        """Return the files that would be replaced and that `gsvis render` did not write."""
         paths = [*self.files, *(self.depth_files if depth else [])]
         return [path for path in paths if path.exists() and not _is_own(path)]
 
@@ -90,12 +90,12 @@ class Target:
 
 
 def target_of(out: str, count: int) -> Target:
-    """Where `count` pictures go, checked before the work; leaves no trace.
+    """Return where to write `count` pictures; check it without leaving a file behind.
 
     Raises:
         ValueError: If the name fits neither a picture, an animation nor a folder, or several cameras would go into
             one picture.
-        OSError: If nothing may be written there.
+        OSError: If nothing can be written there.
     """
     path = Path(out)
     suffix = path.suffix.lower()
@@ -113,17 +113,17 @@ def target_of(out: str, count: int) -> Target:
 
 
 def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: float) -> tuple[float, float] | None:
-    """Write frames as they come; they appear at their place together, when the last one is done.
+    """Write frames as they arrive; all files appear together after the last frame.
 
     Args:
-        target: Where to.
-        frames: As many as `target` counts; one at a time is held in full.
-        depth: Whether to write depth too.
+        target: Where to write.
+        frames: As many frames as `target.count`; only one frame is held in full at a time.
+        depth: Whether to write depth pictures too.
         fps: Frames a second of an animation.
 
     Returns:
-        Depths, in scene units, of the first and the last color in the depth pictures, the same in all of them; None
-        without them or where nothing is seen.
+        Depths, in scene units, of the first and the last color in all depth pictures; None without depth pictures, or
+        if nothing is seen.
     """
     animation: list[Image.Image] = []
     with ExitStack() as stack:
@@ -138,7 +138,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
                 place(target.files[i]).write_bytes(_png(picture))
             if depth:
                 z = np.where(frame.alpha >= _SEEN, frame.depth, 0.0).astype(np.float32)
-                with output_errors(kept, remedy=TEMPORARY):  # colors span all frames: they are known after the last
+                with output_errors(kept, remedy=TEMPORARY):  # colors span all frames, so keep depths to the end
                     (kept / f"{i}.npy").write_bytes(_npy(z))
                 if z.any():
                     low, high = np.quantile(z[z > 0.0], _RANGE).tolist()
@@ -154,7 +154,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
 
 @contextmanager
 def _partial_paths(target: Target, depth: bool) -> Iterator[Callable[[Path], Path]]:
-    """Where to write each file until all are there."""
+    """Yield a function from the path of a file to the path to write it to until all are complete."""
     if target.kind == "folder":
         with atomic_folder(target.path) as folder:
             yield lambda path: folder / path.name
@@ -182,8 +182,8 @@ def _write_depths(
 
 
 def _save_animation(path: Path, frames: list[Image.Image], fps: float, comment: str) -> None:
-    hundredths = max(2, round(100.0 / fps))  # the format counts in these, and browsers slow down what is shorter than 2
-    out = io.BytesIO()  # to a file Pillow writes by itself, and loses the reason where it cannot
+    hundredths = max(2, round(100.0 / fps))  # GIF counts in 1/100 s; browsers slow down frames below 2
+    out = io.BytesIO()  # if Pillow writes the file itself, it loses the reason of an error
     frames[0].save(
         out, "gif", save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0,
         comment=f"{_MARK} {comment}".strip().encode(),
@@ -192,7 +192,7 @@ def _save_animation(path: Path, frames: list[Image.Image], fps: float, comment: 
 
 
 def _png(picture: Image.Image, **texts: str) -> bytes:
-    """A PNG that says what made it."""
+    """Return the bytes of a PNG that names gsvis as its software."""
     info, out = PngInfo(), io.BytesIO()
     for name, text in {"Software": _MARK, **texts}.items():
         info.add_text(name, text)
@@ -201,14 +201,14 @@ def _png(picture: Image.Image, **texts: str) -> bytes:
 
 
 def _npy(array: NDArray[np.float32]) -> bytes:
-    """An array as a .npy file; `np.save` loses the reason where it cannot write."""
+    """Return the bytes of a .npy file; `np.save` to a file loses the reason of an error."""
     out = io.BytesIO()
     np.save(out, array)
     return out.getvalue()
 
 
 def _is_own(path: Path) -> bool:
-    """Whether a file is a picture that `gsvis render` wrote."""
+    """Return whether `gsvis render` wrote a file."""
     try:
         with open_regular(path) as file, Image.open(file) as picture:
             comment = picture.info.get("comment", b"")
@@ -219,12 +219,12 @@ def _is_own(path: Path) -> bool:
 
 
 def eight_bit(image: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(..., 3) values of [0, 1] as 0 to 255; what lies outside is clipped."""
+    """Return values (..., 3), clipped to [0, 1], as 0 to 255."""
     return np.asarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0), np.uint8)
 
 
 def _color_depth(depth: NDArray[np.float32], near: float, far: float) -> NDArray[np.uint8]:
-    """(H, W, 3) viridis from near to far; black where the depth is 0."""
+    """Return (H, W, 3) viridis colors from near to far; black where the depth is 0."""
     from matplotlib import colormaps
 
     colors = np.asarray(colormaps["viridis"](np.arange(256), bytes=True)[:, :3], np.uint8)

@@ -1,4 +1,4 @@
-"""`gsvis prepare`: a scene to a package that can be served, from wherever an earlier run stood."""
+"""`gsvis prepare`: make a package to serve from a scene; resume an interrupted run."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _OF_TRAINING = ("levels", "reuse", "names", "steps", "views", "size", "photos")
 
 
 def run_prepare(command: Prepare) -> None:
-    """Check, make what is missing, write the package, say what came out.
+    """Prepare a package: check, make what is missing, write the package, print the result.
 
     Raises:
-        GsvisError: If a file cannot be read, or the scene or the photographs cannot serve.
+        GsvisError: If a file cannot be read, or the scene or the photographs cannot be used.
         ValueError: If an argument is wrong, or something else would be replaced.
         FileNotFoundError: If a file is missing.
         OSError: If the package cannot be written.
@@ -86,7 +86,7 @@ def run_prepare(command: Prepare) -> None:
 
 
 def _check_arguments(command: Prepare) -> PrepareConfig:
-    """Everything about the arguments that can be known before work begins."""
+    """Check the arguments before work begins; return the settings of the preparation."""
     from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
     from gsvis.prepare.colors import ColorConfig
@@ -99,7 +99,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     parse_up(command.up)
     _check_training(command)
     check_folder(Path(command.out).absolute().parent)
-    check_target(Path(command.out))  # before a large scene is read; `prepare_package` looks again before it works
+    check_target(Path(command.out))  # before reading a large scene; `prepare_package` checks again
     WorkFolder(command.out).check()
     sampling = view_sampling(command.views, command.size, command.seed)
     levels = None
@@ -143,10 +143,10 @@ def _check_training(command: Prepare) -> None:
 
 
 class _Progress:
-    """Progress that readies kernels before they are waited for, and lets Ctrl-C wait for the end of a step of training.
+    """A progress callback that loads kernels before the stage that needs them, and delays Ctrl-C to the end of a step.
 
     Args:
-        config: What will be done.
+        config: Settings of the preparation.
         status: Progress display.
     """
 
@@ -163,13 +163,13 @@ class _Progress:
         self._trains(False)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """The progress callback."""
+        """Report progress of a stage; load the kernels that it needs first."""
         if stage in self._warm:
             self._warm.remove(stage)
             self._ready(stage)
         trains = stage == "prune" or stage.startswith("train ")
         self._trains(trains)
-        if (stage, done) != self._said:  # an end may be reported twice
+        if (stage, done) != self._said:  # the last step may be reported twice
             self._status(stage.replace("train ", "training ", 1), done, total)
         self._said = stage, done
         if trains and self._stop_if_asked is not None:
@@ -185,7 +185,7 @@ class _Progress:
             warm_levels(self._config.levels, self._status)
 
     def _trains(self, trains: bool) -> None:
-        """Begin or end the time in which signals wait."""
+        """Start or stop delaying Ctrl-C and SIGTERM to the end of a step of training."""
         if trains and self._training is None:
             self._training = ExitStack()
             self._stop_if_asked = self._training.enter_context(between_steps())

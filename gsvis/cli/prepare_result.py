@@ -1,4 +1,4 @@
-"""What `gsvis prepare` tells: a package and how it came about, or what it would cost."""
+"""Print the result of `gsvis prepare`: the package and how it was made, or what it would cost."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CALLED = {
 
 
 def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared) -> None:
-    """Print the document or the tables."""
+    """Print the package and its stages, as a JSON document or as tables."""
     m = prepared.manifest
     cost, seconds = m.info.cost, sum(stage.seconds for stage in prepared.stages)
     levels = [{"name": n, "gaussians": c} for n, c in zip(m.names, m.counts, strict=True)]
@@ -73,7 +73,7 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
 
 
 def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what --json prints of the package."""
+    """Return the part of the JSON document about the package."""
     m = prepared.manifest
     return {
         "gaussians": m.gaussians,
@@ -96,7 +96,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
 
 
 def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate) -> None:
-    """Print the document or the tables."""
+    """Print the estimated cost, as a JSON document or as tables."""
     if command.json:
         print_json(
             {
@@ -145,7 +145,7 @@ def _quality(quality: dict[str, Any] | None, names: tuple[str, ...]) -> list[tup
 
 
 def _axis(up: tuple[float, float, float]) -> str:
-    """'+z', or three numbers."""
+    """Return an axis as text: a name such as '+z', or three numbers."""
     for k, name in enumerate("xyz"):
         if abs(abs(up[k]) - 1.0) < 1e-9:
             return ("+" if up[k] > 0 else "-") + name

@@ -1,4 +1,4 @@
-"""`gsvis pvs`: what can be seen from each cell of the space where eyes may be, as a store."""
+"""`gsvis pvs`: find the visible set of each cell of the navigable space, and write them as a store."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _CELLS = 512
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What is to be built."""
+    """What to build: the scene, its cells and space, settings, and remarks for the user."""
 
     source: Source
     grid: CellGrid
@@ -54,14 +54,14 @@ class _Plan:
 
 
 def run_pvs(command: Pvs) -> None:
-    """Read, cut into cells, look from each, write the store, say what is in it.
+    """Build a store: read, cut the space into cells, find visible sets, write the store, print the result.
 
     Raises:
-        GsvisError: If a file cannot be read, the scene cannot serve, or no cluster answers.
+        GsvisError: If a file cannot be read, the scene cannot be used, or no cluster answers.
         ValueError: If an argument is wrong.
         FileNotFoundError: If a file is missing.
         OSError: If the store cannot be written.
-        KeyboardInterrupt: With a word on what is kept, if the user has had enough.
+        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     config = _check_arguments(command)
     walk = None if command.path is None else load_path(command.path)
@@ -84,7 +84,7 @@ def run_pvs(command: Pvs) -> None:
 
 
 def _check_arguments(command: Pvs) -> PvsConfig:
-    """Everything about the arguments that can be known before work begins."""
+    """Check the arguments before work begins; return the settings of the build."""
     check_source(command.scene, command.lod)
     check_file(command.out)
     _check_target(command)
@@ -105,7 +105,7 @@ def _check_arguments(command: Pvs) -> PvsConfig:
 
 
 def sets_config(size: int | None, max_viewpoints: int | None, **more: Any) -> PvsConfig:
-    """How visible sets are found, with the defaults for what is left open."""
+    """Return how to find visible sets; an argument of None takes its default."""
     chosen: dict[str, Any] = {
         name: n for name, n in (("size", size), ("max_viewpoints", max_viewpoints)) if n is not None
     }
@@ -114,7 +114,7 @@ def sets_config(size: int | None, max_viewpoints: int | None, **more: Any) -> Pv
 
 
 def _check_target(command: Pvs) -> None:
-    """Refuse to replace what is no store: a slip of the keyboard must not cost a scene."""
+    """Raise if a file that is not a store would be replaced: a typo must not destroy a scene."""
     target = Path(command.out)
     if not target.is_file() or target.stat().st_size == 0:
         return
@@ -130,7 +130,7 @@ def _check_target(command: Pvs) -> None:
 
 
 def _check_replaced(command: Pvs, source: Source) -> None:
-    """Refuse to replace a whole store of another scene: it took hours."""
+    """Raise if a complete store of another scene would be replaced: it took hours to build."""
     if not Path(command.out).is_file():
         return
     try:
@@ -157,13 +157,13 @@ def _workers(command: Pvs) -> Iterator[Workers]:
 
 
 def local_workers(count: int | None, max_memory: int | None) -> Workers:
-    """Processes of this machine, one per core by default."""
+    """Return worker processes on this machine, one per core by default."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return Workers(count or cores, max_memory)
 
 
 def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
-    """The scene, the space and its cells."""
+    """Read the scene, find its navigable space and cut it into cells."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     if len(source.gaussians) == 0:
@@ -179,7 +179,7 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
 
 
 def _space(command: Pvs, source: Source, walk: HeadPath | None) -> tuple[NavigableSpace, list[str]]:
-    """Where eyes may be: the box, along the walk, or anywhere in the scene."""
+    """Return the navigable space and remarks: in the box or the scene, and near the walk if there is one."""
     space = free_space(source, command.box, command.up)
     if walk is None:
         return space, []
@@ -218,7 +218,7 @@ def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> Visib
 
 
 def _about(plan: _Plan) -> dict[str, Any]:
-    """What was, or would be, built."""
+    """Return a JSON summary of what is built."""
     return {
         "scene": plan.source.name,
         "lod": plan.source.lod,

@@ -1,4 +1,4 @@
-"""`gsvis pvs-report`: how good the sets of a store are at viewpoints that building never used, as a report."""
+"""`gsvis pvs-report`: report how good the visible sets of a store are at viewpoints that the build did not use."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OPTIONS = ("lod", "cells", "viewpoints", "dense", "width", "height", "fov", "ra
 
 
 def run_pvs_report(command: PvsReport) -> None:
-    """Open the store, read the scene, measure, write the report, print tables or JSON.
+    """Report on a store: open it, read the scene, measure, write the report, print tables or JSON.
 
     Raises:
         GsvisError: If a file cannot be read, the store is damaged or of another scene, or nothing can be measured.
@@ -45,7 +45,7 @@ def run_pvs_report(command: PvsReport) -> None:
 
 
 def _write_report(command: PvsReport, store: VisibilityStore, status: Status) -> dict[str, Any]:
-    """Everything between the opened store and a written report."""
+    """Read the scene, measure the store and write the report; return its document."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     store.check_scene(source.whole)
@@ -76,7 +76,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
 
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:
-    """Where fresh viewpoints are drawn, and in words: in the space of the build if it can be found again."""
+    """Return where to sample fresh viewpoints, and its description: in the space of the build if it is found again."""
     from gsvis.pvs.quality import box_space
 
     space, _ = navigable_space(source, up=store.grid.up)
@@ -88,14 +88,14 @@ def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints,
                 text = "in the navigable space of the scene, of which the store covers a part"
             try:
                 return CellViewpoints(store.grid, space), text
-            except ValueError:  # some cell has no free voxel: the cells are of another space
+            except ValueError:  # a cell has no free voxel: the cells are of another space
                 pass
     text = "anywhere in the boxes of the cells, since the space they were cut from is not known"
     return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), text
 
 
 def _command_line(command: PvsReport) -> str:
-    """The command line that makes the report again."""
+    """Return the command line that makes the report again."""
     words = ["gsvis", "pvs-report", command.store, command.scene, "-o", command.out]
     for name in _OPTIONS:
         value = getattr(command, name)
@@ -107,7 +107,7 @@ def _command_line(command: PvsReport) -> str:
 
 
 def _tables(document: dict[str, Any]) -> list[Any]:
-    """What was measured, the figures beside their targets, and what faint classes are worth."""
+    """Return three tables: what was measured, the figures beside their targets, and the value of faint classes."""
     from gsvis.report.pvs_page import format_target, format_value
 
     store, quality = document["store"], document["quality"]

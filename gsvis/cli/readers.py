@@ -1,6 +1,6 @@
-"""How `tyro` reads one value of a command line, and what it says of a wrong one.
+"""Parsers of single command-line values for `tyro`, with their error messages.
 
-Nothing heavy is imported here: `gsvis --help` has to be quick.
+This module imports nothing heavy, so that `gsvis --help` is quick.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ __all__ = [
 
 
 def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
-    """How tyro reads one number in [low, high]; `what` completes 'expected ...'."""
+    """Return a tyro parser of one number in [low, high]; `what` completes the message 'expected ...'."""
 
     def read(words: list[str]) -> float:
         try:
@@ -94,7 +94,7 @@ def _read_box(words: list[str]) -> tuple[float, ...]:
 
 
 def _numbers(metavar: str, low: float = -1e30, high: float = 1e30, what: str = "three finite numbers") -> Any:
-    """How tyro reads as many numbers in [low, high] as `metavar` has words."""
+    """Return a tyro parser of as many numbers in [low, high] as `metavar` has words."""
 
     def read(words: list[str]) -> tuple[float, ...]:
         try:
@@ -229,7 +229,7 @@ RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
 
 
 def hint(text: str) -> Any:
-    """What the help says of a default."""
+    """Return the tyro setting that shows a text as the default in the help."""
     return arg(help_behavior_hint=f"(default: {text})")
 
 

@@ -1,4 +1,4 @@
-"""`gsvis render`: what cameras see, as pictures, depth, an animation, or the list of who contributes to a pixel."""
+"""`gsvis render`: render cameras as pictures, depth or an animation, or list the contributors to a pixel."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from gsvis.scene.gaussians import Gaussians
 __all__ = ["run_render"]
 
 _FPS = 12.0
-_ROWS = 40  # of the table of contributors
+_ROWS = 40  # most rows of the table of contributors
 
 
 @dataclass(frozen=True, eq=False)
 class _Done:
-    """What came of it."""
+    """The result of a run."""
 
     source: Source
     cameras: Cameras
@@ -43,10 +43,10 @@ class _Done:
 
 
 def run_render(command: Render) -> None:
-    """Read, place cameras, draw, write, say what became of it.
+    """Render a scene: read, place cameras, draw, write, print the result.
 
     Raises:
-        GsvisError: If a file cannot be read, the scene cannot serve, or the backend cannot run here.
+        GsvisError: If a file cannot be read, the scene cannot be used, or the backend cannot run here.
         ValueError: If an argument is wrong.
         FileNotFoundError: If a file is missing.
         OSError: If the pictures cannot be written.
@@ -73,7 +73,7 @@ def run_render(command: Render) -> None:
 
 
 def _render(command: Render, given: Cameras | None, target: Target | None, backend: str, status: Status) -> _Done:
-    """Everything between reading the scene and written pictures."""
+    """Read the scene, render it and write the pictures; return the result."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     if len(source.gaussians) == 0:
@@ -99,7 +99,7 @@ def _render(command: Render, given: Cameras | None, target: Target | None, backe
 
 
 def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, status: Status) -> Iterator[Frame]:
-    """What each camera sees, one at a time."""
+    """Yield the render of each camera, one at a time."""
     scene: Any = g
     if backend == "cuda":  # once, not for every frame
         from gsvis.render import GaussianTensors
@@ -120,10 +120,10 @@ def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, statu
 
 
 def _backend(asked: str) -> str:
-    """The backend that will draw.
+    """Return the backend to use: the one asked for; for "auto", cuda if it can run here, else cpu.
 
     Raises:
-        BackendError: If it cannot run here.
+        BackendError: If cuda is asked for and cannot run here.
     """
     missing = is_available() if asked in ("auto", "cuda") else ""
     if asked == "cuda" and missing:
@@ -132,14 +132,14 @@ def _backend(asked: str) -> str:
 
 
 def _warm_up(backend: str) -> None:
-    """Compile the kernels, or load them, on a scene of one Gaussian, so that the first run tells what it waits for."""
+    """Compile or load the kernels on a scene of one Gaussian, so that progress shows this time as a stage."""
     if backend == "cpu":
         one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
         rasterize(one, Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1), backend="cpu")
 
 
 def _target(command: Render, count: int) -> Target | None:
-    """Where pictures go, checked; None if only contributors are asked for."""
+    """Return where to write pictures, checked; None if only contributors are asked for."""
     if command.contributors is not None and count > 1:
         raise ValueError(f"--contributors: expected one camera, got {count}; choose one, as with --index 0")
     if command.out is None:
@@ -166,7 +166,7 @@ def _check_pixel(pixel: tuple[int, int], cameras: Cameras) -> None:
 
 
 def _lines(command: Render, target: Target, done: _Done) -> list[str]:
-    """What was written, in words."""
+    """Return lines that say what was written."""
     count, size = target.count, f"{done.cameras.width} x {done.cameras.height}"
     took = f"{len(done.source.gaussians):,} Gaussians, {done.seconds / count:.2f} s"
     if count == 1:
@@ -184,7 +184,7 @@ def _lines(command: Render, target: Target, done: _Done) -> list[str]:
 
 
 def _table(command: Render, found: PixelContributors) -> list[Any]:
-    """The contributors to a pixel, the weightiest if there are too many, front to back."""
+    """Return a table of the contributors to a pixel, front to back; those of largest weight if there are too many."""
     x, y = command.contributors or (0, 0)
     total = float(found.weights.sum(dtype=np.float64))
     if len(found) == 0:

@@ -1,4 +1,4 @@
-"""`gsvis serve`: packages to viewers, until it is stopped. Log lines go to stderr, the address to stdout on request."""
+"""`gsvis serve`: serve packages to viewers until stopped. Logs go to stderr; with --json the address goes to stdout."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def run_serve(command: Serve) -> None:
     """Open the packages and serve them.
 
     Raises:
-        FormatError: If no package can be opened, since they are damaged.
+        FormatError: If no package can be opened because all are damaged.
         OSError: If the address is taken.
         ValueError: If an argument is wrong.
     """
@@ -39,12 +39,12 @@ def run_serve(command: Serve) -> None:
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:
-            open_regular(path).close()  # the error of OpenSSL would not name it
+            open_regular(path).close()  # an error of OpenSSL would not name the file
     with open_scenes(command.package, max_cache_bytes=command.cache, warm=True) as scenes:
         try:
             server = Server(scenes, config, address, planners=command.planners)
         except OSError as error:
-            if error.filename is None:  # a certificate that OpenSSL does not like has no name in its error
+            if error.filename is None:  # OpenSSL rejects a certificate without naming the file
                 raise BackendError(f"TLS: {error}; check --ssl-certfile and --ssl-keyfile") from error
             raise
         if command.json:
@@ -56,13 +56,13 @@ def run_serve(command: Serve) -> None:
 
 @contextmanager
 def _start_spared_by_gc() -> Iterator[None]:
-    """Keep the garbage collector from looking at what is there already: hundreds of thousands of objects that stay.
+    """Exclude existing objects from garbage collection: hundreds of thousands of objects that stay.
 
-    A full collection then takes milliseconds. It is also due after fewer new objects, a quarter of those that stay.
+    A full collection then takes milliseconds. It also runs after fewer new objects, a quarter of those that stay.
     """
     gc.collect()
     gc.freeze()
-    gc.collect()  # the collector learns here how many stay
+    gc.collect()  # tells the collector how many objects stay
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""`gsvis simulate`: what a viewer sees while packages arrive over a recorded link, beside two other ways to send."""
+"""`gsvis simulate`: simulate what a viewer sees while packages arrive over a recorded link; compare two baselines."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NOT_SPELLED = ("package", "path", "out", "json", "debug")
 
 
 def run_simulate(command: Simulate) -> None:
-    """Read, play, watch, write the report, print tables or JSON.
+    """Simulate sessions: read, play, watch, write the report, print tables or JSON.
 
     Raises:
         GsvisError: If a file cannot be read, a package is damaged, or the path fits nowhere.
@@ -58,7 +58,7 @@ def run_simulate(command: Simulate) -> None:
 
 
 def _check(command: Simulate) -> None:
-    """Say at once what does not fit together."""
+    """Raise if arguments contradict each other, or an input is missing or cannot be opened."""
     if not command.package:
         raise ValueError("PACKAGE: expected at least one package, got none")
     if command.trace is not None and command.mbit is not None:
@@ -78,14 +78,14 @@ def _check(command: Simulate) -> None:
 
 
 def _trace(command: Simulate) -> BandwidthTrace:
-    """The rate of the link."""
+    """Return the bandwidth of the link over time."""
     from gsvis.abr import BandwidthTrace, load_trace
 
     return load_trace(command.trace) if command.trace else BandwidthTrace.constant(command.mbit or _MBIT)
 
 
 def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, status: Status) -> dict[str, Any]:
-    """Everything between the read arguments and a written report."""
+    """Simulate all visits and write the report; return its document."""
     from gsvis.abr import AbrConfig
     from gsvis.report.session_document import Simulation, write_session_report
     from gsvis.simulate import Link, ViewingConfig
@@ -110,7 +110,7 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
 
 
 def _places(command: Simulate, opened: ExitStack, status: Status) -> list[Place]:
-    """Return all packages, made ready."""
+    """Open all packages; return them as places to simulate visits in."""
     from gsvis.simulate.visits import Place
 
     status("reading", 0, len(command.package))
@@ -128,7 +128,7 @@ def _places(command: Simulate, opened: ExitStack, status: Status) -> list[Place]
 
 
 def _command_line(command: Simulate) -> str:
-    """The command line that makes the report again."""
+    """Return the command line that makes the report again."""
     words = ["gsvis", "simulate", *command.package, "--path", command.path, "-o", command.out]
     for name, value in vars(command).items():
         if name in _NOT_SPELLED or value == getattr(Simulate, name):
@@ -146,7 +146,7 @@ def _plain(value: Any) -> Any:
 
 
 def _tables(document: dict[str, Any]) -> list[Any]:
-    """A table of figures for each visit."""
+    """Return one line about the link, and a table of figures for each visit."""
     from gsvis.report.session_page import format_figures
 
     link = document["link"]

@@ -1,4 +1,4 @@
-"""Where a command's scene and cameras come from: a file, a built-in scene, or sampling; and where results may go."""
+"""Load the scene and cameras of a command from a file, a built-in scene or sampling; check where results may go."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ class Source:
     """A scene and what is known about it besides its Gaussians.
 
     Attributes:
-        name: What to call it in a report.
-        gaussians: The scene; of levels the highest, which is what pictures show.
-        path: Its file; None for a built-in scene.
-        lod: The level of detail that was asked for.
-        lods: Levels of detail that are present in a streamed scene; empty for any other.
+        name: Name of the scene in a report.
+        gaussians: The scene; for a folder of levels the highest level, which pictures show.
+        path: File or folder of the scene; None for a built-in scene.
+        lod: The LOD that was read; None for a scene without.
+        lods: LODs that are present in a streamed scene; empty for any other.
         navigable: Known navigable space of a built-in scene.
-        levels: All levels, of a folder of them.
+        levels: All levels of a folder of levels; None for any other scene.
     """
 
     name: str
@@ -83,12 +83,12 @@ class Source:
         return self.gaussians if self.levels is None else self.levels.union
 
     def shown(self, colors: SrbfColors) -> SrbfColors:
-        """Of colors of the union, those of `gaussians`."""
+        """Return the colors of `gaussians`, from colors of the union."""
         return colors if self.levels is None else colors[self.levels.member(len(self.levels) - 1)]
 
 
 def is_levels(scene: str) -> bool:
-    """Whether a path is a folder that `gsvis levels` wrote."""
+    """Return whether a path is a folder that `gsvis levels` wrote."""
     if not Path(scene).is_dir():
         return False
     from gsvis.io.levels import MAP
@@ -97,10 +97,11 @@ def is_levels(scene: str) -> bool:
 
 
 def check_source(scene: str, lod: int | None) -> None:
-    """Say at once what is wrong with the name of a scene.
+    """Raise unless a scene of that name exists and `lod` fits it.
 
     Raises:
-        ValueError: If there is no built-in scene of that name, or one without levels of detail is asked for one.
+        ValueError: If there is no built-in scene of that name, or `lod` is given for a built-in scene or a folder of
+            levels.
         FileNotFoundError: If there is no such file.
     """
     if not scene.startswith(BUILTIN):
@@ -121,7 +122,7 @@ def check_source(scene: str, lod: int | None) -> None:
 
 
 def load_source(scene: str, lod: int | None) -> Source:
-    """The scene of a path or a `builtin:NAME`; all levels of a folder of them.
+    """Load the scene of a path or a `builtin:NAME`, with all levels if it is a folder of levels.
 
     Raises:
         GsvisError: If the file cannot be read as a scene.
@@ -152,7 +153,7 @@ def load_source(scene: str, lod: int | None) -> Source:
 
 
 def summarize_levels(source: Source) -> list[dict[str, Any]] | None:
-    """Names and sizes of the levels for JSON; None for a scene without."""
+    """Return names and sizes of the levels for JSON; None for a scene without levels."""
     found = source.levels
     if found is None:
         return None
@@ -160,13 +161,13 @@ def summarize_levels(source: Source) -> list[dict[str, Any]] | None:
 
 
 def levels_spelled(source: Source) -> str:
-    """' in levels low 300, high 1,000', or nothing."""
+    """Return text such as ' in levels low 300, high 1,000'; empty for a scene without levels."""
     sizes = ", ".join(f"{each['name']} {each['gaussians']:,}" for each in summarize_levels(source) or ())
     return f" in levels {sizes}" if sizes else ""
 
 
 def inspect_scene_of(source: Source) -> dict[str, Any]:
-    """What inspection says of a scene, as a dict; what is known of a built-in scene is not guessed."""
+    """Return the inspection of a scene as a dict; take the up axis of a built-in scene instead of guessing it."""
     up = None
     if source.navigable is not None:
         known = source.navigable.up
@@ -175,7 +176,7 @@ def inspect_scene_of(source: Source) -> dict[str, Any]:
 
 
 def _title(path: Path, lod: int | None) -> str:
-    """'showroom, LOD 3' for showroom/lod-meta.json, 'biker' for biker.compressed.ply."""
+    """Return a title: 'showroom, LOD 3' for showroom/lod-meta.json, 'biker' for biker.compressed.ply."""
     resolved = path.resolve()
     inner = resolved.name in ("lod-meta.json", "meta.json") or resolved.is_dir()
     name = (resolved if resolved.is_dir() else resolved.parent).name if inner else resolved.name.split(".")[0]
@@ -185,11 +186,11 @@ def _title(path: Path, lod: int | None) -> str:
 def navigable_space(
     source: Source, *, up: ArrayLike | None = None, seeds: ArrayLike | None = None
 ) -> tuple[NavigableSpace | None, str]:
-    """Where eyes may be, or None and why not.
+    """Return the navigable space of a scene and ""; None and the reason if there is none.
 
     Args:
-        source: The scene; a built-in one knows its space.
-        up: (3,) up axis; guessed, or that of the built-in scene, by default.
+        source: The scene; a built-in scene has a known space.
+        up: (3,) up axis; None means that of the built-in scene, else a guess.
         seeds: (S, 3) positions known to be navigable.
     """
     if source.navigable is not None:
@@ -201,15 +202,15 @@ def navigable_space(
 
 
 def free_space(source: Source, box: Sequence[float] | None, up: str | None) -> NavigableSpace:
-    """Where eyes may be: in the box, or anywhere in the scene.
+    """Return the navigable space: the box, or that of the scene.
 
     Args:
         source: The scene.
         box: Lowest and highest corner; None for the navigable space of the scene.
-        up: As --up says; None leaves it open.
+        up: Value of --up; None means that of the built-in scene, else +z for a box, else a guess.
 
     Raises:
-        SceneError: If there is no such place.
+        SceneError: If the scene has no navigable space.
     """
     axis = parse_up(up)
     if box is not None:
@@ -222,10 +223,10 @@ def free_space(source: Source, box: Sequence[float] | None, up: str | None) -> N
 
 
 def parse_up(axis: str | None) -> NDArray[np.float64] | None:
-    """The up axis of --up, (3,); None where it is left open.
+    """Return the (3,) up axis of --up; None without --up.
 
     Raises:
-        ValueError: If it names no axis.
+        ValueError: If the value is not the name of an axis.
     """
     if axis is not None and axis.strip() not in AXES:
         raise ValueError(f"--up: expected one of {', '.join(AXES)}, got {axis.strip()!r}")
@@ -233,18 +234,18 @@ def parse_up(axis: str | None) -> NDArray[np.float64] | None:
 
 
 def file_cameras(path: str, width: int | None, height: int | None, *, at_most: int | None = None) -> Cameras:
-    """The cameras of a file at the size that is asked for; a side left open follows from the file's aspect.
+    """Load the cameras of a file, at the given size.
 
     Args:
-        path: Anything `load_cameras` reads.
-        width: Pixels.
-        height: Pixels.
-        at_most: Pixels across where neither is given, if the file's are more; None keeps the file's.
+        path: A file that `load_cameras` reads.
+        width: Pixels; None follows from `height` and the file's aspect.
+        height: Pixels; None follows from the width and the file's aspect.
+        at_most: Most pixels across if neither width nor height is given; None keeps the file's size.
 
     Raises:
         FormatError: If the file cannot be read.
-        FileNotFoundError: If there is none.
-        ValueError: If it holds no camera.
+        FileNotFoundError: If there is no file.
+        ValueError: If the file holds no camera.
     """
     from gsvis.io.cameras import load_cameras
 
@@ -261,19 +262,19 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
 
 
 def is_builtin(scene: str) -> bool:
-    """Whether a scene is named that gsvis makes itself."""
+    """Return whether a name is that of a built-in scene, by its prefix."""
     return scene.startswith(BUILTIN)
 
 
 def evenly(cameras: Cameras, count: int) -> Cameras:
-    """`count` of the cameras at even steps, in their order; all of them if there are not more."""
+    """Return `count` of the cameras, evenly spaced, in their order; all if there are no more."""
     if count >= len(cameras):
         return cameras
     return cameras[np.floor(np.arange(count) * len(cameras) / count).astype(int)]
 
 
 def inputs_of(scene: str) -> list[Path]:
-    """What is read: the path of the scene, and the files in a folder of levels.
+    """Return the files that are read: the path of the scene, or the files in a folder of levels.
 
     Raises:
         FormatError: If the map of levels is damaged.
@@ -286,7 +287,7 @@ def inputs_of(scene: str) -> list[Path]:
 
 
 def check_file(path: str | os.PathLike[str]) -> None:
-    """Say at once if a file cannot be written; leaves no trace.
+    """Raise unless a file can be written; leave no file behind.
 
     Raises:
         ValueError: If the path is a folder, or a folder above it is a file.
@@ -298,19 +299,19 @@ def check_file(path: str | os.PathLike[str]) -> None:
 
 
 def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
-    """Refuse to replace a file unless that was asked for: a slip of the keyboard must not cost a scene.
+    """Raise if a file exists, unless it may be overwritten: a typo must not destroy a scene.
 
     Raises:
-        ValueError: If there is one.
+        ValueError: If the file exists and `overwrite` is false.
     """
     if not overwrite and os.path.lexists(path):
         raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
 
 
 def check_report(path: str | os.PathLike[str]) -> None:
-    """Say at once if a report cannot be written into a folder, or would mix with files of something else.
+    """Raise unless a report can be written into a folder without mixing with other files.
 
-    An earlier report of gsvis is replaced; pictures and pages that it did not write are not.
+    A report replaces an earlier report of gsvis, but no pictures and pages that gsvis did not write.
 
     Raises:
         ValueError: If the folder holds pictures or pages of something else.
@@ -323,7 +324,7 @@ def check_report(path: str | os.PathLike[str]) -> None:
     others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
     others += sorted(file.name for file in folder.glob("*.png"))
     moved = find_interrupted_moves(folder)
-    others = [name for name in others if name not in moved]  # a report of gsvis that was cut short is replaced, too
+    others = [name for name in others if name not in moved]  # an interrupted report of gsvis may be replaced
     if others:
         raise ValueError(
             f"{path}: expected a new folder, or one of an earlier report, got one with {others[0]} of something else;"
@@ -332,7 +333,7 @@ def check_report(path: str | os.PathLike[str]) -> None:
 
 
 def _holds_report(path: Path) -> bool:
-    """Whether a file begins as a `report.json` of gsvis does."""
+    """Return whether a file starts like a `report.json` of gsvis."""
     try:
         with open_regular(path) as file:
             return file.read(64).lstrip(b"{ \r\n").startswith(b'"format": "gsvis-')
@@ -341,7 +342,7 @@ def _holds_report(path: Path) -> bool:
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
-    """Say at once if files cannot be written into a folder that may still have to be made; leaves no trace.
+    """Raise unless files can be written into a folder, which may not exist yet; leave no file behind.
 
     Raises:
         ValueError: If the path, or a folder above it, is a file.

@@ -1,7 +1,7 @@
-"""What a command line calls things: its commands, their options and which of them are paths.
+"""Check the names of commands and options, and expand `~` in paths.
 
-Read from the dataclasses of `gsvis.cli.arguments`. A mistyped name is refused here in one line with a suggestion,
-before `tyro` reads the arguments; `~` in a path becomes the home folder here, for shells that leave it (`--out=~/x`).
+The names come from the dataclasses of `gsvis.cli.arguments`. For a mistyped name, this module gives one line with a
+suggestion, before `tyro` reads the arguments. It replaces `~` by the home folder for shells that do not (`--out=~/x`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PATHS = frozenset(
 
 @dataclass(frozen=True)
 class _Option:
-    """One argument of a command: its names, its choices where there are only a few, and whether it is a path."""
+    """One argument of a command: its field and names, its choices if it is a Literal, and whether it is a path."""
 
     field: str
     names: tuple[str, ...]
@@ -33,10 +33,10 @@ class _Option:
 
 
 def misspelling(arguments: Sequence[str]) -> str | None:
-    """Return what is wrong with the first name that no command or option has; None where all are known.
+    """Return a message about the first unknown command, option or choice; None if all are known.
 
     Args:
-        arguments: As they came, without the program's name.
+        arguments: Arguments of the command line, without the program's name.
     """
     commands = {_kebab(kind.__name__): kind for kind in _kinds()}
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -50,7 +50,7 @@ def misspelling(arguments: Sequence[str]) -> str | None:
     options = {each: option for option in _options(commands[name]) for each in option.names}
     for place, word in enumerate(arguments[1:], 1):
         if not re.match(r"--?[A-Za-z]", word):
-            continue  # a value; negative numbers begin with a minus, too
+            continue  # a value, perhaps a negative number
         given, equals, value = word.partition("=")
         option = options.get(_hyphens(given))
         if option is None and f"-{_hyphens(given)}" in options:
@@ -68,7 +68,7 @@ def misspelling(arguments: Sequence[str]) -> str | None:
 
 
 def expand_home(command: Command) -> Command:
-    """The command with `~` in its paths replaced by the home folder."""
+    """Return the command with `~` in its paths replaced by the home folder."""
     changed: dict[str, Any] = {}
     for option in _options(type(command)):
         value = getattr(command, option.field)
@@ -82,7 +82,7 @@ def expand_home(command: Command) -> Command:
 
 
 def _suggestion(word: str, choices: Iterable[str]) -> str:
-    from gsvis._check import suggestion  # brings numpy with it, which help does not need
+    from gsvis._check import suggestion  # imports numpy, which help does not need
 
     return suggestion(word, choices)
 
@@ -94,7 +94,7 @@ def _kinds() -> tuple[type, ...]:
 
 
 def _options(kind: type) -> Iterator[_Option]:
-    """The arguments of a command; those that are given by their place have no names."""
+    """Yield the arguments of a command; positional arguments have no names."""
     hints = get_type_hints(kind, include_extras=True)
     for each in fields(kind):
         hint = hints[each.name]
@@ -109,10 +109,10 @@ def _options(kind: type) -> Iterator[_Option]:
 
 
 def _kebab(name: str) -> str:
-    """PvsReport -> pvs-report."""
+    """Return a class name as the name of a command: PvsReport -> pvs-report."""
     return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
 
 
 def _hyphens(name: str) -> str:
-    """--max_terms -> --max-terms; both are understood."""
+    """Return a name with hyphens for underscores: --max_terms -> --max-terms. Users may write both."""
     return name.replace("_", "-")

@@ -1,4 +1,4 @@
-"""Ctrl-C that waits for a moment when unfinished work fits together and can be kept."""
+"""Delay Ctrl-C to the end of a step, when unfinished work is consistent and can be kept."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["between_steps"]
 
 @contextmanager
 def between_steps() -> Iterator[Callable[[], None]]:
-    """Let Ctrl-C and SIGTERM wait for the end of a step; a second one does not wait.
+    """Delay Ctrl-C and SIGTERM to the end of a step; a second signal stops at once.
 
     Yields:
-        What raises KeyboardInterrupt if one has come; to be called between two steps.
+        A function to call between two steps. It raises KeyboardInterrupt if a signal has arrived.
     """
     asked = False
 

@@ -1,4 +1,4 @@
-"""What a user sees while work runs, and what comes out: progress on stderr, tables or one JSON document on stdout."""
+"""Terminal output: progress on stderr, tables or one JSON document on stdout."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["STDOUT", "Status", "check_stdout", "clock", "facts", "print_json", "show", "size_of"]
 
 STDOUT = "standard output"
-"""What an OutputError calls it."""
+"""Path of standard output in an OutputError."""
 
 _SAID = {
     "reading": "reading the scene",
@@ -55,21 +55,21 @@ _SAID = {
     "cost": "measuring what rounding costs",
     "package": "writing the package",
 }
-_clock = time.perf_counter  # tests set another
+_clock = time.perf_counter  # tests replace it
 _EVERY = 10.0  # seconds between plain lines of one stage
-_QUIET = 2.0  # seconds after which stages are named in plain lines: quick commands say nothing
+_QUIET = 2.0  # seconds before plain lines name stages, so that quick commands print none
 
 
 class Status(AbstractContextManager["Status"]):
-    """A progress callback for the library: bars with an ETA on a terminal, a plain line now and then elsewhere.
+    """A progress callback for the library: bars with an ETA on a terminal, else a plain line now and then.
 
-    Call it as `status(stage, done, total)`. A stage of total 1 has no bar, only its time; one that begins above 0 goes
-    on where an earlier run stood. `seconds` holds how long each finished stage took.
+    Call it as `status(stage, done, total)`. A stage with total 1 has no bar, only its time. A stage that starts above 0
+    resumes an earlier run. `seconds` holds the time of each finished stage.
     """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._starts: dict[str, tuple[float, int]] = {}  # when, and how much had been done before
+        self._starts: dict[str, tuple[float, int]] = {}  # start time, and steps done before it
         self._began = self._spoke = _clock()
         self._tasks: dict[str, TaskID] = {}
         self._notes: dict[str, tuple[str, str]] = {}
@@ -85,9 +85,9 @@ class Status(AbstractContextManager["Status"]):
             self._bars.stop()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """The progress callback (gsvis.progress.Progress)."""
+        """Show the progress of a stage (gsvis.progress.Progress)."""
         now = _clock()
-        first = stage not in self._starts or (done == 0 and stage in self.seconds)  # begun, or begun once more
+        first = stage not in self._starts or (done == 0 and stage in self.seconds)  # started, or started again
         if first:
             self._starts[stage] = now, done
         began, before = self._starts[stage]
@@ -114,11 +114,11 @@ class Status(AbstractContextManager["Status"]):
             self._say(f"{said}: {done:,} of {total:,}, about {clock(left)} left{'; ' if note else ''}{note}")
 
     def note(self, stage: str, brief: str, whole: str) -> None:
-        """What to say of a stage from now on: a few words in place of its name on a bar, more in a plain line."""
+        """Set the text of a stage: `brief` replaces its name on a bar, `whole` is added to its plain lines."""
         self._notes[stage] = brief, whole
 
     def line(self, text: str) -> None:
-        """Say something once that is to stay."""
+        """Print a line that stays on the screen."""
         if self._bars:
             self._bars.console.print(text, markup=False, highlight=False)
         else:
@@ -136,7 +136,7 @@ def _bars() -> Progress:
     from rich.text import Text
 
     class Clock(ProgressColumn):
-        """Time taken once finished, time left before."""
+        """The time taken of a finished stage, else the time left."""
 
         def render(self, task: Task) -> Text:
             if task.finished or task.total is None:
@@ -145,7 +145,7 @@ def _bars() -> Progress:
             return Text("" if ends is None else f"{clock(max(0.0, ends - _clock()))} left", style="cyan")
 
     class Count(ProgressColumn):
-        """How many of how many; nothing for a stage of one step."""
+        """The count of steps and their total; empty for a stage of one step."""
 
         def render(self, task: Task) -> Text:
             counted = task.total is not None and task.total > 1
@@ -161,7 +161,7 @@ def _bars() -> Progress:
 
 
 def clock(seconds: float) -> str:
-    """45 -> '45 s', 125 -> '2 min 05 s'; short times with one digit."""
+    """Return seconds as text: 45 -> '45 s', 125 -> '2 min 05 s'; below 10 s with one decimal."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)
@@ -171,7 +171,7 @@ def clock(seconds: float) -> str:
 
 
 def size_of(count: int) -> str:
-    """1500000 -> '1.5 MB'."""
+    """Return bytes as text: 1500000 -> '1.5 MB'."""
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= size:
             return f"{count / size:.1f} {unit}"
@@ -180,24 +180,24 @@ def size_of(count: int) -> str:
 
 @contextmanager
 def check_stdout() -> Iterator[None]:
-    """Raise OutputError where standard output goes to a file that cannot be written."""
+    """Raise OutputError if standard output cannot be written, as on a full disk."""
     try:
         yield
-    except BrokenPipeError:  # nobody reads it
+    except BrokenPipeError:  # the reader has gone
         raise
     except OSError as error:
         raise OutputError(STDOUT, error.errno or errno.EIO) from error
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """One JSON document on stdout; NaN and infinity, which JSON does not know, are an error."""
+    """Print one JSON document on stdout; raise ValueError for NaN and infinity, which JSON does not have."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     with check_stdout():
         sys.stdout.write(f"{text}\n")
 
 
 def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = ("", "")) -> Table:
-    """A table whose first column names the row."""
+    """Return a table whose first column names the row."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -213,11 +213,11 @@ def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = (""
 
 
 def show(*parts: Table | str) -> None:
-    """Tables and lines on stdout, in at most 80 columns, in color only on a terminal."""
+    """Print tables and lines on stdout, in at most 80 columns, in color only on a terminal."""
     from rich.console import Console
 
     console = Console(width=min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80, highlight=False)
-    with check_stdout(), console.capture() as held:  # it flushes the file even then
+    with check_stdout(), console.capture() as held:  # a capture still flushes stdout
         for part in parts:
             if isinstance(part, str):
                 indent = " " * (3 if part.startswith(" - ") else 1)

@@ -1,4 +1,4 @@
-"""`gsvis train`: photographs with a reconstruction to a scene of Gaussians, and the record of how it came about."""
+"""`gsvis train`: train a scene of Gaussians from photographs with a reconstruction, and write a record of the run."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 __all__ = ["checkpoint_of", "record_of", "run_train"]
 
 _WRITTEN = (".ply", ".spz", ".sog")
-_SEEN_EVERY = 8  # of the views trained on, where none is held out: every so many are measured
+_SEEN_EVERY = 8  # without held-out views, measure every 8th view trained on
 _RANDOM_POINTS = 50_000
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What is to be done.
+    """What to do.
 
     Attributes:
-        photos: All that was read.
+        photos: The photographs and their reconstruction.
         train: Views to train on.
-        held_out: Views to measure on; None where all are trained on.
-        trainer: At its beginning.
-        start: What it begins with, in words.
-        checkpoint: The file to go on from.
-        device: Where to draw.
+        held_out: Views to measure on; None if all are trained on.
+        trainer: The trainer, before its first step.
+        start: Description of the initial points.
+        checkpoint: The file to resume from.
+        device: Device to render on, "cpu" or "cuda".
     """
 
     photos: Photos
@@ -58,14 +58,14 @@ class _Plan:
 
 
 def run_train(command: Train) -> None:
-    """Check, read photographs, train, measure, write, say what came out.
+    """Train a scene: check, read photographs, train, measure, write, print the result.
 
     Raises:
         GsvisError: If there is no model, it is damaged or distorted, or images do not fit it.
         ValueError: If an argument is wrong, or the checkpoint is of another run.
         FileNotFoundError: If a folder is missing.
         OSError: If a file cannot be written.
-        KeyboardInterrupt: With a word on how to go on, if the user has had enough.
+        KeyboardInterrupt: If the user presses Ctrl-C; the message says how to resume.
     """
     require("gsvis train", "torch")
     config = _check_arguments(command)
@@ -81,17 +81,17 @@ def run_train(command: Train) -> None:
 
 
 def checkpoint_of(command: Train) -> Path:
-    """The file that keeps a run which is not done: scene.ply.checkpoint, where none is named."""
+    """Return the path of the checkpoint of an unfinished run: scene.ply.checkpoint by default."""
     return Path(command.checkpoint or f"{command.out}.checkpoint")
 
 
 def record_of(command: Train) -> Path:
-    """The file with the record of the run: scene.train.json."""
+    """Return the path of the record of the run: scene.train.json."""
     return Path(command.out).with_suffix(".train.json")
 
 
 def _check_arguments(command: Train) -> TrainConfig:
-    """Everything about the arguments that can be known before work begins."""
+    """Check the arguments before work begins; return the settings of the training."""
     if not Path(command.source).exists():
         raise FileNotFoundError(2, "no such file or folder", command.source)
     out = Path(command.out)
@@ -102,7 +102,7 @@ def _check_arguments(command: Train) -> TrainConfig:
     if out.suffix.lower() == ".ply" and out.is_file() and out.stat().st_size > 0 and not _holds_gaussians(out):
         got = f"got {command.out}, which is something else; name another"
         raise ValueError(f"--out: expected a new file or a scene to replace, {got}")
-    if command.restart or not checkpoint_of(command).exists():  # with one, an earlier run was let through
+    if command.restart or not checkpoint_of(command).exists():  # else an earlier run has passed this check
         check_new(out, command.overwrite)
         check_new(record_of(command), command.overwrite)
     if command.size is not None and command.downscale is not None:
@@ -113,18 +113,14 @@ def _check_arguments(command: Train) -> TrainConfig:
 
 
 def _holds_gaussians(path: Path) -> bool:
-    """Whether a file is a PLY of Gaussians, not for instance the points that training starts with."""
+    """Return whether a file is a PLY of Gaussians, not for example the points that training starts with."""
     with open_regular(path) as file:
         head = file.read(1 << 16)
     return head.startswith(b"ply") and b" f_dc_0" in head
 
 
 def _config(command: Train) -> TrainConfig:
-    """The rules of 3DGS, their schedule shortened where there are few steps.
-
-    Raises:
-        BackendError: If what is to draw cannot run here.
-    """
+    """Return the settings of 3DGS training; few steps shorten the schedule."""
     from gsvis.train.densify import DensifyConfig
     from gsvis.train.trainer import TrainConfig
 
@@ -146,7 +142,7 @@ def _config(command: Train) -> TrainConfig:
 
 
 def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
-    """Photographs read, and a run at its beginning."""
+    """Read the photographs and return a plan, before the first step."""
     from gsvis.train.initial import gaussians_from_points, random_points
     from gsvis.train.photos import load_photos
     from gsvis.train.trainer import Trainer
@@ -173,10 +169,10 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
 
 
 def _device(backend: str) -> str:
-    """Where to draw: "cpu" or "cuda".
+    """Return the device to render on: "cpu" or "cuda".
 
     Raises:
-        BackendError: If it cannot be done there.
+        BackendError: If cuda is asked for and cannot run here.
     """
     from gsvis.errors import BackendError
     from gsvis.render.cuda import is_available
@@ -188,7 +184,7 @@ def _device(backend: str) -> str:
 
 
 def _warm_up(config: TrainConfig, device: str, status: Status) -> None:
-    """Load the kernels, or compile them once after an installation, so that the first run tells what it waits for."""
+    """Load the kernels, or compile them once after an installation, so that progress shows this time as a stage."""
     from gsvis.scene.cameras import Cameras
     from gsvis.scene.points import PointCloud
     from gsvis.train.images import PosedImages
@@ -204,7 +200,7 @@ def _warm_up(config: TrainConfig, device: str, status: Status) -> None:
 
 
 def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
-    """Train, measure and write; the document of it."""
+    """Train, measure and write the scene; return the JSON record."""
     from gsvis.io import save_scene
     from gsvis.train.likeness import measure_views
 
@@ -259,7 +255,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         "curve": [record.as_json() for record in result.history],
         "quality": {"of": "trained on" if plan.held_out is None else "held out", **quality.as_dict()},
         "remarks": list(plan.photos.remarks),
-        "timing": {  # all that differs between two runs of the same
+        "timing": {  # everything that differs between two equal runs
             "resumed_from": begun[0] if begun and begun[0] else None,
             "curve": [record.seconds for record in result.history],
         },
@@ -267,7 +263,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
 
 
 def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: Callable[[], None]) -> Progress:
-    """What the loop calls between two steps."""
+    """Return the progress callback that the training loop calls between two steps."""
     shown = 0
 
     def tell(stage: str, done: int, total: int) -> None:
@@ -305,7 +301,7 @@ def _write_record(command: Train, document: dict[str, Any]) -> None:
 
 
 def _tell(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
-    """Print what came out."""
+    """Print the result, as a JSON document or as a table."""
     if command.json:
         print_json(document)
         return

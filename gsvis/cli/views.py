@@ -1,4 +1,4 @@
-"""The cameras that `gsvis render` is asked for: of a file, around a scene, at a point, or where a visitor may stand."""
+"""Cameras for `gsvis render`: from a file, in an orbit, at a point, or sampled in the navigable space."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ F64 = NDArray[np.float64]
 
 _WIDTH, _HEIGHT, _FOV, _ELEVATION = 640, 480, 60.0, 20.0
 _SHOWN = 0.9  # share of the centers that an orbit shows
-_SURE = 0.6  # confidence from which an up axis is not doubted, as in inspection
+_SURE = 0.6  # least confidence of an up axis without a remark, as in inspection
 
 
 def check_views(command: Render) -> None:
-    """Say at once which arguments about cameras contradict each other.
+    """Raise if arguments about cameras contradict each other.
 
     Raises:
-        ValueError: If they do.
+        ValueError: If they do; the message names them.
     """
     ways = [way for way in ("camera", "orbit", "eye") if getattr(command, way) is not None]
     if len(ways) > 1:
@@ -45,11 +45,11 @@ def check_views(command: Render) -> None:
 
 
 def given_cameras(command: Render) -> Cameras | None:
-    """The cameras of a file, those of --index and at the size that is asked for; None without a file.
+    """Return the cameras of --camera, at the given size, only those of --index if given; None without --camera.
 
     Raises:
         GsvisError: If the file cannot be read.
-        FileNotFoundError: If there is none.
+        FileNotFoundError: If there is no file.
         ValueError: If an index is too large.
     """
     if command.camera is None:
@@ -66,15 +66,15 @@ def given_cameras(command: Render) -> Cameras | None:
 
 
 def camera_count(command: Render, given: Cameras | None) -> int:
-    """How many cameras it will be."""
+    """Return the number of cameras to render."""
     return len(given) if given is not None else command.orbit or 1
 
 
 def place_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
-    """Cameras for a scene that come from no file, and what the user should know about them.
+    """Return cameras placed in a scene without a file, and remarks about them for the user.
 
     Raises:
-        SceneError: If there is no place for a sampled camera.
+        SceneError: If there is no navigable space for a sampled camera.
     """
     size = {"width": command.width or _WIDTH, "height": command.height or _HEIGHT}
     fov = command.fov or _FOV
@@ -97,7 +97,7 @@ def place_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
 
 
 def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
-    """The up axis: the user's, the built-in scene's, or the likely one and a word where it is doubtful."""
+    """Return the up axis, and remarks: the user's, the built-in scene's, or a guess, with a remark if uncertain."""
     if command.up is not None:
         return axis_vector(command.up.strip()), []
     if source.navigable is not None:
@@ -108,7 +108,7 @@ def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
 
 
 def _extent(g: Gaussians) -> tuple[F64, float]:
-    """(3,) the middle of the scene without what lies far out, and the radius of the ball that holds it."""
+    """Return the (3,) middle of the scene without outliers, and the radius of a ball that holds this part."""
     low, high = g.bounds(_SHOWN)
     return 0.5 * (low + high), max(
         0.5 * float(np.linalg.norm(high - low)), 3.0 * float(np.median(g.scales.max(axis=1)))
@@ -116,7 +116,7 @@ def _extent(g: Gaussians) -> tuple[F64, float]:
 
 
 def _options_of(camera: Cameras) -> str:
-    """--eye and --target that give one camera again."""
+    """Return the options --eye and --target that give a camera again."""
     eye = camera.viewpoints[0]
     return " ".join(
         f"{name} {' '.join(f'{value:.5g}' for value in point)}"

@@ -1,4 +1,4 @@
-"""Rendering: images, weights and gradients of Gaussians, colored by SH, RGB or SRBF, on the CPU and elsewhere."""
+"""Render Gaussians: images, weights and gradients, with SH, RGB or SRBF colors, on the CPU or a GPU."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the torch faces when they are asked for."""
+    """Import the torch classes on first use."""
     if name in ("GaussianTensors", "RenderingTensors"):
         from gsvis._extras import require
 

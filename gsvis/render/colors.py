@@ -1,7 +1,7 @@
-"""Colors that stand in for SH in `rasterize`: one for all cameras, one for each, or SRBF colors seen from each.
+"""Colors that replace SH in `rasterize`: one set for all cameras, one for each camera, or SRBF colors.
 
-SRBF colors are evaluated when their camera is drawn, never for all cameras at once. `gsvis.render.colors_torch` does
-the same for tensors.
+SRBF colors are evaluated for one camera at a time, when it is drawn. `gsvis.render.colors_torch` does the same for
+tensors.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ Colors = ArrayLike | SrbfColors | Evaluator | None
 
 
 def camera_colors(colors: Colors, means: F32, cameras: Cameras) -> Callable[[int], F32 | None]:
-    """Check the colors that `rasterize` was given, and return what makes those of one camera.
+    """Check the colors given to `rasterize`, and return a function that gives the colors for one camera.
 
     Args:
-        colors: As `rasterize` takes them.
+        colors: The argument `colors` of `rasterize`.
         means: (N, 3) centers of the Gaussians, world frame.
         cameras: The C cameras.
 
     Returns:
-        Number of a camera -> (N, 3) RGB; None where SH colors the Gaussians.
+        Function from the number of a camera to (N, 3) RGB, or to None if the Gaussians have SH colors.
 
     Raises:
         ValueError: If there is not one color for each Gaussian, or a value is not finite.
@@ -56,6 +56,6 @@ def check_color_shape(shape: tuple[int, ...], n: int, cameras: int) -> None:
 
 
 def check_count(colors: Sized, n: int) -> None:
-    """Raise unless SRBF colors are those of N Gaussians."""
+    """Raise unless there are SRBF colors for exactly N Gaussians."""
     if len(colors) != n:
         raise ValueError(f"colors: expected those of {n} Gaussians, got {len(colors)}; fit them to this scene")

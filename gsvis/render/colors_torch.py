@@ -1,6 +1,6 @@
-"""Colors that stand in for SH where tensors are drawn; `gsvis.render.colors` is the same for arrays.
+"""Colors that replace SH when tensors are drawn; `gsvis.render.colors` does the same for arrays.
 
-SRBF colors are evaluated when their camera is drawn, never for all cameras at once.
+SRBF colors are evaluated for one camera at a time, when it is drawn.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ TensorColors = Tensor | SrbfTensors
 
 @dataclass(frozen=True, eq=False)
 class CameraColors:
-    """Where the colors of each camera come from.
+    """The colors for each camera.
 
     Attributes:
-        of: Number of a camera -> (N, 3) RGB of the Gaussians' type; None where SH colors them.
+        of: Function from the number of a camera to (N, 3) RGB of the Gaussians' type, or to None for SH colors.
         requires_grad: Whether the colors have gradients of their own.
     """
 
@@ -42,13 +42,13 @@ class CameraColors:
 def camera_colors_torch(
     colors: Colors | TensorColors, tensors: GaussianTensors, cameras: Cameras, backend: str
 ) -> CameraColors:
-    """Check the colors that `rasterize` was given, and return what makes those of one camera.
+    """Check the colors given to `rasterize`, and return the colors for each camera.
 
     Args:
-        colors: As `rasterize` takes them.
+        colors: The argument `colors` of `rasterize`.
         tensors: The N Gaussians.
         cameras: The C cameras.
-        backend: Name of the backend that draws; "cpu" evaluates SRBF by kernels, unless gradients are taken.
+        backend: Name of the backend that draws; "cpu" evaluates SRBF with kernels, unless gradients are needed.
 
     Raises:
         ValueError: If there is not one color for each Gaussian, or a value is not finite.
@@ -72,13 +72,13 @@ def camera_colors_torch(
 
     def seen(c: int) -> Tensor:
         found = evaluate_torch(terms, tensors.means, eyes[c]).to(tensors.means)
-        return found if training or found.requires_grad else _finite(found)  # a training step checks shapes alone
+        return found if training or found.requires_grad else _finite(found)  # training checks only shapes
 
     return CameraColors(seen, terms.requires_grad)
 
 
 def _given(colors: Any, n: int, cameras: int) -> Tensor:
-    """(1 or C, N, 3)."""
+    """Return checked colors as a (1, N, 3) or (C, N, 3) tensor."""
     if isinstance(colors, Tensor):
         given = colors
     else:

@@ -1,7 +1,7 @@
 """The CPU rasterizer with gradients: numba kernels behind one differentiable torch function, one camera at a time.
 
-Conventions: docs/conventions.md. Nothing depends on the order of the Gaussians in the scene or
-on the number of threads.
+Conventions: docs/conventions.md. Results depend neither on the order of the Gaussians in the scene nor on the number of
+threads.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """The arrays of a scene as the kernels take them."""
+    """Arrays of a scene for the kernels."""
 
     means: F32
     quats: F32
@@ -76,7 +76,7 @@ class _Rasterize(torch.autograd.Function):
         v_means, v_quats, v_scales = (np.zeros_like(a) for a in (scene.means, scene.quats, scene.scales))
         v_opacities, v_sh0, v_shN = (np.zeros_like(a) for a in (scene.opacities, scene.sh0, scene.shN))
         v_means2d = np.empty((len(projected.ids), 2))
-        stand = int(np.searchsorted(projected.ids, frozen))  # ids rise
+        stand = int(np.searchsorted(projected.ids, frozen))  # ids ascend
         ids, moved = projected.ids[stand:], sums[stand:]
         v_means2d[:stand] = _by_centers(projected.splats[:stand], sums[:stand])
         _kernels_project.project_backward(
@@ -106,7 +106,7 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _by_centers(splats: F64, sums: F64) -> F64:
-    """(M, 2) gradients by projected centers from the sums of the tiles, as `project_backward` has them."""
+    """Return (M, 2) gradients by projected centers from the sums of the tiles, the same as `project_backward`."""
     a, b, c = (
         splats[:, 2] * (2.0 / _kernels_project.LOG2E),
         splats[:, 3] / _kernels_project.LOG2E,
@@ -133,14 +133,14 @@ def rasterize_cpu(
     """Render one view.
 
     Args:
-        tensors: Has means, quats, scales, opacities, sh0, shN as CPU tensors.
+        tensors: Object with means, quats, scales, opacities, sh0, shN as CPU tensors.
         view: The camera.
         background: (3,) RGB behind everything.
         sh_degree: Degree to evaluate, at most that of the scene.
-        antialiased: Make opacity pay for the dilation.
-        colors: (N, 3) instead of SH.
+        antialiased: Lower opacities so that the dilation keeps their integral.
+        colors: (N, 3) RGB instead of SH.
         probe: (N, 2) zeros that require grad; receives the gradient by the projected centers, loss per pixel.
-        frozen: The first so many Gaussians gather no gradient but the probe's.
+        frozen: Number of Gaussians, from the first on, that receive no gradient except through `probe`.
 
     Returns:
         image (H, W, 3), alpha (H, W), expected depth (H, W), median depth (H, W).

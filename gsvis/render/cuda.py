@@ -1,6 +1,6 @@
-"""The CUDA rasterizer: the same call through gsplat, where it and a GPU are present.
+"""The CUDA rasterizer: calls gsplat, if it is installed and there is a GPU.
 
-gsplat's classic conventions are ours (docs/conventions.md); median depth is the one output it does not offer.
+gsplat's classic conventions are those of gsvis (docs/conventions.md). gsplat has no median depth.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def rasterize_cuda(
     colors: Tensor | None,
     probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Render one camera; arguments as `gsvis.render.cpu.rasterize_cpu`, tensors on a GPU.
+    """Render one camera; the arguments are those of `gsvis.render.cpu.rasterize_cpu`, with tensors on a GPU.
 
     Returns:
         image (H, W, 3), alpha (H, W), expected depth (H, W), and NaN for the median depth (H, W).
@@ -75,7 +75,7 @@ def rasterize_cuda(
 
 
 def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:
-    """Let the gradient that reaches gsplat's projected centers also reach the probe."""
+    """Pass the gradient of gsplat's projected centers on to the probe."""
     import torch
 
     def add(gradient: Tensor) -> Any:

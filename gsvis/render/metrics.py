@@ -1,4 +1,4 @@
-"""How far an image is from its target: PSNR, SSIM, FLIP, LPIPS.
+"""Measure how much an image differs from its target: PSNR, SSIM, FLIP, LPIPS.
 
 Images are RGB, channels last, sRGB values where 0 is black and `data_range` (1 by default) is white. One
 image (H, W, 3) gives one value, a stack (C, H, W, 3) gives C. NumPy arrays give NumPy values or a float, torch tensors
@@ -35,11 +35,11 @@ def psnr(image: Tensor, target: Tensor, data_range: float = 1.0) -> Tensor: ...
 @overload
 def psnr(image: ArrayLike, target: ArrayLike, data_range: float = 1.0) -> Values: ...
 def psnr(image: Any, target: Any, data_range: float = 1.0) -> Tensor | Values:
-    """Peak signal-to-noise ratio in dB; infinite for equal images.
+    """Return the peak signal-to-noise ratio in dB; infinite for equal images.
 
     Args:
         image: (H, W, 3) or (C, H, W, 3).
-        target: Of the same shape.
+        target: Same shape as `image`.
         data_range: Value of white, > 0.
 
     Returns:
@@ -67,16 +67,16 @@ def ssim(image: Tensor, target: Tensor, data_range: float = 1.0, *, padding: str
 @overload
 def ssim(image: ArrayLike, target: ArrayLike, data_range: float = 1.0, *, padding: str = "valid") -> Values: ...
 def ssim(image: Any, target: Any, data_range: float = 1.0, *, padding: str = "valid") -> Tensor | Values:
-    """Structural similarity, mean over pixels and channels: 1 for equal images.
+    """Return the structural similarity, mean over pixels and channels: 1 for equal images.
 
     Windows are Gaussian, 11 x 11 with a standard deviation of 1.5 pixels; K1 = 0.01, K2 = 0.03.
 
     Args:
         image: (H, W, 3) or (C, H, W, 3).
-        target: Of the same shape.
+        target: Same shape as `image`.
         data_range: Value of white, > 0.
-        padding: "valid" takes only windows inside the image, as in the paper; "same" takes one window a pixel over
-            black surroundings, as in the training loss of 3DGS.
+        padding: "valid" uses only windows inside the image, as in the paper; "same" uses one window for each pixel,
+            with black outside the image, as in the training loss of 3DGS.
 
     Returns:
         One value for one image, C values for a stack.
@@ -113,12 +113,13 @@ def flip(image: Tensor, target: Tensor, pixels_per_degree: float = 67.0) -> Tens
 @overload
 def flip(image: ArrayLike, target: ArrayLike, pixels_per_degree: float = 67.0) -> Values: ...
 def flip(image: Any, target: Any, pixels_per_degree: float = 67.0) -> Tensor | Values:
-    """Mean of the FLIP error map: what an observer who flips between two images sees, 0 to 1.
+    """Return the mean of the FLIP error map: the difference seen when flipping between two images, 0 to 1.
 
     Args:
         image: (H, W, 3) or (C, H, W, 3), sRGB; clipped to [0, 1] as a display does.
-        target: Of the same shape.
-        pixels_per_degree: Of the observer's field of view; 67 is a 0.7 m wide 4K display seen from 0.7 m.
+        target: Same shape as `image`.
+        pixels_per_degree: Pixels per degree of the observer's field of view; 67 is a 0.7 m wide 4K display seen from
+            0.7 m.
 
     Returns:
         One value for one image, C values for a stack. Without gradient.
@@ -142,7 +143,7 @@ def flip_map(image: Tensor, target: Tensor, pixels_per_degree: float = 67.0) -> 
 @overload
 def flip_map(image: ArrayLike, target: ArrayLike, pixels_per_degree: float = 67.0) -> NDArray[np.float64]: ...
 def flip_map(image: Any, target: Any, pixels_per_degree: float = 67.0) -> Tensor | Values:
-    """Return the (H, W) or (C, H, W) FLIP error of each pixel, 0 to 1. Arguments and errors as for `flip`."""
+    """Return the (H, W) or (C, H, W) FLIP error of each pixel, 0 to 1; takes and raises the same as `flip`."""
     if _is_tensor(image, target):
         from gsvis.render.metrics_torch import flip_map_torch
 
@@ -155,14 +156,15 @@ def lpips(image: Tensor, target: Tensor, net: str = "vgg") -> Tensor: ...
 @overload
 def lpips(image: ArrayLike, target: ArrayLike, net: str = "vgg") -> Values: ...
 def lpips(image: Any, target: Any, net: str = "vgg") -> Tensor | Values:
-    """Learned perceptual distance: 0 for equal images.
+    """Return the learned perceptual distance LPIPS: 0 for equal images.
 
-    Nothing is downloaded: the backbone's ImageNet weights must lie where torch keeps them.
+    gsvis downloads nothing: the backbone's ImageNet weights must be in the folder where torch keeps them.
 
     Args:
         image: (H, W, 3) or (C, H, W, 3), values in [0, 1]; at least 32 x 32 pixels.
-        target: Of the same shape.
-        net: "vgg", the one papers on radiance fields report, or "alex", its authors' choice for comparing images.
+        target: Same shape as `image`.
+        net: "vgg", which papers on radiance fields report, or "alex", which the authors of LPIPS recommend for
+            comparing images.
 
     Returns:
         One value for one image, C values for a stack.
@@ -209,13 +211,13 @@ def _stack(name: str, value: Any) -> F64:
 
 
 def _like(image: Any, values: F64) -> Values:
-    """Return (C, ...) values as the caller gave images: one or a stack."""
+    """Return (C, ...) values for a stack; for one image, its value alone."""
     values = values[0] if np.ndim(image) == 3 else values
     return values if np.ndim(values) else float(values)
 
 
 def check_pair(a: tuple[int, ...], b: tuple[int, ...], image: Any, target: Any) -> None:
-    """Raise unless two images or stacks, of shapes a and b as stacks, have one shape."""
+    """Raise unless two images or stacks have the same shape; `a` and `b` are their shapes as stacks."""
     if a != b or np.ndim(image) != np.ndim(target):
         raise ValueError(
             f"target: expected the shape of image, {tuple(np.shape(image))}, got {tuple(np.shape(target))}"
@@ -251,7 +253,7 @@ def gaussian_window() -> F64:
 
 
 def _blur(planes: F64, margin: int) -> F64:
-    """Return (B, H, W) with `margin` zeros around, under the Gaussian window; only whole windows."""
+    """Return (B, H, W) planes, padded by `margin` zeros and blurred with the Gaussian window; only whole windows."""
     less = 2 * margin - WINDOW + 1
     out = np.empty((len(planes), planes.shape[1] + less, planes.shape[2] + less))
     blur(planes, gaussian_window(), margin, out)

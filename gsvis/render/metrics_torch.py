@@ -1,6 +1,6 @@
-"""Image metrics of torch tensors, on their device, differentiable in PSNR, SSIM and LPIPS.
+"""Image metrics of torch tensors, on their device; PSNR, SSIM and LPIPS are differentiable.
 
-`gsvis.render.metrics` documents them and has the same for arrays.
+`gsvis.render.metrics` documents them and does the same for arrays.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _stack(name: str, value: Any) -> Tensor:
 
 
 def _blurred(planes: Tensor, margin: int) -> Tensor:
-    """(B, H, W) with `margin` zeros around, under the Gaussian window; only whole windows."""
+    """Return (B, H, W) planes, padded by `margin` zeros and blurred with the Gaussian window; only whole windows."""
     window = torch.from_numpy(gaussian_window()).to(planes)
     if planes.device.type == "cpu":
         blurred: Tensor = _Blur.apply(planes, window, margin)  # type: ignore[no-untyped-call]
@@ -108,7 +108,7 @@ def _blurred(planes: Tensor, margin: int) -> Tensor:
 
 
 class _Blur(torch.autograd.Function):
-    """The kernel, and its adjoint: the same with the rest of the margin, as the window is symmetric."""
+    """The blur kernel and its adjoint. The window is symmetric, so the adjoint is a blur with the remaining margin."""
 
     @staticmethod
     def forward(ctx: Any, planes: Tensor, window: Tensor, margin: int) -> Tensor:
@@ -126,7 +126,11 @@ class _Blur(torch.autograd.Function):
 
 
 def _lpips_weights(net: str) -> Path:
-    """Where torch keeps the backbone's weights, if they are there."""
+    """Return the path where torch keeps the backbone's weights.
+
+    Raises:
+        BackendError: If a package or the file is missing.
+    """
     try:
         import lpips  # noqa: F401
         from torchvision import models
@@ -148,9 +152,9 @@ def _lpips_weights(net: str) -> Path:
 
 @lru_cache(maxsize=2)
 def _lpips_model(net: str, weights: Path, device: torch.device) -> Any:
-    """The network, frozen; kept because reading its weights takes longer than a comparison."""
+    """Return the frozen network. It is cached, because reading its weights takes longer than a comparison."""
     import lpips
 
-    with warnings.catch_warnings():  # lpips asks torchvision in the words of an older version
+    with warnings.catch_warnings():  # lpips calls torchvision with deprecated arguments
         warnings.simplefilter("ignore", UserWarning)
         return lpips.LPIPS(net=net, verbose=False).eval().requires_grad_(False).to(device)

@@ -1,8 +1,8 @@
-"""Images of Gaussians from cameras: one call, arrays in and arrays out, tensors in and tensors out.
+"""Render images of Gaussians from cameras: arrays in and arrays out, or tensors in and tensors out.
 
 Conventions: docs/conventions.md, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
-in speed alone: `cpu` (numba, float32), `reference` (plain NumPy or torch, slow), `cuda` (gsplat). Only tensors and
-`cuda` need torch; `gsvis.render.rasterizer_torch` draws them.
+mainly in speed: `cpu` (numba, float32), `reference` (plain NumPy or torch, slow), `cuda` (gsplat, no median depth).
+Only tensors and `cuda` need torch; `gsvis.render.rasterizer_torch` draws them.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Rendering:
 
     Attributes:
         images: (C, H, W, 3) RGB, 0 black, 1 white, brighter values kept.
-        alphas: (C, H, W) in [0, 1], one minus the transmittance left.
+        alphas: (C, H, W) in [0, 1], one minus the remaining transmittance.
         depths: (C, H, W) expected camera z, weighted by blending weights; 0 where nothing is seen.
-        median_depths: (C, H, W) camera z of the first Gaussian behind which at most half of the light is left; 0 if
-            more is left behind all of them; NaN with the backend `cuda`.
+        median_depths: (C, H, W) camera z of the first Gaussian behind which transmittance is at most 0.5; 0 if there is
+            none; NaN with the backend `cuda`.
     """
 
     images: F32
@@ -101,29 +101,29 @@ def rasterize(
     colors: Any = None,
     frozen: int = 0,
 ) -> Rendering | RenderingTensors:
-    """Draw Gaussians as the cameras see them; differentiable where the inputs are tensors that ask for gradients.
+    """Render Gaussians from cameras; differentiable if the inputs are tensors that require gradients.
 
     Args:
-        gaussians: N Gaussians, as arrays or as tensors. For tensors that require gradients only shapes are checked,
-            to keep training fast; a Gaussian with a NaN or an infinity is not drawn.
+        gaussians: N Gaussians, as arrays or as tensors. If tensors require gradients, only shapes are checked, to keep
+            training fast; a Gaussian with a NaN or an infinity is not drawn.
         cameras: C cameras of one size, without skew.
         backend: "cpu", "cuda", "reference", or "auto": cuda for tensors on a GPU, else cpu.
         background: (3,) RGB behind everything.
-        sh_degree: Highest degree to evaluate; None means all there is.
+        sh_degree: Highest degree to evaluate; None means the degree of the scene.
         antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
-        colors: Instead of SH: (N, 3) or (C, N, 3) RGB, or SRBF colors of the N Gaussians, evaluated for each camera
-            from its viewpoint; as `SrbfColors`, as an `Evaluator` where many calls share them, or as `SrbfTensors`,
-            which may gather gradients.
-        frozen: The first so many Gaussians gather no gradients but those of `means2d`; saves most of their share of the
-            backward pass on the CPU. Without meaning for arrays.
+        colors: Colors that replace SH: (N, 3) or (C, N, 3) RGB, or SRBF colors of the N Gaussians, evaluated from the
+            viewpoint of each camera. SRBF colors are `SrbfColors`, an `Evaluator` to share work between calls, or
+            `SrbfTensors`, which may require gradients.
+        frozen: Number of Gaussians, from the first on, that receive no gradients except those of `means2d`. This saves
+            most of their share of the backward pass on the CPU. Has no effect for arrays.
 
     Returns:
-        Images, alphas and depths: a `Rendering` of arrays, or `RenderingTensors` where the Gaussians or the colors are
-        tensors.
+        Images, alphas and depths: `RenderingTensors` if the Gaussians or the colors are tensors, else a `Rendering` of
+        arrays.
 
     Raises:
         ValueError: If an argument has the wrong shape, is not finite or is out of range.
-        BackendError: If the backend cannot run here; says what to install.
+        BackendError: If the backend cannot run here; the message says what to install.
     """
     _check.one_of("backend", backend, BACKENDS)
     of_tensors = _check.is_tensor(getattr(gaussians, "means", None))

@@ -1,7 +1,8 @@
-"""Images of Gaussians as tensors: the same call as for arrays, with gradients, and gsplat's kernels on a GPU.
+"""Render images of Gaussians that are tensors, with gradients, and with gsplat's kernels on a GPU.
 
 Conventions: docs/conventions.md, OpenCV cameras, pixel centers at +0.5, colors not clipped above. The backends differ
-in speed alone: `cpu` (numba, float32), `reference` (plain torch, any float type, slow), `cuda` (gsplat).
+mainly in speed: `cpu` (numba, float32), `reference` (plain torch, any float type, slow), `cuda` (gsplat, no median
+depth).
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ __all__ = ["RenderingTensors", "rasterize_tensors"]
 
 @dataclass(frozen=True, eq=False)
 class RenderingTensors:
-    """Images of C cameras, as torch tensors on the Gaussians' device; `Rendering` holds the same as arrays.
+    """Images of C cameras, as torch tensors on the Gaussians' device; `Rendering` is the same as arrays.
 
     Attributes:
         images: (C, H, W, 3) RGB, 0 black, 1 white, brighter values kept.
-        alphas: (C, H, W) in [0, 1], one minus the transmittance left.
+        alphas: (C, H, W) in [0, 1], one minus the remaining transmittance.
         depths: (C, H, W) expected camera z, weighted by blending weights; 0 where nothing is seen.
-        median_depths: (C, H, W) camera z of the Gaussian behind which at most half of the light is left; 0 where more
-            is, NaN from gsplat, which has none.
-        means2d: (C, N, 2) zeros; if gradients are taken, `means2d.grad` holds the gradient of the loss by the projected
+        median_depths: (C, H, W) camera z of the first Gaussian behind which transmittance is at most 0.5; 0 if there is
+            none; NaN with the backend `cuda`.
+        means2d: (C, N, 2) zeros. After a backward pass `means2d.grad` is the gradient of the loss by the projected
             centers, per pixel, which densification needs.
     """
 
@@ -60,17 +61,17 @@ def rasterize_tensors(
     colors: Colors | TensorColors,
     frozen: int,
 ) -> RenderingTensors:
-    """Draw tensors; `gsvis.render.rasterize` documents and checks the arguments.
+    """Render tensors; `gsvis.render.rasterize` documents and checks the arguments.
 
     Args:
-        tensors: N Gaussians. Values are checked where no gradient is taken.
+        tensors: N Gaussians. Their values are checked only if no gradient is needed.
         cameras: C cameras of one size, without skew.
         backend: One of `gsvis.render.rasterizer.BACKENDS`.
         background: (3,) RGB.
         sh_degree: Degree to evaluate, at most that of the tensors.
-        antialiased: Make opacity pay for the dilation.
-        colors: Instead of SH.
-        frozen: How many Gaussians at the start gather no gradient.
+        antialiased: Lower opacities so that the dilation keeps their integral.
+        colors: Colors that replace SH; None for SH.
+        frozen: Number of Gaussians, from the first on, that receive no gradient except through `means2d`.
 
     Raises:
         ValueError: If a color or a value does not fit.

@@ -1,7 +1,7 @@
-"""The rasterizer in plain NumPy, float64: short, every pixel against every Gaussian. The oracle of `cpu`, and slow.
+"""The rasterizer in plain NumPy, float64, to test `cpu`: short and slow, every pixel against every Gaussian.
 
 Camera axes are OpenCV's, pixel centers lie at +0.5, depths are along the camera's z axis in scene units; thresholds are
-those of docs/conventions.md. `gsvis.render.reference_torch` is the same with gradients, from formulas of its own.
+those of docs/conventions.md. `gsvis.render.reference_torch` does the same with gradients.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 NEAR = 0.01
-"""Gaussians whose center has a camera z up to this are not drawn; scene units."""
+"""Gaussians are not drawn if the camera z of their center is at most this; scene units."""
 BLUR = 0.3
 """Added to the diagonal of each projected covariance; square pixels."""
 MIN_ALPHA = 1.0 / 255.0
@@ -41,7 +41,7 @@ MAX_ALPHA = 0.999
 MIN_TRANSMITTANCE = 1e-4
 
 _PAIRS_AT_ONCE = 1 << 20
-"""Pixels times Gaussians of one chunk: tens of megabytes."""
+"""Most pixels times Gaussians of one chunk: tens of megabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +49,12 @@ class Projection:
     """The M Gaussians in front of one camera, front to back.
 
     Attributes:
-        ids: (M,) their indices.
+        ids: (M,) indices into the scene.
         means2d: (M, 2) projected centers, pixels.
         conics: (M, 3) inverse covariance on the screen as xx, xy, yy, per square pixel.
         depths: (M,) camera z, scene units.
-        opacities: (M,) in [0, 1], lowered by what the blur adds if antialiased.
-        colors: (M, 3) seen from this camera.
+        opacities: (M,) in [0, 1]; lowered to make up for the blur if antialiased.
+        colors: (M, 3) RGB seen from this camera.
     """
 
     ids: NDArray[np.int64]
@@ -81,14 +81,14 @@ def project_reference(
     antialiased: bool = False,
     colors: ArrayLike | None = None,
 ) -> Projection:
-    """Return where, how large and in which color Gaussians appear on the screen.
+    """Return the position, extent and color of Gaussians on the screen.
 
     Args:
         g: N Gaussians, world frame.
         view: The camera.
-        sh_degree: Degree of SH to evaluate; None for all there are.
+        sh_degree: Degree of SH to evaluate; None for the degree of the scene.
         antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
-        colors: (N, 3) to take in place of those from SH.
+        colors: (N, 3) RGB instead of SH.
 
     References:
         Zwicker et al., "EWA splatting", TVCG 2002, section 4; Yu et al., "Mip-Splatting", CVPR 2024, equation 9.
@@ -98,14 +98,14 @@ def project_reference(
     centers = g.means.astype(np.float64) @ rotation.T + translation
     ids = np.flatnonzero(centers[:, 2] > NEAR)
     x, y, z = centers[ids].T
-    # The Jacobian of the projection, taken no farther than 0.3 half images outside the view.
+    # The Jacobian of the projection; its point is clamped to 0.3 half images outside the view.
     beyond_x, beyond_y = 0.15 * view.width / fx, 0.15 * view.height / fy
     slope_x = np.clip(x / z, -cx / fx - beyond_x, (view.width - cx) / fx + beyond_x)
     slope_y = np.clip(y / z, -cy / fy - beyond_y, (view.height - cy) / fy + beyond_y)
     jacobian = np.zeros((len(ids), 2, 3))
     jacobian[:, 0, 0], jacobian[:, 0, 2] = fx / z, -fx * slope_x / z
     jacobian[:, 1, 1], jacobian[:, 1, 2] = fy / z, -fy * slope_y / z
-    # With A = J W R S the covariance on the screen is A A^T, and its determinant the squared area its rows span.
+    # With A = J W R S the covariance on the screen is A A^T. Its determinant is the squared area that its rows span.
     some = g[ids]
     half = jacobian @ rotation @ (some.rotations().astype(np.float64) * some.scales[:, None, :])
     xx, xy, yy = (half[:, i] * half[:, j] for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -118,7 +118,7 @@ def project_reference(
         opacities = opacities * np.sqrt(sharp / det)
     shown = _sh_colors(some, view.eye, sh_degree) if colors is None else np.asarray(colors, np.float64)[ids]
     content = [z.astype(np.float32)[:, None], some.means, some.scales, some.quats, some.opacities[:, None], shown]
-    keys = [key for columns in content for key in columns.T]  # equal depths by content: the index never counts
+    keys = [key for columns in content for key in columns.T]  # ties sort by content, not by index
     order = np.lexsort(keys[::-1])
     means2d = np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
     return Projection(
@@ -135,15 +135,15 @@ def draw_reference(
     antialiased: bool = False,
     colors: ArrayLike | None = None,
 ) -> tuple[F32, F32, F32, F32]:
-    """Draw one view.
+    """Render one view.
 
     Args:
         g: N Gaussians, world frame.
         view: The camera.
         background: (3,) color behind everything.
-        sh_degree: Degree of SH to evaluate; None for all there are.
-        antialiased: See `project_reference`.
-        colors: (N, 3) to take in place of those from SH.
+        sh_degree: Degree of SH to evaluate; None for the degree of the scene.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
+        colors: (N, 3) RGB instead of SH.
 
     Returns:
         image (H, W, 3), alpha (H, W), expected depth (H, W), median depth (H, W).
@@ -155,7 +155,7 @@ def draw_reference(
     parts: list[tuple[Any, ...]] = []
     for first in range(0, len(pixels), chunk):
         alphas = splats.alphas(pixels[first : first + chunk])
-        # Transmittance never rises: all from the first that would spend it on are left out.
+        # Drop the first Gaussian that would bring transmittance to the minimum, and all behind it.
         alphas[np.cumprod(1.0 - alphas, axis=1) <= MIN_TRANSMITTANCE] = 0.0
         image, weights, left = composite(alphas, splats.colors, behind)
         alpha = 1.0 - left[:, -1]
@@ -175,9 +175,9 @@ def composite(alphas: F64, colors: F64, background: F64) -> tuple[F64, F64, F64]
     """Blend M Gaussians, front to back, at P pixels.
 
     Args:
-        alphas: (P, M).
-        colors: (M, 3).
-        background: (3,).
+        alphas: (P, M) alpha of each Gaussian at each pixel.
+        colors: (M, 3) RGB.
+        background: (3,) RGB behind everything.
 
     Returns:
         image (P, 3), weights (P, M), and transmittance (P, M + 1) before each Gaussian and behind the last.
@@ -192,13 +192,13 @@ def composite(alphas: F64, colors: F64, background: F64) -> tuple[F64, F64, F64]
 
 
 def pixel_centers(view: View) -> F64:
-    """Return (H * W, 2) x and y, row by row."""
+    """Return (H * W, 2) pixel centers x and y, row by row."""
     rows, columns = np.indices((view.height, view.width))
     return np.asarray(np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5, np.float64)
 
 
 def _sh_colors(g: Gaussians, eye: F64, sh_degree: int | None) -> F64:
-    """Return (N, 3) colors seen from `eye`, clipped below at 0; one centered at the eye is seen along +z."""
+    """Return (N, 3) colors seen from `eye`, clipped below at 0; a Gaussian centered at the eye is seen along +z."""
     degree = g.sh_degree if sh_degree is None else sh_degree
     offsets = g.means - eye
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)

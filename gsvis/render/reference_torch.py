@@ -1,7 +1,7 @@
-"""The rasterizer in plain torch: short, differentiable, in any float type. The oracle of gradients, and slow.
+"""The rasterizer in plain torch: short, differentiable, in any float type, and slow. Tests compare `cpu` to it.
 
 Every pixel meets every Gaussian. Camera axes are OpenCV's, pixel centers lie at +0.5, depths are along the camera's
-z axis in scene units; thresholds are those of docs/conventions.md. This module knows no tiles and no kernels.
+z axis in scene units; thresholds are those of docs/conventions.md. This module uses no tiles and no kernels.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from gsvis.render.tensors import GaussianTensors, rotations_from_quats
 __all__ = ["Projection", "ReferenceImage", "contributors_reference", "project_reference", "rasterize_reference"]
 
 _PAIRS_AT_ONCE = 1 << 20
-"""Pixels times Gaussians of one chunk: tens of megabytes."""
+"""Most pixels times Gaussians of one chunk: tens of megabytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """N Gaussians as one camera sees them. Rows that are not `valid` mean nothing.
+    """N Gaussians projected into one camera. Ignore rows that are not `valid`.
 
     Attributes:
         means2d: (N, 2) projected centers, pixels.
         conics: (N, 3) inverse covariance on the screen as xx, xy, yy, per square pixel.
         depths: (N,) camera z, scene units.
-        opacities: (N,) in [0, 1], lowered by what the blur adds if antialiased.
-        colors: (N, 3) seen from this camera, >= 0 where they come from SH.
-        radii: (N, 2) half width and half height of the box outside which alpha is below 1/255, pixels; without
-            gradient, 0 where it is below 1/255 everywhere.
-        valid: (N,) bool, beyond the near plane.
+        opacities: (N,) in [0, 1]; lowered to make up for the blur if antialiased.
+        colors: (N, 3) RGB seen from this camera; >= 0 if they come from SH.
+        radii: (N, 2) half width and half height of the box outside which alpha is below 1/255, pixels; 0 if alpha is
+            below 1/255 everywhere. Without gradient.
+        valid: (N,) bool, true beyond the near plane.
     """
 
     means2d: Tensor
@@ -52,13 +52,14 @@ class Projection:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceImage:
-    """What one camera sees of N Gaussians.
+    """The image of N Gaussians in one camera, with depths and weights.
 
     Attributes:
         image: (H, W, 3) colors over the background.
-        alpha: (H, W) one minus the transmittance left.
-        depth: (H, W) mean camera z by weight, 0 where alpha is 0.
-        median_depth: (H, W) camera z of the Gaussian that takes transmittance to 0.5 or below, 0 where none does.
+        alpha: (H, W) one minus the remaining transmittance.
+        depth: (H, W) mean camera z, weighted by blending weights; 0 where alpha is 0.
+        median_depth: (H, W) camera z of the first Gaussian behind which transmittance is at most 0.5; 0 if there is
+            none.
         means2d: (N, 2) projected centers, pixels; after a backward pass its `grad` is the screen-space gradient.
         radii: (N, 2) half extents on the screen, pixels; 0 where not drawn. Without gradient.
         largest_weights: (N,) each Gaussian's largest weight over all pixels. Without gradient.
@@ -86,7 +87,7 @@ def project_reference(
     antialiased: bool = False,
     colors: Tensor | None = None,
 ) -> Projection:
-    """Where, how large and in which color each Gaussian appears on the screen.
+    """Return the position, extent and color of each Gaussian on the screen.
 
     Args:
         tensors: N Gaussians, world frame.
@@ -94,12 +95,12 @@ def project_reference(
         K: (3, 3) intrinsics in pixels, without skew.
         width: Pixels.
         height: Pixels.
-        sh_degree: Highest degree of SH to evaluate; None for all there are.
+        sh_degree: Highest degree of SH to evaluate; None for the degree of the scene.
         antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
-        colors: (N, 3) to take in place of those from SH.
+        colors: (N, 3) RGB instead of SH.
 
     Returns:
-        Values of the dtype and device of `tensors`, differentiable.
+        Differentiable values of the dtype and device of `tensors`.
 
     Raises:
         ValueError: If a shape, a size, the intrinsics or the degree are out of range.
@@ -113,10 +114,10 @@ def project_reference(
 
     x, y, z = ((tensors.means[:, None, :] * rotation).sum(dim=2) + translation).unbind(dim=1)
     valid = z.detach() > NEAR
-    z = torch.where(valid, z, torch.ones_like(z))  # so that what is culled divides by nothing
+    z = torch.where(valid, z, torch.ones_like(z))  # so that culled Gaussians do not divide by zero
     means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], dim=1)
 
-    # The Jacobian of the projection, taken no farther than 0.3 half images outside the view.
+    # The Jacobian of the projection; its point is clamped to 0.3 half images outside the view.
     beyond_x, beyond_y = 0.3 * 0.5 * width / fx, 0.3 * 0.5 * height / fy
     slope_x = (x / z).clamp(-cx / fx - beyond_x, (width - cx) / fx + beyond_x)
     slope_y = (y / z).clamp(-cy / fy - beyond_y, (height - cy) / fy + beyond_y)
@@ -125,8 +126,8 @@ def project_reference(
         [torch.stack([fx / z, zero, -fx * slope_x / z], dim=1), torch.stack([zero, fy / z, -fy * slope_y / z], dim=1)],
         dim=1,
     )
-    # With A = J W R S the covariance on the screen is A A^T, and its determinant the squared area its rows span:
-    # so written it cannot come out negative for a needle.
+    # With A = J W R S the covariance on the screen is A A^T. Its determinant is the squared area that its rows span.
+    # Computed this way, it cannot be negative for a needle.
     half = jacobian @ rotation @ (rotations_from_quats(tensors.quats) * tensors.scales[:, None, :])
     u, v = half.unbind(dim=1)
     xx, xy, yy = (u * u).sum(dim=1), (u * v).sum(dim=1), (v * v).sum(dim=1)
@@ -159,7 +160,7 @@ def rasterize_reference(
     background: ArrayLike | Tensor = (0.0, 0.0, 0.0),
     **options: Any,
 ) -> ReferenceImage:
-    """Draw Gaussians, every pixel against every Gaussian.
+    """Render Gaussians, every pixel against every Gaussian.
 
     Args:
         tensors: N Gaussians, world frame.
@@ -168,11 +169,11 @@ def rasterize_reference(
         width: Pixels.
         height: Pixels.
         background: (3,) color behind everything.
-        options: `sh_degree`, `antialiased` and `colors`, as `project_reference` takes them.
+        options: `sh_degree`, `antialiased` and `colors` of `project_reference`.
 
     Returns:
-        The image with its depths and weights, of the dtype and device of `tensors`. Differentiable, but for the
-        choices of which Gaussian is drawn, in which order, and where the blending stops.
+        The image with its depths and weights, of the dtype and device of `tensors`. It is differentiable. Gradients
+        ignore which Gaussians are drawn, in which order, and where blending stops.
 
     Raises:
         ValueError: If a shape, a size, the intrinsics or the degree are out of range.
@@ -184,11 +185,11 @@ def rasterize_reference(
 def blend_reference(
     tensors: GaussianTensors, projection: Projection, width: int, height: int, background: ArrayLike | Tensor
 ) -> ReferenceImage:
-    """Draw Gaussians that are projected; see `rasterize_reference`.
+    """Render projected Gaussians; see `rasterize_reference`.
 
     Args:
         tensors: N Gaussians, world frame.
-        projection: Of the same Gaussians.
+        projection: The same Gaussians, projected.
         width: Pixels.
         height: Pixels.
         background: (3,) color behind everything.
@@ -204,10 +205,10 @@ def blend_reference(
     largest, summed = (torch.zeros_like(means2d[:, 0].detach()) for _ in range(2))
     parts = []
     for some in torch.split(pixels, max(1, _PAIRS_AT_ONCE // max(1, len(order)))):
-        with torch.no_grad():  # what is below 1/255 at all of these pixels, by a margin, changes none of them
+        with torch.no_grad():  # skip Gaussians that stay well below 1/255 at all of these pixels
             reach = torch.log(255.0 * front_to_back.opacities) + 0.1
             hit = (_sigmas(front_to_back, slice(None), some) < reach).any(dim=0).nonzero()[:, 0]
-        # Recomputed in the backward pass, so that one chunk at a time is in memory there too.
+        # The backward pass recomputes a chunk, so that it too holds one chunk at a time.
         *drawn, weights = checkpoint(_blend, front_to_back, hit, some, behind, use_reentrant=False)
         parts.append(drawn)
         if weights.numel():
@@ -237,7 +238,7 @@ def contributors_reference(
     *,
     antialiased: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Who stands behind one pixel.
+    """Return the Gaussians blended into one pixel.
 
     Args:
         tensors: N Gaussians, world frame.
@@ -246,13 +247,13 @@ def contributors_reference(
         width: Pixels.
         height: Pixels.
         pixel: Column and row, from 0 at the top left.
-        antialiased: See `project_reference`.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
 
     Returns:
-        Ids, alphas, weights and depths (camera z) of the Gaussians blended there, front to back.
+        Ids, alphas, weights and depths (camera z) of these Gaussians, front to back.
 
     Raises:
-        ValueError: If the pixel lies outside the image, or as in `rasterize_reference`.
+        ValueError: If the pixel lies outside the image, or a shape, a size or the intrinsics are out of range.
     """
     with torch.no_grad():
         projection = project_reference(tensors, viewmat, K, width, height, antialiased=antialiased)
@@ -269,7 +270,7 @@ def contributors_reference(
 
 
 def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
-    """Indices of the valid Gaussians by depth as float32; equal ones by content, so that the index never counts."""
+    """Return indices of the valid Gaussians, sorted by depth as float32; ties sort by content, not by index."""
     columns = [
         projection.depths.float()[:, None],
         tensors.means,
@@ -284,14 +285,14 @@ def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
 
 
 def _sigmas(projection: Projection, ids: Tensor | slice, pixels: Tensor) -> Tensor:
-    """(P, M) exponents of the Gaussians `ids` at (P, 2) pixel centers: the response there is exp(-sigma)."""
+    """Return (P, M) exponents of the Gaussians `ids` at (P, 2) pixel centers: the response is exp(-sigma)."""
     dx, dy = (projection.means2d[ids, axis] - pixels[:, axis, None] for axis in (0, 1))
     a, b, c = (0.5 * projection.conics[ids, 0], projection.conics[ids, 1], 0.5 * projection.conics[ids, 2])
     return a * dx * dx + b * dx * dy + c * dy * dy
 
 
 def _alphas(projection: Projection, ids: Tensor, pixels: Tensor) -> Tensor:
-    """(P, M) alphas of the Gaussians `ids` at (P, 2) pixel centers, 0 where below 1/255."""
+    """Return (P, M) alphas of the Gaussians `ids` at (P, 2) pixel centers, 0 where below 1/255."""
     sigma = _sigmas(projection, ids, pixels)
     alphas = (projection.opacities[ids] * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
     drawn = (alphas.detach() >= MIN_ALPHA) & (sigma.detach() >= 0)
@@ -299,9 +300,9 @@ def _alphas(projection: Projection, ids: Tensor, pixels: Tensor) -> Tensor:
 
 
 def _alphas_and_transmittance(projection: Projection, ids: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
-    """(P, M) alphas with 0 where not blended, and (P, M + 1) transmittance before each and after the last."""
+    """Return (P, M) alphas, 0 where not blended, and (P, M + 1) transmittance before each and after the last."""
     alphas = _alphas(projection, ids, pixels)
-    with torch.no_grad():  # transmittance never rises: all from the first that would spend it on are left out
+    with torch.no_grad():  # drop the first that would bring it to the minimum, and all behind
         blended = torch.cumprod(1.0 - alphas, dim=1) > MIN_TRANSMITTANCE
     alphas = torch.where(blended, alphas, torch.zeros_like(alphas))
     after = torch.cumprod(1.0 - alphas, dim=1)
@@ -309,7 +310,7 @@ def _alphas_and_transmittance(projection: Projection, ids: Tensor, pixels: Tenso
 
 
 def _blend(projection: Projection, ids: Tensor, pixels: Tensor, background: Tensor) -> tuple[Tensor, ...]:
-    """Image (P, 3), alpha (P,), depth (P,), median depth (P,) and weights (P, M), of ids given front to back."""
+    """Return image (P, 3), alpha (P,), depth (P,), median depth (P,) and weights (P, M); `ids` are front to back."""
     alphas, transmittance = _alphas_and_transmittance(projection, ids, pixels)
     weights = alphas * transmittance[:, :-1]
     left = transmittance[:, -1]
@@ -326,7 +327,7 @@ def _blend(projection: Projection, ids: Tensor, pixels: Tensor, background: Tens
 
 
 def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None) -> Tensor:
-    """(N, 3) colors seen from `eye`, clipped below at 0."""
+    """Return (N, 3) colors seen from `eye`, clipped below at 0."""
     degree = tensors.sh_degree if sh_degree is None else sh_degree
     if isinstance(degree, bool) or degree not in range(tensors.sh_degree + 1):
         raise ValueError(f"sh_degree: expected 0 to {tensors.sh_degree}, the scene's own, got {sh_degree!r}")
@@ -335,7 +336,7 @@ def _colors_from_sh(tensors: GaussianTensors, eye: Tensor, sh_degree: int | None
 
 
 def _pixel_centers(width: int, height: int, like: Tensor) -> Tensor:
-    """(H * W, 2) x and y, row by row."""
+    """Return (H * W, 2) pixel centers x and y, row by row."""
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     return torch.stack([x, y], dim=2).reshape(-1, 2).to(like) + 0.5
 
@@ -347,7 +348,7 @@ def _camera(
     width: int,
     height: int,
 ) -> tuple[Tensor, Tensor]:
-    """The checked pose and intrinsics, of the dtype and device of the Gaussians."""
+    """Return the checked pose and intrinsics, of the dtype and device of the Gaussians."""
     _check.positive_int("width", width)
     _check.positive_int("height", height)
     view = _small_tensor("viewmat", viewmat, (4, 4), tensors.means)
@@ -365,7 +366,7 @@ def _camera(
 
 
 def _small_tensor(name: str, value: ArrayLike | Tensor, shape: tuple[int, ...], like: Tensor) -> Tensor:
-    """A checked, finite tensor of the dtype and device of `like`; one that has a gradient keeps it."""
+    """Return a checked, finite tensor of the dtype and device of `like`; keep its gradient."""
     if not isinstance(value, Tensor):
         value = torch.tensor(_check.floats(name, value, shape, np.float64))
     if tuple(value.shape) != shape:

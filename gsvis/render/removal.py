@@ -1,8 +1,8 @@
-"""What taking one Gaussian away would do to images, for every Gaussian at once, by one pass over each image.
+"""Compute how images change without one Gaussian, for every Gaussian at once, in one pass over each image.
 
-At a pixel the color is linear in the alpha of any one Gaussian: without it the pixel changes by w (B - c), with w its
-weight, c its color and B the color that full light would show behind it, background included. Effects are those of
-removing one Gaussian while all others stay; they do not add up where Gaussians lie behind each other.
+The color of a pixel is linear in the alpha of any one Gaussian. Without it the pixel changes by w (B - c): w is its
+weight, c its color, and B the color of everything behind it at full transmittance, background included. Each effect is
+that of removing one Gaussian while all others stay. Effects do not add up for Gaussians behind each other.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RemovalEffects:
-    """What removing each of N Gaussians alone does, summed over the pixels of all views and averaged over RGB.
+    """The effect of removing each of N Gaussians alone, summed over the pixels of all views and averaged over RGB.
 
     Attributes:
         absolute: (N,) float64, absolute change of the values.
-        squared: (N,) float64, squared change: the rise of the squared error against the scene's own images.
-        error_change: (N,) float64, change of the squared error against the target images: negative where they are met
-            better without the Gaussian; equal to `squared` where no targets were given and all are present.
-        pixels: Number of pixels summed over; sums over `pixels` are changes of mean errors.
+        squared: (N,) float64, squared change: the increase of the squared error against the scene's own images.
+        error_change: (N,) float64, change of the squared error against the target images; negative if the images match
+            better without the Gaussian. Equal to `squared` if no targets are given and all Gaussians are present.
+        pixels: Number of pixels in the sums; a sum divided by it is a change of a mean error.
     """
 
     absolute: F64
@@ -55,27 +55,27 @@ def removal_effects(
     presence: ArrayLike | None = None,
     progress: Progress = silent,
 ) -> RemovalEffects:
-    """What removing each Gaussian, alone, would do to the images of some cameras.
+    """Return the effect of removing each Gaussian, alone, on the images of some cameras.
 
-    Images stop blending where transmittance falls to 1e-4, and what a removal would let through there they never met.
-    So effects are worked out down to 1e-6: exact, but for at most 1e-6 / (1 - alpha) of a color, for images that
-    never stop. Against images that do stop they are off by what the stop hides, which matters where a nearly opaque
-    Gaussian stands behind others (it is left out altogether if it would take transmittance to 1e-4).
+    A rendered image stops blending where transmittance falls to 1e-4, so it lacks Gaussians that a removal would
+    uncover. This function blends down to 1e-6 instead. Its effects are exact for images that never stop, except for at
+    most 1e-6 / (1 - alpha) of a color. For images that do stop, they differ by what the stop hides. That matters for a
+    nearly opaque Gaussian behind others; `rasterize` drops it if it would bring transmittance to 1e-4.
 
     Args:
         gaussians: N Gaussians.
         cameras: C cameras.
         images: (C, H, W, 3) targets, photographs or renders of a fuller scene; uint8 where 255 is white, or floats
             where 1 is white. None for the scene's own images.
-        colors: In place of SH, as `rasterize` takes them for arrays.
+        colors: Colors that replace SH, as in `rasterize` for arrays.
         background: (3,) RGB behind everything.
-        presence: (N,) in [0, 1], the share of its alpha with which each Gaussian is there while others are looked at:
-            0 for one that is absent, between for one that may or may not stay. Effects are always those of none of a
-            Gaussian against all of it. None for 1.
+        presence: (N,) in [0, 1], factor on the alpha of each Gaussian while the effects of others are computed: 0 for
+            an absent Gaussian, a value between for one that may or may not stay. The effect of a Gaussian always
+            compares none of it with all of it. None for 1.
         progress: Called with stage "removal", in views.
 
     Returns:
-        Sums over all pixels and views; zeros for Gaussians that no view shows. The same for any number of threads.
+        Sums over all pixels and views; zeros for Gaussians that no view shows. Independent of the number of threads.
 
     Raises:
         ValueError: If an argument has the wrong shape or type, or is not finite.
@@ -111,7 +111,7 @@ def removal_effects(
             behind, residual, pairs,
         )  # fmt: skip
         if len(pairs):
-            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs every stretch non-empty
+            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs non-empty ranges
             ids = projected.ids[projected.order[met]]
             starts = projected.first_pair[met]
             sums[ids] += np.add.reduceat(pairs[:, :3], starts, axis=0, dtype=np.float64)
@@ -122,7 +122,7 @@ def removal_effects(
 
 
 def _blend(view: View, projected: Projected, features: F32, background: F32) -> F32:
-    """(H, W, 3) the image, as `rasterize` draws it with opacities times presence."""
+    """Return the (H, W, 3) image that `rasterize` draws with opacities times presence."""
     splats = projected.splats
     if (features[:, 3] != 1.0).any():
         splats = splats.copy()
@@ -131,6 +131,6 @@ def _blend(view: View, projected: Projected, features: F32, background: F32) -> 
 
 
 def _target(image: NDArray[Any]) -> F32:
-    """(H, W, 3) of one target, 1 is white."""
+    """Return one target as (H, W, 3) float32, where 1 is white."""
     values = image / np.float32(255.0) if image.dtype == np.uint8 else image
     return np.asarray(_check.floats("images", values, image.shape), np.float32)

@@ -1,6 +1,6 @@
-"""The slow twin of `removal_effects`: every pixel composited again without each Gaussian in turn, in float64.
+"""The slow twin of `removal_effects`: it composites every pixel again without each Gaussian in turn, in float64.
 
-It never stops at spent transmittance; everything else is the reference rasterizer's.
+It never stops at low transmittance; everything else is the same as in the reference rasterizer.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def removal_reference(
     residuals: NDArray[np.float64] | None = None,
     background: ArrayLike = (0.0, 0.0, 0.0),
 ) -> RemovalEffects:
-    """Return what removing each Gaussian does to images, by doing it.
+    """Return the effect of removing each Gaussian on images, by removing each in turn.
 
     Args:
         gaussians: N Gaussians.

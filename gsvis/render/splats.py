@@ -1,7 +1,7 @@
-"""The splats of one view: projection, sorting, tiles and blending of features, one camera at a time, in NumPy alone.
+"""The splats of one view: projection, sorting, tiles and blending of features, one camera at a time, without torch.
 
-Conventions: docs/conventions.md. Nothing depends on the order of the Gaussians in the scene or
-on the number of threads.
+Conventions: docs/conventions.md. Results depend neither on the order of the Gaussians in the scene nor on the number of
+threads.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ I64 = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One camera as the kernels take it.
+    """One camera, for the kernels.
 
     Attributes:
         viewmat: (4, 4) float64, camera from world.
@@ -45,7 +45,7 @@ class View:
 
     @classmethod
     def from_matrices(cls, viewmat: F64, K: F64, width: int, height: int) -> View:  # noqa: N803
-        """From (4, 4) and (3, 3) matrices; skew is refused where cameras are checked."""
+        """Return the view of a (4, 4) pose and (3, 3) intrinsics; callers check that there is no skew."""
         fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
         return cls(np.ascontiguousarray(viewmat, np.float64), (fx, fy, cx, cy), width, height)
 
@@ -56,7 +56,7 @@ class View:
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """Tiles across and down."""
+        """Number of tiles across and down."""
         side = _kernels_tiles.TILE
         return -(-self.width // side), -(-self.height // side)
 
@@ -72,7 +72,7 @@ class Projected:
         order: (M,) int32 splats, front to back.
         offsets: (tiles + 1,) int64; tile t owns members[offsets[t]:offsets[t + 1]].
         members: (P,) int32 splats, front to back.
-        pair_of: (P,) int32 number of each pair, along `order`; empty where not asked for.
+        pair_of: (P,) int32 number of each pair, along `order`; empty if `project` was called without `pairs`.
         first_pair: (M + 1,) int64; splat order[k] owns pairs first_pair[k]:first_pair[k + 1].
     """
 
@@ -87,12 +87,12 @@ class Projected:
 
 
 def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projected:
-    """Project, sort by depth and cut into tiles.
+    """Project Gaussians, sort them by depth and list them by tile.
 
     Args:
-        scene: Anything with arrays means, quats, scales, opacities (and sh0, shN, that order equal depths).
+        scene: Object with arrays means, quats, scales, opacities, and sh0; the last helps to order equal depths.
         view: The camera.
-        antialiased: Make opacity pay for the dilation.
+        antialiased: Lower opacities so that the dilation keeps their integral.
         pairs: Number the (tile, splat) pairs, as gradients and weights need.
     """
     n = len(scene.means)
@@ -137,9 +137,9 @@ def blend(
     Args:
         projected: The M splats of the view.
         view: The camera.
-        features: (M, 4) what each splat shows; three channels are blended over the background, the fourth is a depth.
+        features: (M, 4) features of each splat: three channels to blend over the background, and a depth.
         background: (3,) behind everything.
-        tiles: Offsets and members in place of those of `projected`, where only some splats are to show.
+        tiles: Offsets and members that replace those of `projected`, to show only some splats.
 
     Returns:
         image (H, W, 3), transmittance, expected depth, median depth and depth at the end of each ray, all (H, W).
@@ -156,7 +156,7 @@ def color_splats(scene: Any, projected: Projected, view: View, sh_degree: int, c
     """Return the (M, 4) features of splats that `blend` draws: their colors and depths.
 
     Args:
-        scene: Has means, sh0 and shN as arrays.
+        scene: Object with arrays means, sh0 and shN.
         projected: The M splats of the view.
         view: The camera.
         sh_degree: Degree to evaluate, at most that of the scene.
@@ -174,14 +174,14 @@ def color_splats(scene: Any, projected: Projected, view: View, sh_degree: int, c
 def draw(
     scene: Any, view: View, *, background: F32, sh_degree: int, antialiased: bool = False, colors: F32 | None = None
 ) -> tuple[F32, F32, F32, F32]:
-    """Draw one view, without gradients.
+    """Render one view, without gradients.
 
     Args:
-        scene: Has means, quats, scales, opacities, sh0 and shN as arrays.
+        scene: Object with arrays means, quats, scales, opacities, sh0 and shN.
         view: The camera.
         background: (3,) RGB behind everything.
         sh_degree: Degree to evaluate, at most that of the scene.
-        antialiased: Make opacity pay for the dilation.
+        antialiased: Lower opacities so that the dilation keeps their integral.
         colors: (N, 3) RGB instead of SH.
 
     Returns:

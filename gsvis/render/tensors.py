@@ -1,4 +1,4 @@
-"""Gaussians as torch tensors: what the rasterizers take gradients for.
+"""Gaussians as torch tensors, the inputs that the rasterizers can differentiate.
 
 Values are activated, as in `gsvis.scene.Gaussians`: same names, shapes, frame and units. Nothing here renders.
 """
@@ -21,7 +21,7 @@ __all__ = ["GaussianTensors", "rotations_from_quats"]
 class GaussianTensors:
     """N 3D Gaussians as tensors of one float type on one device, any of which may require a gradient.
 
-    Shapes are checked here, values are not: a training step need not pay for that. `check_values` does it.
+    The constructor checks shapes but not values, to keep training steps fast. `check_values` checks values.
 
     Args:
         means: (N, 3) centers, scene units.
@@ -73,13 +73,13 @@ class GaussianTensors:
         device: torch.device | str = "cpu",
         requires_grad: bool = False,
     ) -> GaussianTensors:
-        """A copy of a scene as leaf tensors.
+        """Return a copy of a scene as leaf tensors.
 
         Args:
             gaussians: The scene.
             dtype: A float type; the scene holds float32.
-            device: Where the tensors live.
-            requires_grad: Whether all six gather gradients.
+            device: Device of the tensors.
+            requires_grad: Whether all six tensors require gradients.
         """
         return cls(
             **{
@@ -122,7 +122,7 @@ class GaussianTensors:
 
     @property
     def sh_degree(self) -> int:
-        """0 to 3."""
+        """Degree of the SH colors, 0 to 3."""
         return sh_degree_of(1 + self.shN.shape[1])
 
 
@@ -132,7 +132,7 @@ _SHAPES: dict[str, tuple[int | None, ...]] = dict(
 
 
 def rotations_from_quats(quats: Tensor) -> Tensor:
-    """(N, 3, 3) world from Gaussian, of quaternions wxyz of any length."""
+    """Return (N, 3, 3) rotations, world from Gaussian, of (N, 4) quaternions wxyz of any length."""
     w, x, y, z = normalize(quats, dim=1).unbind(dim=1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

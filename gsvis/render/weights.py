@@ -1,6 +1,6 @@
-"""Who contributes to an image: blending weights of every Gaussian in every view, and the list behind one pixel.
+"""Blending weights: of every Gaussian in every view, and the list of contributors to one pixel.
 
-The weights are the rasterizer's own (EWA); `gsvis.raycast` has those along exact rays.
+The weights are those of the rasterizer (EWA); `gsvis.raycast` computes weights along exact rays.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class ViewWeights:
     """Weights of N Gaussians in C views.
 
     Attributes:
-        largest: (C, N) float32, largest weight over the pixels of the view; visible where it is at least tau.
-        summed: (C, N) float32, sum over the pixels.
+        largest: (C, N) float32, largest weight over the pixels of the view; at least tau for a visible Gaussian.
+        summed: (C, N) float32, sum of the weights over the pixels of the view.
     """
 
     largest: F32
@@ -58,12 +58,12 @@ class PixelContributors:
 def view_weights(
     g: Gaussians, cameras: Cameras, *, antialiased: bool = False, progress: Progress = silent
 ) -> ViewWeights:
-    """Largest and summed blending weight of each Gaussian in each view.
+    """Return the largest and the summed blending weight of each Gaussian in each view.
 
     Args:
         g: N Gaussians.
         cameras: C cameras.
-        antialiased: As in `rasterize`.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
         progress: Called with stage "views".
     """
     largest = np.zeros((len(cameras), len(g)), np.float32)
@@ -76,7 +76,7 @@ def view_weights(
         lists = projected.offsets, projected.members, projected.pair_of, view.tiles[0]
         _kernels_tiles.weigh_tiles(projected.splats, colorless, *lists, view.width, view.height, pairs)
         if len(pairs):
-            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs every stretch non-empty
+            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs non-empty ranges
             starts, ids = projected.first_pair[met], projected.ids[projected.order[met]]
             largest[c, ids] = np.maximum.reduceat(pairs[:, 0], starts)
             summed[c, ids] = np.add.reduceat(pairs[:, 1], starts)
@@ -87,13 +87,13 @@ def view_weights(
 def contributors(
     g: Gaussians, camera: Cameras, pixel: tuple[int, int], *, antialiased: bool = False
 ) -> PixelContributors:
-    """The ordered list of Gaussians behind one pixel.
+    """Return the Gaussians blended into one pixel, front to back.
 
     Args:
         g: N Gaussians.
         camera: One camera.
-        pixel: Column and row.
-        antialiased: As in `rasterize`.
+        pixel: Column and row, from 0 at the top left.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
 
     Raises:
         ValueError: If there is not exactly one camera, or the pixel lies outside its image.

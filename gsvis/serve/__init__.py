@@ -4,7 +4,7 @@
         client = fetch(url, FieldOfView.from_degrees(90, 70), path.at, seconds=5.0)
     gaussians, colors = client.receiver.scene()
 
-docs/serving.md tells how to operate it.
+docs/serving.md explains how to operate it.
 """
 
 from gsvis.serve.app import AppConfig, build_app

@@ -1,6 +1,6 @@
-"""Whose connection it is, and under which names a server may be asked: addresses, proxies, hosts.
+"""Find the address of a client behind proxies, and check the host names of requests.
 
-Addresses are text, as the socket gives them. An IPv6 host usually has a network of its own, so /64 counts as one.
+Addresses are text, as the socket gives them. An IPv6 host usually has its own /64 network, so a /64 counts as one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["Proxies", "is_known_host", "owner_of"]
 
 
 def owner_of(address: str) -> str:
-    """Return what counts as one address: the address itself, of IPv6 its network.
+    """Return what counts as one address: an IPv4 address itself, the /64 network of an IPv6 address.
 
     Examples:
         >>> owner_of("10.1.2.3"), owner_of("2001:db8::1:2"), owner_of("::ffff:10.1.2.3")
@@ -39,13 +39,13 @@ def _parse(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None
 
 @dataclass(frozen=True)
 class Proxies:
-    """Proxies whose X-Forwarded-For is believed.
+    """Proxies whose X-Forwarded-For header is trusted.
 
     Attributes:
         names: Addresses or networks, such as "127.0.0.1" or "10.0.0.0/8".
 
     Raises:
-        ValueError: If one is neither.
+        ValueError: If a name is neither an address nor a network.
 
     Examples:
         >>> proxies = Proxies(("127.0.0.1",))
@@ -67,18 +67,18 @@ class Proxies:
         return found is not None and any(found in ipaddress.ip_network(name, strict=False) for name in self.names)
 
     def client_of(self, peer: str, forwarded: Sequence[str]) -> str:
-        """Return the address of a client: that of the socket, or what trusted proxies say of it.
+        """Return the address of a client: that of the socket, or the one that trusted proxies report.
 
         Args:
             peer: Address of the socket.
-            forwarded: Values of X-Forwarded-For; each proxy appends whom it heard.
+            forwarded: Values of X-Forwarded-For; each proxy appends the address of its own peer.
         """
         client = peer
         entries = [entry.strip() for value in forwarded for entry in value.split(",")]
         while entries and client in self:
             entry = _bare(entries.pop())
             if _parse(entry) is None:
-                break  # "unknown", or nonsense: the last address that is known stays
+                break  # "unknown", or invalid: keep the last valid address
             client = entry
         return client
 
@@ -91,14 +91,14 @@ def _bare(entry: str) -> str:
 
 
 def is_known_host(host: str, names: Iterable[str]) -> bool:
-    """Return whether a server may be asked by this Host header.
+    """Return whether a server accepts a request with this Host header.
 
-    A page cannot make the name of somebody else's address point here, unless the name is its own (DNS rebinding). So
-    names have to be known, while an address is always good: nobody can make it point elsewhere.
+    A page can make its own name point to this server (DNS rebinding), so names must be known. Addresses are always
+    accepted, because nobody can make an address point elsewhere.
 
     Args:
         host: Value of the header, with or without port.
-        names: Known names; "*" is every one, ".example.org" all below example.org.
+        names: Known names; "*" means every name, ".example.org" every name below example.org.
 
     Examples:
         >>> [is_known_host(host, ["me.example"]) for host in ("me.example:80", "[::1]:80", "localhost", "evil.example")]

@@ -1,8 +1,8 @@
-"""The door of a server: accepts connections, counts them by kind and by address, and decides who gives way.
+"""The door of a server: accept connections, count them by kind and by address, and close some if there are too many.
 
-Viewers that stream have seats of their own (see `app`) and never give way. All others share `Limits.waiting` places,
-and an address has at most `Limits.per_address` of them. The newcomer gets in; the one that gives way belongs to the
-address that holds most, and has waited longest there. So a crowd harms itself first.
+Viewers that stream have their own seats (see `app`) and are never closed to make room. All other connections share
+`Limits.waiting` places, with at most `Limits.per_address` for one address. A new connection is always accepted. The one
+closed for it belongs to the address with most connections, and has waited longest. So a crowd harms itself first.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from gsvis.serve._guard import Guard, Means, Phase
 __all__ = ["Door"]
 
 _NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-_PAUSE_S = 0.05  # before the next try to accept after an error; twice as long each time
+_PAUSE_S = 0.05  # pause before accepting again after an error; doubles each time
 _LONGEST_PAUSE_S = 1.0
-_QUIET_S = 10.0  # one line in so many seconds
-_IN_A_ROW = 16  # connections accepted before the others get their turn
-_NEVER = 1e6  # seconds; for time-outs of asyncio that the guard keeps by itself
+_QUIET_S = 10.0  # seconds between log lines about failures to accept
+_IN_A_ROW = 16  # connections to accept before other tasks run
+_NEVER = 1e6  # seconds; for time-outs of asyncio that the guard replaces
 
 
 class Door:
@@ -35,9 +35,9 @@ class Door:
 
     Args:
         listener: A listening socket that does not block.
-        means: What its guards share.
+        means: What all guards share.
         inner: Makes the protocol that answers the requests of a connection.
-        proxies: Whom to believe about addresses; their own are not counted.
+        proxies: Proxies to trust about client addresses; their own addresses have no limit.
         tls: None for plain connections.
 
     Attributes:
@@ -69,7 +69,7 @@ class Door:
             self._accepting.cancel()
 
     async def wait_closed(self) -> None:
-        """Wait until nobody is accepted any more."""
+        """Wait until the door has stopped accepting connections."""
         if self._accepting is not None:
             await asyncio.wait([self._accepting])
 
@@ -92,7 +92,7 @@ class Door:
             self._listener.close()
 
     def _make_do(self, error: OSError) -> None:
-        """Log that a connection could not be accepted, and make room if that was the reason."""
+        """Log that a connection could not be accepted; close another one if resources ran out."""
         name = errno.errorcode.get(error.errno or 0, "other")
         self._means.metrics.accept_failures.add(of=name)
         now = self._means.clock.now()
@@ -115,7 +115,7 @@ class Door:
         options: dict[str, Any] = {}
         if self._tls is not None:
             options = {"ssl": self._tls, "ssl_handshake_timeout": _NEVER}
-            if sys.version_info >= (3, 11):  # before, there is no such time-out
+            if sys.version_info >= (3, 11):  # older versions have no such time-out
                 options["ssl_shutdown_timeout"] = _NEVER
         try:
             await asyncio.get_running_loop().connect_accepted_socket(lambda: guard, sock, **options)
@@ -139,7 +139,7 @@ class Door:
         return [guard for guard in self.guards if guard.phase is not Phase.STREAMING and not guard.is_cut]
 
     def _crowd(self, newcomer: Guard) -> None:
-        """Keep to the limits: somebody gives way to the newcomer."""
+        """Enforce the limits: close another connection if the new one exceeds them."""
         waiting = self._waiting()
         if newcomer.address not in self._proxies:
             same = [guard for guard in waiting if guard.owner == newcomer.owner]
@@ -150,7 +150,7 @@ class Door:
             self._make_room([guard for guard in waiting if guard is not newcomer])
 
     def _make_room(self, among: list[Guard]) -> None:
-        """Cut the one that can best be spared."""
+        """Cut the connection that is least needed."""
         if not among:
             return
         held = Counter(guard.owner for guard in among)

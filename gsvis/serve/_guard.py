@@ -1,16 +1,16 @@
-"""The guard of one connection: between its socket and uvicorn's protocols, from accept to end.
+"""The guard of one connection, between its socket and uvicorn's protocols, from accept to end.
 
-Whatever a peer does, a connection is in one phase, and each phase ends: by progress, by a deadline, or by giving way.
+A connection is always in one phase. Each phase ends by progress, by a deadline, or to make room for another connection.
 
-    ASKING     no whole request yet; also the TLS handshake           handshake_s
+    ASKING     no complete request yet; also the TLS handshake        handshake_s
     ANSWERING  a request is being answered                            as long as the answer is read
-    IDLE       between requests, until the next one is whole          keep_alive_s, once the answer is out
+    IDLE       between requests, until the next one is complete       keep_alive_s, after the answer is sent
     GREETING   a WebSocket before its HELLO                           handshake_s, kept by `Connection`
     STREAMING  a viewer                                               kept by `Connection`
-    ENDING     closed by us, or refused; what is left is being sent   stall_s
+    ENDING     closed by us, or refused; the rest is being sent       stall_s
 
-In all of them a socket without room must take bytes at a pace. The guard reads the head of each request itself and
-hands over one whole request at a time; what follows waits here.
+In every phase, a peer whose socket is full must read at a minimum rate. The guard reads the head of each request itself
+and hands over one complete request at a time; later bytes wait in the guard.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from gsvis.serve.metrics import Metrics
 __all__ = ["Guard", "Means", "Phase", "Wire"]
 
 _AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
-_MOST_PENDING = 1 << 20  # bytes that wait for a viewer, answers to pings among them; or four batches
-_PACE = 1 << 10  # bytes that a peer takes in `stall_s`, at least
-_LOOK_S = 1.0  # between two looks whether an answer is out
+_MOST_PENDING = 1 << 20  # most bytes that wait for a viewer, with answers to pings; or four batches, if more
+_PACE = 1 << 10  # least bytes that a peer must read in `stall_s`
+_LOOK_S = 1.0  # seconds between checks whether an answer has been sent
 
 _numbers = itertools.count()
 
 
 class Phase(enum.Enum):
-    """What a connection is doing."""
+    """The phase of a connection."""
 
     ASKING = "asking"
     ANSWERING = "answering"
@@ -63,9 +63,9 @@ class Means:
 
     Attributes:
         limits: Bounds.
-        clock: Where deadlines come from.
-        log: Where to say what happened.
-        metrics: Where to count it.
+        clock: Clock of the deadlines.
+        log: Log of events.
+        metrics: Counters of events.
     """
 
     limits: Limits
@@ -75,7 +75,7 @@ class Means:
 
 
 class _Inner(Protocol):
-    """A protocol of uvicorn."""
+    """Interface of a protocol of uvicorn."""
 
     def connection_made(self, transport: Any) -> None: ...
     def connection_lost(self, exc: Exception | None) -> None: ...
@@ -86,7 +86,7 @@ class _Inner(Protocol):
 
 
 class Wire:
-    """A transport as uvicorn's protocols see it: the guard stays in front whatever they do.
+    """The transport that uvicorn's protocols use; it keeps the guard between them and the socket.
 
     Attributes:
         guard: The guard of this connection.
@@ -99,31 +99,31 @@ class Wire:
         return getattr(self._transport, name)
 
     def set_protocol(self, protocol: Any) -> None:
-        """Hand the connection to another protocol, behind the guard."""
+        """Switch the connection to another protocol, behind the guard."""
         self.guard.upgrade(protocol)
 
     def close(self) -> None:
-        """Close once all has been sent; not later than the guard allows."""
+        """Close after everything is sent, or when the guard's deadline expires."""
         self.guard.close()
 
 
 class Guard(asyncio.Protocol):
-    """Watches one connection.
+    """Watch one connection.
 
     Args:
-        sock: The socket, as it was accepted.
+        sock: The accepted socket.
         peer: Address of the other end.
         means: What all guards share.
         inner: Makes the protocol that answers requests.
-        seen: Called when the guard's address is to be found in the headers of a request; returns it.
+        seen: Called with the peer and the forwarded headers of each request; returns the address of the client.
         gone: Called once, when the connection has ended.
 
     Attributes:
-        phase: What it does.
-        since: Rises with each change of phase; the smallest has waited longest.
-        address: Of whoever is behind it.
-        owner: What counts as one address with it.
-        is_cut: Whether it has been cut; the transport reports its end a little later.
+        phase: Phase of the connection.
+        since: Increases with each change of phase; the smallest has waited longest.
+        address: Address of the client.
+        owner: Address or network of the client, for limits per address.
+        is_cut: Whether the connection has been cut; the transport reports its end a little later.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class Guard(asyncio.Protocol):
         self._deadline: Timer | None = None
         self._room: Timer | None = None
         self._is_over = self._is_upgraded = False
-        self._left = 0  # bytes that waited to be sent at the last look, while it ends
+        self._left = 0  # bytes that waited to be sent at the last check, while ending
         self._enter(Phase.ASKING, self._limits.handshake_s)
 
     def __str__(self) -> str:
@@ -153,7 +153,7 @@ class Guard(asyncio.Protocol):
 
     @property
     def is_full(self) -> bool:
-        """Whether the socket has no room."""
+        """Whether the buffer of the socket is full."""
         return self._room is not None
 
     @property
@@ -163,10 +163,10 @@ class Guard(asyncio.Protocol):
             return 0
         tls = getattr(self._transport, "_ssl_protocol", None)
         below = getattr(tls, "_transport", None)
-        if tls is not None and below is None:  # its end is about to be reported
+        if tls is not None and below is None:  # the transport is about to report its end
             return 0
         waiting = int(self._transport.get_write_buffer_size())
-        if below is not None and sys.version_info >= (3, 11):  # TLS counts only what it has not handed down
+        if below is not None and sys.version_info >= (3, 11):  # TLS counts only bytes that it still holds
             waiting += int(below.get_write_buffer_size())
         return waiting
 
@@ -195,7 +195,7 @@ class Guard(asyncio.Protocol):
             self._transport.pause_reading()  # until the answer is out
 
     def eof_received(self) -> bool | None:
-        """Return the peer says no more; whoever has not asked by now never will."""
+        """Return None, so that the transport closes: the peer sends nothing more."""
         return None
 
     def pause_writing(self) -> None:
@@ -216,7 +216,7 @@ class Guard(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Handle the end of the connection."""
         self.end()
-        inner, self._inner, self._transport = self._inner, None, None  # in a cycle a quarter megabyte of TLS would stay
+        inner, self._inner, self._transport = self._inner, None, None  # break the cycle, which keeps 256 kB of TLS
         if inner is not None:
             inner.connection_lost(exc)
 
@@ -254,7 +254,7 @@ class Guard(asyncio.Protocol):
             self._transport.close()
 
     def finish(self) -> None:
-        """Finish writing; the other side has `stall_s` to read the rest and to close."""
+        """Enter the phase ENDING: the peer has `stall_s` to read the rest and to close."""
         if not self._is_over and self.phase is not Phase.ENDING:
             self._left = self.unsent
             self._enter(Phase.ENDING, self._limits.stall_s)
@@ -264,7 +264,7 @@ class Guard(asyncio.Protocol):
 
         Args:
             reason: For the log and the metrics; "" logs and counts nothing.
-            level: Of the line.
+            level: Level of the log line.
         """
         if self._is_over or self.is_cut:
             return
@@ -276,12 +276,12 @@ class Guard(asyncio.Protocol):
             self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
         if self._transport is not None:
             self._transport.abort()
-        else:  # in the handshake: it ends when it reads the end
+        else:  # in the handshake, which ends when it reads the end
             with suppress(OSError):
                 self._sock.shutdown(socket.SHUT_RDWR)
 
     def shut_down(self) -> None:
-        """Announce the shutdown. Never raises, so that the next connection gets the message too."""
+        """Announce the shutdown; never raise, so that the next connection gets the message too."""
         if self._inner is None or self.phase is Phase.ENDING:
             if self._inner is None:
                 self.cut()
@@ -312,7 +312,7 @@ class Guard(asyncio.Protocol):
         self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
 
     def _rest(self) -> None:
-        """Start the deadline of the next request once the answer is out; until then the peer takes it at a pace."""
+        """Start the deadline of the next request after the answer is sent; until then check that the peer reads."""
         left = self.unsent
         if left:
             self._look_in_a_moment(left, self._clock.now() + self._limits.stall_s)
@@ -324,7 +324,7 @@ class Guard(asyncio.Protocol):
         self._deadline = self._clock.call_later(wait, partial(self._look, left, end))
 
     def _look(self, left: int, end: float) -> None:
-        """See whether the answer is out, of which so many bytes were left, or goes out at a pace until its end."""
+        """Check that the answer has been sent, or that the peer reads it: `left` bytes were unsent at the start."""
         unsent = self.unsent
         if unsent > 0 and self._clock.now() < end:
             self._look_in_a_moment(left, end)
@@ -335,11 +335,11 @@ class Guard(asyncio.Protocol):
 
     def _too_late(self) -> None:
         if self.phase is Phase.IDLE and not self._buffer:
-            self.close()  # nothing is wrong: it just has no further request
+            self.close()  # no error: the peer has no further request
             return
         if self.phase is Phase.ENDING:
             left, self._left = self._left, self.unsent
-            if left - self._left >= _PACE:  # it takes what is left
+            if left - self._left >= _PACE:  # the peer still reads
                 self._enter(Phase.ENDING, self._limits.stall_s)
                 return
             self.cut("does not read" if self._left else "does not end", logging.INFO)
@@ -378,7 +378,7 @@ class Guard(asyncio.Protocol):
         assert inner is not None
         try:
             inner.data_received(data)
-        except Exception as error:  # a parser that stumbles costs its own connection
+        except Exception as error:  # a failing parser ends only its own connection
             self._metrics.cut.add(of="failed")
             self._log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
             self.cut()
@@ -387,7 +387,7 @@ class Guard(asyncio.Protocol):
             self.cut("pings and does not read")
 
     def _refuse(self, refusal: Refusal) -> None:
-        """Write the refusal directly, and read no more than what the other side is sending."""
+        """Write the refusal directly, without uvicorn, and end the connection."""
         self._metrics.refused.add(of=str(refusal.status))
         self._log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
         body = f"{refusal.line}\n".encode()
@@ -400,12 +400,12 @@ class Guard(asyncio.Protocol):
         )
         self.finish()
         if self._transport.can_write_eof():
-            self._transport.write_eof()  # a close with unread bytes would take the answer back
+            self._transport.write_eof()  # a close with unread bytes would discard the answer
         else:
             self._transport.close()
 
     def _watch_room(self) -> None:
-        """Look whether the peer reads: `_PACE` bytes in `stall_s`, or all."""
+        """Cut the connection unless the peer reads `_PACE` bytes, or all, in each `stall_s`."""
         waiting = self.unsent
 
         def look() -> None:

@@ -1,7 +1,7 @@
 """Check the head of a request, byte for byte, before any other parser sees it.
 
-What passes here passes in h11 and in websockets, too: one judge decides what a request is. Only requests without a body
-pass, since no address of the server takes one.
+A head that passes here also passes in h11 and in websockets, so one parser decides what a request is. Only requests
+without a body pass, since no address of the server accepts a body.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import NamedTuple
 __all__ = ["MOST_BYTES", "Head", "Refusal", "check_head", "find_end"]
 
 MOST_BYTES = 32 << 10
-"""Bytes of a head at most; the holdings of a viewer travel in HELLO, not here."""
+"""Most bytes of a head; the holdings of a viewer are in HELLO, not in the head."""
 
 _MOST_LINE = 8000  # bytes; the WebSocket parser takes 8192
-_MOST_HEADERS = 100  # it takes 128
+_MOST_HEADERS = 100  # the WebSocket parser takes 128
 
 _END = b"\r\n\r\n"
 _REQUEST = re.compile(rb"([!#$%&'*+.^_`|~0-9A-Za-z-]{1,32}) ([\x21-\x7e]+) HTTP/1\.([01])")
@@ -24,7 +24,7 @@ _BARE = re.compile(rb"(?<!\r)\n|\r(?!\n|$)|\0")
 
 
 class Head(NamedTuple):
-    """What the guard of a connection needs of a request."""
+    """The parts of a request that the guard of a connection needs."""
 
     method: str
     target: str
@@ -39,11 +39,11 @@ class Refusal(NamedTuple):
 
 
 def find_end(data: bytes | bytearray, seen: int = 0) -> int | Refusal | None:
-    r"""Return where the first head of some bytes ends; None while it goes on.
+    r"""Return where the first head in some bytes ends; None while it is incomplete.
 
     Args:
-        data: What has come so far.
-        seen: Bytes of it that have been looked at before.
+        data: Bytes received so far.
+        seen: Number of these bytes that were checked before.
 
     Examples:
         >>> find_end(b"GET / HTTP/1.1\r\n\r\nmore"), find_end(b"GET / HT")
@@ -61,7 +61,7 @@ def find_end(data: bytes | bytearray, seen: int = 0) -> int | Refusal | None:
 
 
 def check_head(head: bytes) -> Head | Refusal:
-    r"""Return what a head says, or why it is refused.
+    r"""Return the parts of a head, or why it is refused.
 
     Args:
         head: The request line and the headers, up to and including the empty line.

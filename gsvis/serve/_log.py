@@ -1,6 +1,6 @@
-"""Log lines that say what happened: an event and its facts as key=value, one line each whatever a client sends.
+"""Log events: an event and its facts as key=value, always one line each, whatever a client sends.
 
-The logger is "gsvis.serve". Tokens, queries and headers are never given to it.
+The logger is "gsvis.serve". It never gets tokens, queries or headers.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ def _value(value: object) -> str:
 
 
 class EventLog:
-    """Writes lines, of each event at most so many a second; those left out are counted in the next.
+    """Write lines, with a limit for each event; the next line counts those left out.
 
     Args:
-        per_s: Lines a second of one event; as many may come at once for ten seconds.
-        clock: Seconds.
+        per_s: Most lines a second of one event; up to ten seconds' worth may come at once.
+        clock: Function that returns seconds.
     """
 
     def __init__(self, per_s: float = 20.0, clock: Callable[[], float] = time.monotonic) -> None:

@@ -1,7 +1,7 @@
-"""uvicorn's protocols, which turn whole requests and frames into calls of the application; guards stand before them.
+"""uvicorn's protocols, which turn complete requests and frames into calls of the application, behind guards.
 
-What is added here: the end of an answer is reported, pieces of messages are counted, and a WebSocket that its parser
-refuses is answered. The application finds the guard of its connection as `scope["extensions"]["gsvis.guard"]`.
+These subclasses report the end of an answer, limit the pieces of a message, and answer a WebSocket that its parser
+refuses. The application finds the guard of its connection as `scope["extensions"]["gsvis.guard"]`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ __all__ = ["GUARD", "Plain", "Socket"]
 
 GUARD = "gsvis.guard"
 
-_MOST_PIECES = 1024  # frames of one message
-_NEVER = 1e6  # seconds; the guard has a deadline for it
+_MOST_PIECES = 1024  # most frames of one message
+_NEVER = 1e6  # seconds; the guard has its own deadline
 
 
 class Plain(H11Protocol):
-    """Plain requests."""
+    """The protocol of plain requests."""
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
@@ -32,13 +32,13 @@ class Plain(H11Protocol):
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
-        self._unset_keepalive_if_required()  # the guard has the deadline; this one outlives a reset connection
+        self._unset_keepalive_if_required()  # the guard has its own; this timer outlives a reset
         guard: Guard = self.transport.guard  # type: ignore[attr-defined]
         guard.answered()
 
 
 class Socket(WebSocketsSansIOProtocol):
-    """WebSockets."""
+    """The protocol of WebSockets."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -55,10 +55,10 @@ class Socket(WebSocketsSansIOProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
-        self.conn.parser.close()  # a generator that refers to its parser, with all that it has read
+        self.conn.parser.close()  # a generator that keeps its parser and its input alive
         for name in ("parser_exc", "handshake_exc"):  # the latter in newer versions only
             if (error := getattr(self.conn, name, None)) is not None:
-                error.__traceback__ = None  # its frames do so, too
+                error.__traceback__ = None  # its frames keep them alive too
 
     def _refuse_handshake(self) -> None:
         """Answer a request that the WebSocket parser rejects; the guard should have done so before."""
@@ -76,7 +76,7 @@ class Socket(WebSocketsSansIOProtocol):
     async def send(self, message: Any) -> None:
         await super().send(message)
         if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
-            self.handshake_complete = True  # a refusal is an answer, too
+            self.handshake_complete = True  # a refusal is an answer too
         if message["type"] == "websocket.close":
             self._guard.finish()
 

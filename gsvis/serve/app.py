@@ -6,9 +6,9 @@
     /packages/NAME/parts/HASH.arrow
     /healthz, /metrics
 
-With a token, all but `/healthz` want it: as `Authorization: Bearer TOKEN`, or `?token=TOKEN` where a browser cannot set
-headers. A WebSocket that a page of another origin opens is turned away, unless that origin is allowed. Requests by a
-name that the server does not know get 421, except for `/healthz`: a page could have made its own name point here.
+With a token, all addresses but `/healthz` require it: as `Authorization: Bearer TOKEN`, or as `?token=TOKEN` if a
+browser cannot set headers. The server refuses a WebSocket from a page of another origin, unless that origin is allowed.
+Requests by an unknown host name get 421, except for `/healthz`: a page could have made its own name point here.
 """
 
 from __future__ import annotations
@@ -46,28 +46,28 @@ from gsvis.stream.wire import FAULTS, ServerFault
 
 __all__ = ["AppConfig", "build_app"]
 
-_ENDED = 1012  # what uvicorn closes with when the server stops
+_ENDED = 1012  # close code of uvicorn when the server stops
 _LEFT = (1000, 1001)
 _HEALTH = "/healthz"
-_SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)  # what passes by itself
+_SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)  # errors that pass
 
 
 @dataclass(frozen=True)
 class AppConfig:
-    """How an application serves.
+    """Settings of an application.
 
     Attributes:
-        token: What clients have to show; None lets everybody in.
-        origins: Origins of pages that may open streams, such as "https://example.org"; "*" is every one. Pages of the
-            server's own address may always.
+        token: Token that clients must send; None accepts every client.
+        origins: Origins of pages that may open streams, such as "https://example.org"; "*" means every origin. Pages of
+            the server's own address always may.
         limits: Bounds.
         abr: How streams adapt.
-        hosts: Names by which the server may be asked, as in the Host header, without port; ".example.org" is all below
-            it, "*" is every one. Addresses and localhost are always good; `Server` adds the name that it listens on.
-        proxies: Addresses or networks of proxies whose X-Forwarded-For is believed, such as "127.0.0.1".
+        hosts: Accepted names in the Host header, without port; ".example.org" means every name below example.org, "*"
+            every name. Addresses and localhost are always accepted; `Server` adds the name that it listens on.
+        proxies: Addresses or networks of proxies whose X-Forwarded-For is trusted, such as "127.0.0.1".
 
     Raises:
-        ValueError: If the token is empty, or not ASCII, or a proxy is no address.
+        ValueError: If the token is empty or not ASCII, or a proxy is neither an address nor a network.
     """
 
     token: str | None = field(default=None, repr=False)
@@ -118,7 +118,7 @@ class _App:
         return None
 
     async def serve(self, socket: WebSocket, served: ServedScene, number: int, owner: str) -> None:
-        """Serve a client that may send HELLO; it holds a seat from then on."""
+        """Serve a client that is accepted; it takes a seat after its HELLO."""
         guard = socket.scope.get("extensions", {}).get(GUARD)
 
         def seat() -> str:
@@ -152,10 +152,10 @@ class _App:
             await socket.send_bytes(ServerFault(FAULTS[fault], line).to_bytes())
             await socket.close(1013, reason)
         except (WebSocketDisconnect, RuntimeError):
-            pass  # it has gone already
+            pass  # the client has gone already
 
     async def index(self, request: Request) -> Response:
-        """Return the scenes; addresses are relative, since a proxy may serve them under a prefix."""
+        """Return the scenes as JSON; addresses are relative, since a proxy may serve them under a prefix."""
         if not self.admits(request):
             return self.unauthorized(request)
         rows = [
@@ -212,7 +212,7 @@ class _App:
         return PlainTextResponse("this file cannot be read on the server\n", 500)
 
     def admits(self, asked: HTTPConnection) -> bool:
-        """Return whether the request shows the token."""
+        """Return whether the request has the token; true if none is required."""
         token = self.config.token
         if token is None:
             return True
@@ -222,24 +222,24 @@ class _App:
         return hmac.compare_digest(shown.strip().encode("utf-8", "replace"), token.encode())
 
     def address(self, asked: HTTPConnection) -> str:
-        """Return the address of a client: of its socket, or what trusted proxies say."""
+        """Return the address of a client: that of its socket, or the one that trusted proxies report."""
         forwarded = asked.headers.getlist("x-forwarded-for")
         return self.proxies.client_of(asked.client.host if asked.client else "-", forwarded)
 
     def place(self, asked: HTTPConnection) -> str:
-        """Return the same, for the log."""
+        """Return the address of a client, for the log."""
         address = self.address(asked)
         return f"{address}:{asked.client.port}" if asked.client and asked.client.host == address else address
 
     def unauthorized(self, request: Request) -> Response:
-        """Answer 401."""
+        """Answer 401: the token is missing or wrong."""
         self.metrics.refused.add(of="token")
         self.log("refused", logging.WARNING, peer=self.place(request), reason="token")
         return PlainTextResponse("a token is needed\n", 401, {"www-authenticate": "Bearer"})
 
 
 class _Peer:
-    """A WebSocket of Starlette as a connection needs it."""
+    """A WebSocket of Starlette, with the interface that a connection needs."""
 
     def __init__(self, socket: WebSocket) -> None:
         self._socket = socket
@@ -275,7 +275,7 @@ class _Peer:
 
 
 def _same_origin(socket: WebSocket, allowed: tuple[str, ...]) -> bool:
-    """Return whether a page may open this: programs send no Origin, a page sends that of its own address."""
+    """Return whether the origin of a request is allowed. Programs send no Origin; a page sends its own."""
     origin = socket.headers.get("origin")
     if origin is None or "*" in allowed or origin in allowed:
         return True
@@ -293,7 +293,7 @@ def _why_not_origin(socket: WebSocket) -> str:
 
 
 class _Front:
-    """Refuses requests by names that the server does not know; a request that fails costs one line of the log."""
+    """Refuse requests by unknown host names, and log a failing request in one line."""
 
     def __init__(self, inner: ASGIApp, app: _App) -> None:
         self._inner, self._app = inner, app
@@ -326,7 +326,7 @@ class _Front:
         try:
             await self._inner(scope, receive, watched)
         except WebSocketDisconnect:
-            pass  # it has gone before it had an answer
+            pass  # the client has gone before its answer
         except Exception as error:
             peer = self._app.place(HTTPConnection(scope))
             self._app.log("failed", logging.ERROR, peer=peer, why=f"{type(error).__name__}: {error}")
@@ -357,13 +357,13 @@ def build_app(
     """Return the application.
 
     Args:
-        scenes: As `open_scenes` gives them; `/stream` without a name is the first.
-        config: None means `AppConfig()`.
-        metrics: Where to count; None counts apart.
-        log: Where to say what happened.
-        planners: Where batches are planned; None plans in the thread of the event loop.
-        pace: How far behind the server is, kept by whoever runs it; None takes it to be on time.
-        clock: Where deadlines come from; None means `Clock()`.
+        scenes: Scenes by name, from `open_scenes`; `/stream` without a name serves the first.
+        config: Settings; None means `AppConfig()`.
+        metrics: Metrics to update; None means new ones.
+        log: Log of events; None means a new one.
+        planners: Executor that plans batches; None plans in the thread of the event loop.
+        pace: How late the server runs, updated by the caller; None means that it is on time.
+        clock: Clock of the deadlines; None means `Clock()`.
     """
     config, metrics, log = config or AppConfig(), metrics or Metrics(), log or EventLog()
     setting = Setting(config.limits, metrics, log, config.abr, clock or Clock(), planners=planners, pace=pace or Pace())
@@ -380,5 +380,5 @@ def build_app(
         ],
         middleware=[Middleware(_Front, app)],
     )
-    found.router.redirect_slashes = False  # such an answer names the server, not the prefix that a proxy puts before it
+    found.router.redirect_slashes = False  # a redirect would lack the prefix of a proxy
     return found

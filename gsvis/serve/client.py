@@ -1,4 +1,4 @@
-"""A client in Python: says where it is, takes what comes, and comes back with what it holds when the connection breaks.
+"""A client in Python: sends its pose, receives batches, and reconnects with its holdings when the connection breaks.
 
     client = StreamClient("ws://127.0.0.1:8765/stream", FieldOfView.from_degrees(90, 70))
     await client.run(path.at, seconds=5.0)
@@ -34,10 +34,11 @@ from gsvis.stream.wire import ERROR, FAULTS, ServerFault
 __all__ = ["ClientConfig", "Pose", "StreamClient", "fetch"]
 
 Pose = Callable[[float], tuple[ArrayLike, ArrayLike]]
-"""Position (3,) and quaternion (4,) wxyz, world from camera, at seconds since the start; `HeadPath.at` is one."""
+"""Function from seconds since the start to position (3,) and quaternion (4,) wxyz, world from camera; for example
+`HeadPath.at`."""
 
-_OPEN_S = 10.0  # seconds in which a connection has to stand, in which HELLO has to go out, and WELCOME to come
-_LEAVE_S = 0.5  # seconds that BYE may take
+_OPEN_S = 10.0  # most seconds to connect, to send HELLO, and to receive WELCOME, each
+_LEAVE_S = 0.5  # most seconds to send BYE
 _PING_S = 20.0  # seconds between pings, and for the answer to one
 
 _AGAIN = {FAULTS[name] for name in ("too-many", "late", "internal", "ending")}
@@ -45,18 +46,18 @@ _AGAIN = {FAULTS[name] for name in ("too-many", "late", "internal", "ending")}
 
 @dataclass(frozen=True)
 class ClientConfig:
-    """How a client behaves.
+    """Settings of a client.
 
     Attributes:
-        token: To show; None shows none.
-        poses_per_s: Poses a second. The server plans ten times a second; more than 20 serve little.
-        give_up_s: Seconds without any stream after which the server counts as gone. After an outage it has to be longer
-            than a server keeps the seats of viewers that it does not hear (`Limits.idle_s`).
-        first_wait_s: Seconds before it is tried again; twice as long each further time, up to `longest_wait_s`.
-        longest_wait_s: See there.
-        message_bytes: Bytes of a message of the server at most.
-        tls: For wss://; None checks certificates as usual.
-        scene_bytes: Memory that sets and tables of a scene may take before a Gaussian has come.
+        token: Token to send; None sends none.
+        poses_per_s: Poses a second. The server plans ten times a second, so more than 20 help little.
+        give_up_s: Seconds without any stream after which the client gives up. It should be longer than a server keeps
+            the seats of silent viewers (`Limits.idle_s`), to survive an outage.
+        first_wait_s: Seconds before the first new attempt; they double each time, up to `longest_wait_s`.
+        longest_wait_s: Most seconds between two attempts.
+        message_bytes: Most bytes of a message of the server.
+        tls: TLS settings for wss://; None checks certificates as usual.
+        scene_bytes: Most bytes that sets and tables of a scene may take before the first Gaussian arrives.
     """
 
     token: str | None = field(default=None, repr=False)
@@ -79,17 +80,17 @@ class StreamClient:
     """One viewer of one scene.
 
     Args:
-        url: Of the stream, ws:// or wss://.
-        view: What it shows.
-        config: None means `ClientConfig()`.
-        receiver: What an earlier client has received; None is nothing.
-        clock: Where deadlines come from; None means `Clock()`.
+        url: Address of the stream, ws:// or wss://.
+        view: The client's field of view.
+        config: Settings; None means `ClientConfig()`.
+        receiver: Receiver of an earlier client; None starts with nothing.
+        clock: Clock of the deadlines; None means `Clock()`.
 
     Attributes:
-        receiver: What has come; None before the first WELCOME.
-        connections: How often a stream was opened.
-        nbytes: Bytes of batches.
-        restarts: How often the server had another scene, so that everything began anew.
+        receiver: The received scene; None before the first WELCOME.
+        connections: Number of streams opened.
+        nbytes: Bytes of batches received.
+        restarts: Number of times that the server had another scene, so that the client started again from nothing.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class StreamClient:
         self._began = 0.0
 
     def stop(self) -> None:
-        """Let `run` end; from its own thread, in `on_batch` for example."""
+        """Let `run` end; call it from the thread of `run`, for example in `on_batch`."""
         self._stopped.set()
 
     async def run(
@@ -117,13 +118,13 @@ class StreamClient:
         """Stream for some time; reconnect after every failure.
 
         Args:
-            pose: Where the viewer is.
-            seconds: How long; inf until `stop`.
-            on_batch: Called with each batch once it has been taken in.
+            pose: Pose of the viewer over time.
+            seconds: How long to stream; inf streams until `stop`.
+            on_batch: Called with each batch after it is decoded.
 
         Raises:
             ProtocolError: If the server refuses this client, or does not speak the protocol.
-            ConnectionError: If there is no server for too long.
+            ConnectionError: If no server can be reached for `give_up_s`.
         """
         self._stopped.clear()
         self._began = time.monotonic()
@@ -208,7 +209,7 @@ class StreamClient:
                 await asyncio.gather(*beside, return_exceptions=True)
 
     def _received(self, welcome: bytes) -> Receiver:
-        """Return a receiver of a scene, if there is memory for it."""
+        """Return a receiver of a scene, within the memory limit."""
         try:
             return Receiver(welcome, most_bytes=self.config.scene_bytes)
         except ProtocolError as error:
@@ -217,7 +218,7 @@ class StreamClient:
             raise ProtocolError(error.message, error.code, "raise scene_bytes of ClientConfig") from None
 
     async def _keep_alive(self, socket: ClientConnection) -> None:
-        """Close the connection when the server does not answer any more."""
+        """Close the connection when the server no longer answers."""
         with suppress(ConnectionClosed):
             while True:
                 await asyncio.sleep(_PING_S)
@@ -244,7 +245,7 @@ class StreamClient:
 
 
 async def _next(socket: ClientConnection) -> bytes:
-    """Return a message of the server.
+    """Return the next message of the server.
 
     Raises:
         ProtocolError: If the server says why it ends the connection, or sends text.
@@ -259,7 +260,7 @@ async def _next(socket: ClientConnection) -> bytes:
 
 
 async def _say(socket: ClientConnection, data: bytes) -> None:
-    """Send; where the connection has ended, what the server said last is still to be read, and says why."""
+    """Send data; ignore a closed connection, since the last message of the server, read later, says why."""
     with suppress(ConnectionClosed):
         await socket.send(data)
 
@@ -281,20 +282,20 @@ def fetch(
     """Stream for some time, from a program without an event loop.
 
     Args:
-        url: Of the stream.
-        view: What is shown.
-        pose: Where the viewer is.
-        seconds: How long.
-        config: None means `ClientConfig()`.
-        receiver: What an earlier client has received.
-        clock: Where deadlines come from; None means `Clock()`.
+        url: Address of the stream, ws:// or wss://.
+        view: The client's field of view.
+        pose: Pose of the viewer over time.
+        seconds: How long to stream.
+        config: Settings; None means `ClientConfig()`.
+        receiver: Receiver of an earlier client; None starts with nothing.
+        clock: Clock of the deadlines; None means `Clock()`.
 
     Returns:
-        The client, with what has come in `receiver`.
+        The client; its `receiver` has the received scene.
 
     Raises:
-        ProtocolError: As `StreamClient.run`.
-        ConnectionError: The same.
+        ProtocolError: If the server refuses this client, or does not speak the protocol.
+        ConnectionError: If no server can be reached for `give_up_s`.
     """
 
     async def stream() -> StreamClient:

@@ -1,7 +1,7 @@
-"""The clock of a server: every deadline comes from it, so that a test decides when one expires.
+"""The clock of all deadlines of a server, so that a test decides when one expires.
 
-Deadlines say that somebody took too long: a verdict. Pauses between steps of work (a tick, a retry) and measurements
-of a link are no verdicts; they use the time of the event loop. Seconds that do not fall.
+A deadline decides that somebody took too long. Pauses between steps of work (a tick, a retry) and measurements of a
+link decide nothing; they use the time of the event loop. Seconds that never decrease.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _T = TypeVar("_T")
 
 
 class Timer(Protocol):
-    """A call that is due."""
+    """A call scheduled for later."""
 
     def cancel(self) -> None:
-        """Do not make the call."""
+        """Cancel the call."""
         ...
 
 
@@ -43,11 +43,11 @@ class Clock:
         """Return the result of some work.
 
         Args:
-            seconds: How long it may take.
+            seconds: Most seconds that it may take.
             work: A coroutine or a future; cancelled when time is up.
 
         Raises:
-            TimeoutError: If it takes longer.
+            TimeoutError: If the work takes longer.
         """
         task, late = asyncio.ensure_future(work), asyncio.get_running_loop().create_future()
         timer = self.call_later(seconds, late.cancel)
@@ -70,7 +70,7 @@ class ManualClock(Clock):
     """A clock that stands still until it is advanced, from any thread.
 
     Args:
-        start: Its first time.
+        start: Initial time, seconds.
 
     Examples:
         >>> clock = ManualClock()
@@ -95,7 +95,7 @@ class ManualClock(Clock):
         return found
 
     def advance(self, seconds: float) -> None:
-        """Let time pass. What is due then is handed to its event loop; it runs there soon, not in here."""
+        """Advance the time; pass due calls to their event loops, which run them soon after."""
         with self._lock:
             self._now += seconds
             due: list[_Call] = []

@@ -1,9 +1,9 @@
-"""One client of the server: two loops over its socket around one `Session`, which decides what goes out.
+"""One client of the server: two loops over its socket around one `Session`, which decides what to send.
 
-One loop receives into a short list; the other takes from it, plans and sends, so no two tasks use a session at once.
-Memory does not grow with what a client does: the allowance of the session bounds the bytes in flight, and a count
-bounds the list. Deadlines come from the clock of the server; links are measured, and batches paced, by real time.
-Seconds, bytes of messages.
+One loop receives into a short list; the other reads the list, plans and sends. So no two tasks use a session at once.
+Memory is bounded whatever a client does: the allowance of the session limits the bytes in flight, and a count limits
+the list. Deadlines use the clock of the server; link measurements and the pace of batches use real time. Seconds, bytes
+of messages.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from gsvis.stream.wire import FAULTS, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 
-_MOST_HEARD = 256  # poses and acknowledgements that wait to be looked at
-_ROUND = 1.0  # seconds after which a client is looked after even if nothing happens
-_FAREWELL = 1.0  # seconds that the last words may take
-_SLACK = 1e-6  # seconds that rounding may cost
+_MOST_HEARD = 256  # most poses and acknowledgements that wait in the list
+_ROUND = 1.0  # seconds after which a client is checked even if nothing happens
+_FAREWELL = 1.0  # most seconds to send the last message
+_SLACK = 1e-6  # seconds of rounding error
 
 
 _T = TypeVar("_T")
@@ -50,15 +50,15 @@ class Peer(Protocol):
         ...
 
     async def send(self, data: bytes) -> None:
-        """Send, once there is room in the buffer of the socket; raises `GoneError`."""
+        """Send when there is room in the buffer of the socket; raises `GoneError`."""
         ...
 
     async def close(self, reason: str) -> None:
-        """Send the farewell."""
+        """Close the connection and send the reason."""
         ...
 
     def abort(self) -> None:
-        """Cut, with what waits to be sent."""
+        """Cut the connection and discard unsent bytes."""
         ...
 
 
@@ -68,13 +68,13 @@ class Setting:
 
     Attributes:
         limits: Bounds.
-        metrics: Counts.
-        log: Lines.
-        config: Of the schedulers.
-        clock: Where deadlines come from.
-        measure: Seconds that do not fall, by which links are measured and work is paced.
-        planners: Where batches are planned; None is the thread of the event loop.
-        pace: How far behind the server is.
+        metrics: Counters of the server.
+        log: Log of events.
+        config: Settings of the sessions.
+        clock: Clock of the deadlines.
+        measure: Function that returns seconds, never decreasing, to measure links and pace work.
+        planners: Executor that plans batches; None plans in the thread of the event loop.
+        pace: How late the server runs.
     """
 
     limits: Limits
@@ -88,12 +88,12 @@ class Setting:
 
 
 class PoseClock:
-    """Brings the clock of a client to that of the server, by the smallest delay of late.
+    """Convert times of a client's clock to the server's clock, with the smallest recent delay.
 
-    After a stall many poses arrive at once, and what predicts has to know that they were not made at once.
+    After a stall many poses arrive at once. The predictor needs the times at which they were taken.
     """
 
-    _CREEP = 1e-3  # seconds a second by which the delay is forgotten: clocks differ in pace
+    _CREEP = 1e-3  # seconds per second by which the delay grows: clocks differ in speed
 
     def __init__(self) -> None:
         self._offset: float | None = None
@@ -103,8 +103,8 @@ class PoseClock:
         """Return the server's seconds at which a pose was taken, never later than its arrival.
 
         Args:
-            arrived: Server's seconds.
-            time_ms: Client's milliseconds; they start again after 2^32.
+            arrived: Arrival of the pose, seconds of the server.
+            time_ms: Milliseconds of the client; they start again after 2^32.
         """
         if self._offset is not None and self._ms - time_ms > 1 << 31:
             self._turns += 1
@@ -117,18 +117,18 @@ class PoseClock:
 
 
 class Connection:
-    """Serves one client until it goes or is sent away.
+    """Serve one client until it leaves or the server disconnects it.
 
     Args:
-        peer: Its socket.
+        peer: Socket of the client.
         served: The scene.
-        setting: What all share.
-        number: For the log.
-        seat: Called once HELLO is understood; returns why this client may not stream, or "". None lets it.
+        setting: What all connections share.
+        number: Number of the client in the log.
+        seat: Called after a valid HELLO; returns why this client may not stream, or "". None always allows it.
 
     Attributes:
-        session: What decides; None before HELLO.
-        reason: Why it ended: "left", "lost", or a limit or fault.
+        session: The session; None before HELLO.
+        reason: Why the connection ended: "left", "lost", or a limit or fault.
     """
 
     def __init__(
@@ -151,11 +151,11 @@ class Connection:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since its last message."""
+        """Seconds since the last message of the client."""
         return self._setting.clock.now() - self._alive
 
     def give_way(self) -> None:
-        """End the connection, because another viewer takes its seat."""
+        """End the connection because another viewer takes its seat."""
         self._seat_gone.set()
 
     async def run(self) -> None:
@@ -166,7 +166,7 @@ class Connection:
             await self._greet()
             loops = [asyncio.create_task(loop) for loop in (self._listen(), self._talk(), self._leave_seat())]
             done, _ = await asyncio.wait(loops, return_when=asyncio.FIRST_COMPLETED)
-            # Not raised again: the error would refer to this frame, and so to the task that holds the error.
+            # Do not raise it again: the error would refer to this frame, and so to the task that holds the error.
             ended = next(task.exception() for task in loops if task in done)
             fault = self._judge(ended) if isinstance(ended, Exception) else None
         except Exception as error:
@@ -225,7 +225,7 @@ class Connection:
             if isinstance(said, PoseAt) and not self._poses.take(now):
                 metrics.skipped.add()
                 continue
-            if len(self._heard) >= _MOST_HEARD:  # the other loop waits for room in the socket
+            if len(self._heard) >= _MOST_HEARD:  # the other loop waits for room in the socket buffer
                 self._heard = [entry for entry in self._heard if isinstance(entry[1], Ack)]
                 if len(self._heard) >= _MOST_HEARD:
                     raise ProtocolError("ACK: expected one a message, got more", FAULTS["flood"])
@@ -240,7 +240,7 @@ class Connection:
         raise ProtocolError(why, FAULTS["late"])
 
     async def _talk(self) -> None:
-        """Plan and send until something ends it."""
+        """Plan and send until the connection ends."""
         while True:
             now = self._setting.measure()
             self._take_in()
@@ -255,7 +255,7 @@ class Connection:
             if message is not None:
                 await self._peer.send(message.data)
                 self._count(message)
-                await asyncio.sleep(0)  # the others, too, have something to send
+                await asyncio.sleep(0)  # let other clients send
 
     def _idle_for(self, now: float) -> float:
         """Return the seconds until the next batch is due, if nothing happens before; 0 for now."""
@@ -264,15 +264,15 @@ class Connection:
             return _ROUND
         if self._dry:
             return max(self._planned + tick - now, 0.0)
-        return 0.0 if session.room(self._piece_s) > 0.0 else _ROUND  # an acknowledgement rings the bell
+        return 0.0 if session.room(self._piece_s) > 0.0 else _ROUND  # an acknowledgement wakes the loop
 
     @property
     def _piece_s(self) -> float:
-        """Seconds of the link that a batch takes: more where the server is behind, for small ones cost as much."""
+        """Seconds of the link that a batch takes; more if the server is late, since small batches cost as much."""
         return self._setting.pace.stretched(self._setting.config.piece)
 
     def _plan(self) -> tuple[Message | None, float]:
-        """Return the next batch, and how long it took; perhaps in another thread."""
+        """Return the next batch and the seconds that planning took; may run in another thread."""
         session, began = self._session, self._setting.measure()
         budget = min(session.room(self._piece_s), float(self._setting.limits.batch_bytes))
         message = session.next_message(began, budget)
@@ -286,7 +286,7 @@ class Connection:
         metrics.terms.add(len(message.batch.terms))
 
     def _take_in(self) -> None:
-        """Give the session what has been heard."""
+        """Pass received poses and acknowledgements to the session."""
         heard, self._heard, session = self._heard, [], self._session
         for t, said in heard:
             try:
@@ -343,7 +343,7 @@ class Connection:
         return self.session
 
     def _judge(self, error: Exception) -> ServerFault | None:
-        """Return what to tell the client of an error, and log it; None if the client has gone."""
+        """Log an error and return what to report to the client; None if the client has gone."""
         if isinstance(error, GoneError):
             self.reason = str(error) or "lost"
             return None
@@ -374,7 +374,7 @@ class Connection:
         )  # fmt: skip
 
     async def _farewell(self, fault: ServerFault | None) -> None:
-        """Tell the client why, if it listens; cut otherwise."""
+        """Send the client the reason; cut the connection if it does not read."""
 
         async def say() -> None:
             if fault is not None:

@@ -1,6 +1,6 @@
-"""What a client may ask of the server, and how long it may take: numbers, and the bucket that counts rates.
+"""The limits of a server: what a client may ask for, how often, and how long it may take.
 
-Seconds, bytes, and counts. Whoever goes beyond a limit is sent away; the others notice nothing.
+Seconds, bytes, and counts. The server disconnects a client that exceeds a limit; others are not affected.
 """
 
 from __future__ import annotations
@@ -19,25 +19,26 @@ _SILENT_S = 5.0  # seconds of silence after which a seat goes to another viewer 
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of one server; the defaults are safe for one that strangers can reach.
+    """Bounds of one server; the defaults are safe for a public server.
 
     Attributes:
-        connections: Streaming clients at once.
-        waiting: Connections at once that do not stream: requests, idle ones, handshakes. None: as many as
-            `connections`, at least 32. Beyond it the one that waits longest gives way.
-        per_address: Streaming clients of one address at once, and as many connections that do not stream. None: a
-            half of `connections`, at least 8. An IPv6 network of 64 bits is one address.
-        message_bytes: Bytes of one message of a client. None: what the holdings of the largest scene can take.
-        messages_per_s: Messages of a client a second, in the mean over `burst_s`; one that sends more is sent away.
-        burst_s: Seconds of messages that may come at once, as they do after a link has stalled.
-        poses_per_s: Poses of a client a second that are looked at; further ones are passed over.
-        handshake_s: Seconds from a connection to a whole request, TLS included, and from there to the first message.
+        connections: Most streaming clients at once.
+        waiting: Most connections at once that do not stream: requests, idle ones, handshakes. None means as many as
+            `connections`, at least 32. Above it the server closes the one that has waited longest.
+        per_address: Most streaming clients of one address at once, and most other connections of it. None means half of
+            `connections`, at least 8. An IPv6 network of 64 bits counts as one address.
+        message_bytes: Most bytes of one message of a client. None means enough for the holdings of the largest scene.
+        messages_per_s: Most messages of a client a second, averaged over `burst_s`; the server disconnects a client
+            that sends more.
+        burst_s: Seconds' worth of messages that may arrive at once, as after a link has stalled.
+        poses_per_s: Most poses of a client a second that are used; the server ignores further ones.
+        handshake_s: Seconds from a connection to a complete request, TLS included, and from there to the first message.
         keep_alive_s: Seconds from an answer to the end of the next request of a connection.
-        idle_s: Seconds of silence after which a client is gone.
-        stall_s: Seconds without an acknowledgement of what was sent, or without room in the socket, after which a
-            client does not read.
-        tick_s: Seconds after which a client to whom there was nothing to send is planned for again.
-        batch_bytes: Most bytes of one batch, about.
+        idle_s: Seconds of silence after which a client counts as gone.
+        stall_s: Seconds without an acknowledgement, or without room in the socket, after which a client counts as not
+            reading.
+        tick_s: Seconds before the server plans again for a client that had nothing to receive.
+        batch_bytes: Most bytes of one batch, approximately.
     """
 
     connections: int = 100
@@ -67,21 +68,21 @@ class Limits:
 
     @property
     def most_waiting(self) -> int:
-        """Connections at once that do not stream."""
+        """Most connections at once that do not stream."""
         return max(self.connections, 32) if self.waiting is None else self.waiting
 
     @property
     def most_per_address(self) -> int:
-        """Clients of one address, and connections of it that do not stream."""
+        """Most streaming clients of one address, and most connections of it that do not stream."""
         return max(self.connections // 2, 8) if self.per_address is None else self.per_address
 
 
 class Viewer(Protocol):
-    """Whoever has a seat."""
+    """Interface of a viewer with a seat."""
 
     @property
     def silent_s(self) -> float:
-        """Seconds since its last message."""
+        """Seconds since the last message of the viewer."""
         ...
 
     def give_way(self) -> None:
@@ -90,17 +91,17 @@ class Viewer(Protocol):
 
 
 class Seats:
-    """Gives seats to the viewers that stream: so many in all, so many of each address.
+    """Give seats to viewers that stream, with a limit in all and a limit for each address.
 
-    Where there is none left, a viewer takes that of the longest silent one of its own address, if that has been silent
-    for 5 s: after an outage of a link that many share, all come back before the server has missed any of them. Nobody
-    can take the seat of another address.
+    If no seat is free, a viewer takes the seat of the longest silent viewer of its own address, if that has been silent
+    for 5 s. After an outage of a shared link, all viewers reconnect before the server knows that the old ones are gone.
+    Nobody can take the seat of another address.
 
     Args:
         limits: Bounds.
 
     Attributes:
-        taken: How many.
+        taken: Number of seats taken.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -109,12 +110,12 @@ class Seats:
         self.taken = 0
 
     def why_not(self, owner: str) -> str:
-        """Return why a viewer of an address can have no seat: "too-many", "address-full"; "" if it can."""
+        """Return why a viewer of an address cannot get a seat: "too-many" or "address-full"; "" if it can."""
         why = self._why_full(owner)
         return "" if not why or self._silent(owner) is not None else why
 
     def take(self, owner: str, viewer: Viewer) -> str:
-        """Take a seat, perhaps that of a silent one. Return why there is none, or ""."""
+        """Take a seat, perhaps that of a silent viewer; return why there is none, or ""."""
         if why := self._why_full(owner):
             silent = self._silent(owner)
             if silent is None:
@@ -126,7 +127,7 @@ class Seats:
         return ""
 
     def leave(self, owner: str, viewer: Viewer) -> None:
-        """Give a seat back; nothing happens if another has it by now."""
+        """Give a seat back; do nothing if another viewer has taken it."""
         seated = self._by_owner.get(owner, [])
         if viewer not in seated:
             return
@@ -142,17 +143,17 @@ class Seats:
         return "address-full" if full else ""
 
     def _silent(self, owner: str) -> Viewer | None:
-        """Return the one that has been silent for longest, if that is long enough."""
+        """Return the viewer of an address that has been silent longest, if that is long enough."""
         found = max(self._by_owner.get(owner, []), key=lambda viewer: viewer.silent_s, default=None)
         return found if found is not None and found.silent_s > _SILENT_S else None
 
 
 class RateBucket:
-    """Counts events against a rate: `take` says whether one more is within it.
+    """Limit the rate of events: `take` returns whether one more is allowed.
 
     Args:
         rate: Events a second.
-        burst: Events that may come at once.
+        burst: Most events at once.
 
     Examples:
         >>> bucket = RateBucket(10.0, burst=2)
@@ -165,7 +166,7 @@ class RateBucket:
         self._left, self._time = self._burst, -np.inf
 
     def take(self, t: float) -> bool:
-        """Return whether an event at time t, in seconds that do not fall, is within the rate; it counts if so."""
+        """Return whether an event at time t is within the rate, and count it if so; t must not decrease, seconds."""
         self._left = min(self._burst, self._left + (t - self._time) * self._rate)
         self._time = t
         if self._left < 1.0:
@@ -175,10 +176,10 @@ class RateBucket:
 
 
 class Pace:
-    """How far behind a server is, and how much longer the pieces are that it then sends.
+    """Measure how late a server runs, and lengthen its batches if it does.
 
-    A batch costs a server about the same however many records it has, so one that is late sends fewer and larger ones:
-    clients get their bytes, a little less often.
+    A batch costs a server about the same for any number of records. A late server sends fewer and larger batches, so
+    that clients get the same bytes, a little less often.
 
     Examples:
         >>> pace = Pace()
@@ -190,14 +191,14 @@ class Pace:
         0.17
     """
 
-    _WEIGHT = 0.2  # of the last observation
-    _MOST = 4.0  # pieces in one
+    _WEIGHT = 0.2  # weight of the last observation
+    _MOST = 4.0  # largest factor
 
     def __init__(self) -> None:
         self._late = 0.0
 
     def observe(self, late: float) -> None:
-        """Record that something ran so many seconds late."""
+        """Record that something ran late by this many seconds."""
         self._late += self._WEIGHT * (late - self._late)
 
     def stretched(self, piece: float) -> float:

@@ -1,7 +1,6 @@
-"""What a server counts, kept by prometheus_client in a registry of the server's own, and its text for Prometheus.
+"""The metrics of a server, in its own registry of prometheus_client, and their text for Prometheus.
 
-Names follow Prometheus: seconds and bytes, `_total` for what only grows. No sockets. Safe to use from any
-thread.
+Names follow Prometheus: seconds and bytes, `_total` for counters. No sockets. Safe to use from any thread.
 """
 
 from __future__ import annotations
@@ -45,12 +44,12 @@ class Counter:
         child.inc(value)
 
     def value(self, of: str = "") -> float:
-        """Return the number now; 0 where nothing was added."""
+        """Return the current number; 0 if nothing was added."""
         return _sample(self._metric, self.name, {self._label: of} if self._label else {})
 
 
 class Gauge:
-    """A number that rises and falls.
+    """A number that can increase and decrease.
 
     Args:
         registry: Where it is listed.
@@ -71,18 +70,18 @@ class Gauge:
         self._metric.set(value)
 
     def value(self) -> float:
-        """Return the number now."""
+        """Return the current number."""
         return _sample(self._metric, self.name, {})
 
 
 class Histogram:
-    """How often values lie below each of some bounds.
+    """Counts of the values below each of some bounds.
 
     Args:
         registry: Where it is listed.
         name: Of the metric.
         about: One line.
-        bounds: Rising.
+        bounds: The bounds, ascending.
     """
 
     def __init__(self, registry: CollectorRegistry, name: str, about: str, bounds: Sequence[float] = _SECONDS) -> None:
@@ -95,38 +94,38 @@ class Histogram:
 
     @property
     def count(self) -> int:
-        """How many values."""
+        """Number of values."""
         return int(_sample(self._metric, f"{self.name}_count", {}))
 
     @property
     def sum(self) -> float:
-        """Their sum."""
+        """Sum of the values."""
         return _sample(self._metric, f"{self.name}_sum", {})
 
 
 class Metrics:
-    """All that a server counts.
+    """The metrics of a server.
 
     Attributes:
-        registry: What `/metrics` shows. It is this object's alone: two servers of a process count apart.
-        clients: Streaming now.
+        registry: The registry that `/metrics` shows. Each object has its own, so two servers of a process count apart.
+        clients: Clients that stream now.
         opened: Connections that became clients, by scene.
-        closed: Clients that went or were sent away, by reason.
-        refused: Requests that were turned away before they became clients, by reason; those that no application
-            saw by their HTTP status.
+        closed: Clients that left or were disconnected, by reason.
+        refused: Requests refused before they became clients, by reason; by HTTP status if the application did not see
+            them.
         cut: Connections that were cut, by reason; a viewer that gets the reason counts in `closed`.
         accept_failures: Connections that could not be accepted, by the name of the error.
-        sent_bytes: Bytes of batches.
-        batches: Batches.
-        gaussians: Gaussians in them.
-        terms: Terms in them.
+        sent_bytes: Bytes of batches sent.
+        batches: Batches sent.
+        gaussians: Gaussians in the batches.
+        terms: Terms in the batches.
         received: Messages of clients, by kind.
-        skipped: Poses that were passed over, because there were too many or no such place is.
+        skipped: Poses ignored because there were too many or they were invalid.
         parts: Answers for files of packages, by status.
-        parts_bytes: Bytes of them.
+        parts_bytes: Bytes of these answers.
         faults: Damaged parts and other faults of scenes, by scene.
-        planning: Seconds from the decision to send to the batch as bytes.
-        late: Seconds by which the event loop does later what is due, asked five times a second.
+        planning: Seconds from the decision to send until the batch is encoded.
+        late: Seconds by which the event loop runs late, measured five times a second.
     """
 
     def __init__(self) -> None:
@@ -152,14 +151,14 @@ class Metrics:
         ProcessCollector(registry=r)
 
     def text(self) -> str:
-        """Return what `/metrics` answers."""
+        """Return the text that `/metrics` answers."""
         return prometheus_client.generate_latest(_WithoutCreated(self.registry)).decode()
 
 
 class _WithoutCreated(CollectorRegistry):
-    """A registry without the times at which each series began: they double the page, and the process has one.
+    """A registry without the creation time of each series, which would double the page.
 
-    The library switches them off for a whole process only.
+    The library can switch these times off only for a whole process.
     """
 
     def __init__(self, registry: CollectorRegistry) -> None:
@@ -173,7 +172,7 @@ class _WithoutCreated(CollectorRegistry):
 
 
 def _sample(metric: Collector, name: str, labels: dict[str, str]) -> float:
-    """Return the value of one series; 0 where there is none."""
+    """Return the value of one series; 0 if there is none."""
     samples = (sample for family in metric.collect() for sample in family.samples)
     return next((sample.value for sample in samples if sample.name == name and sample.labels == labels), 0.0)
 

@@ -1,6 +1,6 @@
-"""Files of a package over HTTP, whole or in ranges: what a static file server does, and each checked before it goes.
+"""Serve files of a package over HTTP, whole or in ranges, like a static file server; check each file before it is sent.
 
-Only `manifest.json` and parts, whose names are hashes, can be named; nothing that a client sends becomes a path.
+Clients can request only `manifest.json` and parts, whose names are hashes; no text from a client becomes a path.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gsvis.package.parts import MOST_BYTES
 
 __all__ = ["byte_range", "read_part", "respond"]
 
-_MOST_MANIFEST = 64 << 20  # bytes that are held in memory to be sent
+_MOST_MANIFEST = 64 << 20  # most bytes of a manifest, which is held in memory
 _MOST_PART = 2 * MOST_BYTES
 _PART = re.compile(r"([0-9a-f]{64})\.(?:arrow|bin)")
 _RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
@@ -32,12 +32,12 @@ def byte_range(header: str, size: int) -> tuple[int, int] | None:
     """Return the first byte and the byte after the last that a Range header requests.
 
     Args:
-        header: Its value.
+        header: Value of the header.
         size: Bytes of the file.
 
     Returns:
-        (start, stop); (0, 0) where nothing of the file is asked for; None where the header is to be passed over: it
-        is malformed, or asks for several ranges.
+        (start, stop); (0, 0) if the range covers no byte of the file; None if the header must be ignored, because it is
+        malformed or requests several ranges.
 
     Examples:
         >>> byte_range("bytes=2-4", 10), byte_range("bytes=-3", 10), byte_range("bytes=10-", 10)
@@ -61,12 +61,12 @@ def read_part(package: Path, name: str) -> bytes:
     """Return a part, checked against its name.
 
     Args:
-        package: The folder.
-        name: Of the part.
+        package: Folder of the package.
+        name: Name of the part.
 
     Raises:
-        FileNotFoundError: If there is none, or this is no name of a part.
-        FormatError: If it is damaged, a link, or no file.
+        FileNotFoundError: If there is no such part, or the name cannot be that of a part.
+        FormatError: If the part is damaged, a link, or not a file.
     """
     found = _PART.fullmatch(name)
     if found is None:
@@ -90,9 +90,9 @@ async def respond(request: Request, package: Path, name: str, *, private: bool) 
 
     Args:
         request: The request.
-        package: The folder.
+        package: Folder of the package.
         name: `manifest.json`, or the name of a part.
-        private: Whether caches that several people share have to leave it alone.
+        private: Whether shared caches must not store the answer.
 
     Raises:
         FormatError: If the file is damaged.

@@ -1,4 +1,4 @@
-"""The scenes of a server: packages by name, opened once, and refused from then on when one turns out to be damaged."""
+"""The scenes of a server: packages by name, opened once. A scene that proves damaged is refused from then on."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ __all__ = ["Scenes", "ServedScene", "open_scenes"]
 
 
 _REACH = 100.0
-_WALK = 8  # cells that a warm-up walks through
-_PIECE = 65536.0  # bytes that it sends in each
+_WALK = 8  # cells that a warm-up visits
+_PIECE = 65536.0  # bytes that a warm-up sends in each cell
 
 
 @dataclass(eq=False)
@@ -33,10 +33,10 @@ class ServedScene:
     """A package under the name that clients ask for.
 
     Attributes:
-        name: In addresses.
-        path: Its folder.
-        opened: Ready to be sent; None where it could not be opened.
-        fault: Why it is refused; "" while it is served. For the log: it may name files.
+        name: Name in addresses.
+        path: Folder of the package.
+        opened: The scene, ready to send; None if it could not be opened.
+        fault: Why the scene is refused; "" while it is served. Only for the log: it may name files.
     """
 
     name: str
@@ -49,7 +49,7 @@ class ServedScene:
         """The scene.
 
         Raises:
-            RuntimeError: If it could not be opened.
+            RuntimeError: If the scene could not be opened.
         """
         if self.opened is None:
             raise RuntimeError(f"{self.name} is not open")
@@ -67,14 +67,14 @@ class ServedScene:
         return low - reach, high + reach
 
     def warm_up(self) -> None:
-        """Make ready what the first viewers would wait for: compiled code, and cells as far as there is room for them.
+        """Load what the first viewers would wait for: compiled kernels, and as many cells as the cache holds.
 
         Raises:
-            FormatError: If a part that is read for it is damaged.
+            FormatError: If a part that is read is damaged.
         """
         scene, grid = self.scene, self.scene.index.grid
         view, holdings = FieldOfView.from_degrees(90.0, 70.0, margin=8.0), b""
-        for _ in range(2):  # a viewer that comes, and one that comes back
+        for _ in range(2):  # a new viewer, and one that reconnects
             session = Session.from_hello(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
             session.welcome(0.0)
             for k, center in enumerate(grid.centers[:_WALK]):
@@ -88,7 +88,7 @@ class ServedScene:
             scene.candidates.in_cell(cell)
 
     def refuse(self, line: str) -> None:
-        """Serve it to nobody else from now on."""
+        """Refuse the scene to new viewers from now on."""
         self.fault = line
 
 
@@ -120,7 +120,7 @@ class Scenes(Mapping[str, ServedScene]):
         self.close()
 
     def close(self) -> None:
-        """Let go of the packages; nobody may be served any more."""
+        """Close the packages; the scenes must not be served after that."""
         for scene in self.values():
             if scene.opened is not None:
                 scene.opened.package.close()
@@ -133,22 +133,22 @@ def open_scenes(
     warm: bool = False,
     log: EventLog | None = None,
 ) -> Scenes:
-    """Open packages; one that is damaged is kept as refused, so that the others can be served.
+    """Open packages; keep a damaged one as refused, so that the others can be served.
 
     Args:
-        packages: Folders. The name of a scene is that of its folder without suffix.
-        max_cache_bytes: Most bytes of what is decoded for cells, all scenes together.
-        warm: Whether to make ready what the first viewers would wait for, some seconds for a large scene.
-        log: Where to say what happened.
+        packages: Folders of packages. The name of a scene is that of its folder without suffix.
+        max_cache_bytes: Most bytes of decoded data of cells, for all scenes together.
+        warm: Whether to load what the first viewers would wait for; takes some seconds for a large scene.
+        log: Log of events.
 
     Returns:
-        Scenes by name, in the order given; to be closed.
+        Scenes by name, in the order given; the caller closes them.
 
     Raises:
-        ValueError: If there is none, or two have one name.
-        GsvisError: If none of them can be opened.
-        OSError: The same.
-        Exception: The same, of a package that fails in another way.
+        ValueError: If no package is given, or two have the same name.
+        GsvisError: If no package can be opened.
+        OSError: If no package can be opened, because of the file system.
+        Exception: If no package can be opened, because of another fault.
     """
     if not packages:
         raise ValueError("packages: expected at least one, got none")

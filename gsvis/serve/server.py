@@ -1,4 +1,4 @@
-"""A server: an application bound to an address, run until it is asked to stop, here or in a thread of its own."""
+"""A server: an application bound to an address, run until stopped, in this thread or in its own."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ __all__ = ["Address", "Server"]
 
 _LOOK_S = 0.2
 _STOP_S = 3.0  # seconds that connections have to end when the server stops
-_NEVER = 1_000_000  # seconds; for time-outs of uvicorn that guards keep by themselves
-_LINES_PER_S = 20.0  # of each logger of asyncio and uvicorn
+_NEVER = 1_000_000  # seconds; for time-outs of uvicorn that the guards replace
+_LINES_PER_S = 20.0  # most lines a second of each logger of asyncio and uvicorn
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Address:
     """Where a server listens.
 
     Attributes:
-        host: Name or number; the default is this machine alone.
-        port: 0 takes one that is free.
+        host: Name or number; the default is reachable from this machine only.
+        port: Port number; 0 takes a free one.
         ssl_certfile: Certificate chain, PEM; None serves without TLS.
-        ssl_keyfile: Its key; None if it is in the same file.
-        ssl_keyfile_password: Of the key.
+        ssl_keyfile: Key of the certificate; None if it is in the same file.
+        ssl_keyfile_password: Password of the key.
     """
 
     host: str = "127.0.0.1"
@@ -64,19 +64,19 @@ class Address:
 
 
 class Server:
-    """Serves scenes; `run` here, or `running` in a thread.
+    """Serve scenes: with `run` in this thread, or with `running` in another.
 
     Args:
-        scenes: As `open_scenes` gives them.
-        config: None means `AppConfig()`.
-        address: None means `Address()`.
+        scenes: Scenes by name, from `open_scenes`.
+        config: Settings of the application; None means `AppConfig()`.
+        address: Address to listen on; None means `Address()`.
         planners: Threads that plan; 0 plans in the thread of the event loop.
-        clock: Where deadlines come from; None means `Clock()`.
+        clock: Clock of the deadlines; None means `Clock()`.
 
     Attributes:
-        clock: Where its deadlines come from.
-        metrics: What it counts.
-        port: The one it listens on.
+        clock: Clock of the deadlines.
+        metrics: Counters of the server.
+        port: Port that it listens on.
 
     Raises:
         OSError: If the address cannot be taken.
@@ -117,12 +117,12 @@ class Server:
 
     @property
     def url(self) -> str:
-        """Of the first scene, for a client."""
+        """Address of the first scene, for a client."""
         host = f"[{self.address.host}]" if ":" in self.address.host else self.address.host
         return f"{'wss' if self.address.ssl_certfile else 'ws'}://{host}:{self.port}/stream"
 
     def run(self) -> None:
-        """Serve until SIGINT or SIGTERM, which are raised again at the end, or until `stop`."""
+        """Serve until SIGINT or SIGTERM, which it raises again at the end, or until `stop`."""
         self._log("listening", url=self.url, token="needed" if self.config.token else "none")
         if self.config.token is None and not _is_loopback(self._socket.getsockname()[0]):
             self._log("open", logging.WARNING, why="everybody who reaches this address can stream: no token is set")
@@ -144,7 +144,7 @@ class Server:
             watching.cancel()
 
     def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Log what asyncio would log by itself, in one bounded line."""
+        """Log an event of asyncio in one bounded line, in place of its own log."""
         error = context.get("exception")
         why = context.get("message", "") + (f": {type(error).__name__}: {error}" if error is not None else "")
         self._log("failed", logging.ERROR, why=why)
@@ -159,7 +159,7 @@ class Server:
             self._pace.observe(late)
 
     def stop(self) -> None:
-        """Ask it to end, from any thread."""
+        """Ask the server to end, from any thread."""
         self._server.should_exit = True
 
     @contextmanager
@@ -181,7 +181,7 @@ class Server:
 
 
 class _Uvicorn(uvicorn.Server):
-    """uvicorn's server with a door of ours, and an end that no connection can spoil."""
+    """uvicorn's server with our door, and a shutdown that no connection can block."""
 
     def __init__(
         self,
@@ -203,7 +203,7 @@ class _Uvicorn(uvicorn.Server):
         return Plain(self.config, self.server_state, {})
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Tell everybody, wait a little, cut the rest."""
+        """Announce the shutdown to all connections, wait a little, cut the rest."""
         door, tasks = self._door, self.server_state.tasks
         door.close()
         await door.wait_closed()
@@ -243,7 +243,7 @@ def _settings(app: Any, address: Address, message_bytes: int) -> uvicorn.Config:
 
 
 class _Few(logging.Filter):
-    """Lets so many lines a second pass, from any thread."""
+    """Limit the log lines a second, from any thread."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
@@ -257,7 +257,7 @@ class _Few(logging.Filter):
 
 @contextmanager
 def _few_lines(clock: Clock) -> Iterator[None]:
-    """Limit the lines of the loggers beside ours; peers can make both talk."""
+    """Limit the log lines of asyncio and uvicorn, which peers can cause."""
     filters = [(logging.getLogger(name), _Few(clock)) for name in ("asyncio", "uvicorn.error")]
     for logger, few in filters:
         logger.addFilter(few)

@@ -1,7 +1,7 @@
-"""Two deliveries that know nothing of the viewer: the whole file, and records along a Morton curve.
+"""Two deliveries that ignore the viewer: the whole file, and records along a Morton curve.
 
 Both fill the link from the start and wait neither for poses nor for acknowledgements, which is the best that they can
-do. Sizes are measured, not assumed: the caller states them.
+do. The caller gives measured sizes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Deliver a scene to a client: one small interface for the adaptive stream and the baselines.
 
 A delivery is the server's side for one client. Poses and acknowledgements go in, parcels come out; time, in seconds, is
-an argument. Whatever bytes a parcel has, it names what the client can draw from then on by ids of the package, so that
-all systems are rendered and judged in the same way.
+an argument. A parcel names what the client can draw from then on by ids of the package, whatever bytes it has. So all
+systems are rendered and judged in the same way.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class Parcel:
     """A unit of delivery; it counts when its last byte has arrived.
 
     Attributes:
-        sequence: Its number, repeated in the acknowledgement.
+        sequence: Number of the parcel, repeated in the acknowledgement.
         nbytes: Bytes on the wire.
         gaussians: Ids of Gaussians that can be drawn from then on.
-        terms: Ids of terms.
+        terms: Ids of terms that can be drawn from then on.
         dropped: Ids of Gaussians that are no longer shown.
     """
 

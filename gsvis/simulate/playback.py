@@ -38,10 +38,10 @@ class Playback:
         link: The link.
         seconds: Duration of the visit.
         gaussian_at: (N,) seconds at which each Gaussian could be drawn, inf for never.
-        gone_at: (N,) seconds at which it is dropped.
+        gone_at: (N,) seconds at which each Gaussian is dropped.
         term_at: (T,) seconds at which each term could be used.
-        times: (P,) arrival of each parcel, ascending.
-        sizes: (P,) bytes of each.
+        times: (P,) seconds of arrival of each parcel, ascending.
+        sizes: (P,) bytes of each parcel.
         twice: Number of Gaussians and terms that arrived more than once.
         about: Description by the delivery.
     """

@@ -31,7 +31,7 @@ F64 = NDArray[np.float64]
 GOOD_DB = 35.0
 """PSNR of a good image."""
 _QOE = ("score", "quality", "delay", "psnr", "latency", "steps")
-_HAIR = 1e-6  # seconds by which float32 may miss a tick
+_HAIR = 1e-6  # seconds of rounding error of a tick in float32
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ class Viewing:
         playback: The playback.
         config: How it was watched.
         times: (S,) seconds of the measured steps.
-        psnr: (S,) dB at each, at most `qoe.psnr_scale`.
-        latency: (S,) seconds from the pose of each until it was shown at `qoe.shown_db`, at most the time-out.
+        psnr: (S,) dB of each step, at most `qoe.psnr_scale`.
+        latency: (S,) seconds from the pose of each step until it was shown at `qoe.shown_db`, at most the time-out.
         needed: (N,) Gaussians that reached a pixel of one of the steps.
         content: (S,) steps at which the full scene has content; only these count in the figures.
     """

@@ -1,4 +1,4 @@
-"""Visits of packages, one after the other over one link: a scene sent in three ways along a recorded walk.
+"""Simulate visits of packages, one after the other over one link: each scene is sent in three ways along a walk.
 
 places = [Place.open(package) for package in packages]
 visits = simulate_visits(places, load_path("walk.csv"), link, config)
@@ -45,14 +45,14 @@ _AFTER = 1.0  # seconds of the walk beyond a visit, for prediction
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What belongs to one package, made ready once however often it is visited.
+    """A package prepared for visits, once for any number of them.
 
     Attributes:
         title: Name of the scene.
-        scene: As it is streamed.
+        scene: The scene, ready to stream.
         reference: The scene before it was packaged, to compare with; None compares with the package.
-        whole_file: Bytes of the scene as one file, and how they were found.
-        space: Where the walk is moved into; None leaves it as it is.
+        whole_file: Bytes of the scene as one file, and how they were measured.
+        space: Navigable space to move the walk into; None leaves the walk unchanged.
     """
 
     title: str
@@ -70,16 +70,16 @@ class Place:
         whole_file: str | os.PathLike[str] | None = None,
         as_is: bool = False,
     ) -> Place:
-        """Make a package ready to be visited; it must stay open.
+        """Prepare a package for visits; it must stay open.
 
         Args:
             package: The package.
             reference: The scene before it was packaged.
-            whole_file: A file or folder of the scene, whose size counts; None measures the scene as SOG.
-            as_is: Leave walks as they are, because they lie in the scene.
+            whole_file: A file or folder of the scene, to take its size; None measures the scene as SOG.
+            as_is: Whether to leave walks unchanged, because they lie in the scene.
 
         Raises:
-            SceneError: If there is nothing to see, or nowhere to walk.
+            SceneError: If the scene is empty, or has no navigable space.
             ArgumentError: If the whole file is empty.
         """
         scene = StreamedScene.open(package)
@@ -102,15 +102,15 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """One scene, from the moment at which it is asked for.
+    """One visit of a scene, from the request for it.
 
     Attributes:
-        title: The scene's name.
-        sessions: Of every system, ours first.
-        compared_with: What the full scene is, in words.
+        title: Name of the scene.
+        sessions: Session of each system, that of gsvis first.
+        compared_with: Description of the full scene.
         path: Facts on the path, ready for JSON.
         scene: Facts on the scene, ready for JSON.
-        pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene under the name "".
+        pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene has the name "".
     """
 
     title: str
@@ -132,16 +132,16 @@ def simulate_visits(
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[Visit, ...]:
-    """Visit places in turn over one link; send each scene as gsvis does, as a whole file, and progressively.
+    """Simulate visits of places in turn over one link; send each scene as gsvis does, as a whole file, progressively.
 
     Args:
-        places: Where.
-        walk: The recording; each visit replays its next part while it lasts, else the first.
-        link: As it is when the first visit begins.
-        config: Length of a visit, pictures and measures.
-        count: Visits; None means one of each place.
-        abr: How gsvis plans; None means `AbrConfig()`.
-        seed: Of the places into which walks are moved.
+        places: Places to visit.
+        walk: The recording; each visit replays its next part while it lasts, else the first part.
+        link: The link at the start of the first visit.
+        config: Length of a visit, pictures and measurements.
+        count: Number of visits; None means one of each place.
+        abr: Settings of gsvis; None means `AbrConfig()`.
+        seed: Seed for moving walks into the scenes.
         progress: Called with stages "playing" and those of `watch`.
 
     Raises:
@@ -166,7 +166,7 @@ def _find_space(g: Gaussians, package: Package) -> NavigableSpace:
 
 
 def _file_size(path: Path) -> tuple[int, str]:
-    """Return the bytes of a file or of all files in a folder, and how they were found."""
+    """Return the bytes of a file or of all files in a folder, and how they were measured."""
     files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
     size = sum(file.stat().st_size for file in files)
     if size == 0:
@@ -204,7 +204,7 @@ def _simulate_visit(
     abr: AbrConfig,
     progress: Progress,
 ) -> Visit:
-    """Return one scene, sent in three ways."""
+    """Simulate one visit, with its scene sent in three ways."""
     contents, (path, facts) = place.scene.contents, walk
     stage = Stage(contents, place.reference)
     deliveries: tuple[Delivery, ...] = (
@@ -229,7 +229,7 @@ def _simulate_visit(
 
 
 def _pictures(stage: Stage, sessions: Sequence[Viewing], path: HeadPath, config: ViewingConfig) -> tuple[Picture, ...]:
-    """Return what was shown now and then, beside the full scene; black where there was no image."""
+    """Return images at some times, beside the full scene; black if there was no image."""
     shown: list[Picture] = []
     for t in _SHOWN_AT:
         if t < config.seconds:

@@ -1,4 +1,4 @@
-"""A scene as messages, exact to the byte, and back: what a server sends and a client draws, without sockets or clocks.
+"""Turn a scene into messages, and messages into a scene to draw, without sockets or clocks.
 
     scene = StreamedScene.open("scene.gsvis")                        # one for all clients
     session = Session(scene, FieldOfView.from_degrees(90, 70))           # one for a client
@@ -9,8 +9,8 @@
     session.on_ack(t, received.sequence)
     gaussians, colors = receiver.scene()
 
-Time, in seconds, is an argument. Scene frame and units; bytes are those of messages, as a WebSocket would carry them.
-docs/streaming.md describes them.
+Time, in seconds, is an argument. Scene frame and units. Sizes are bytes of messages, as a WebSocket carries them.
+docs/streaming.md describes the messages.
 """
 
 from gsvis.stream.receiver import Received, Receiver

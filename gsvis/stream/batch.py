@@ -1,8 +1,9 @@
-"""BATCH: what is sent at once, as one Arrow record batch of four rows: ids, rows of chunks, records, terms.
+"""BATCH: one message with records, as an Arrow record batch of four rows: ids, rows of chunks, records, terms.
 
-Records travel as they are. Ids rise and travel as their distances, a few bits each. A batch can be read on its own by
-whoever has the rows of the chunks that came before. The bytes around the rows are the same in every batch but for two
-numbers, so they are written and compared here, without an Arrow library, which can read them all the same.
+Records are sent unchanged. Ids are sorted ascending and sent as differences, a few bits each. A client can read a batch
+on its own if it has the rows of the chunks sent before. The bytes around the rows are the same in every batch except
+for two lengths and the ends of the rows. This module writes and compares them without an Arrow library; an Arrow
+library can still read them.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ CHUNK_ROW = np.dtype(
         ("first_level", "u1"), ("last_level", "u1"),
     ]
 )  # fmt: skip
-"""Row of a chunk, 31 bytes."""
+"""Type of the row of a chunk, 31 bytes."""
 
 MOST_BYTES = 1 << 28
-"""Of a batch."""
+"""Most bytes of a batch."""
 
 _ARROW = bytes.fromhex(
     "ffffffff9800000014000000000000000c0016000600050008000c000c000000"
@@ -47,27 +48,28 @@ _ARROW = bytes.fromhex(
 _BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
 _NUMBER = struct.Struct("<q")
 _ENDS = struct.Struct("<5i4x")  # where the rows begin and end
-_IDS = struct.Struct("<2I5B")  # how many terms, and gone; orders of the codes of chunks, Gaussians, terms, owners, gone
+_IDS = struct.Struct("<2I5B")  # number of terms, of gone; code orders of chunks, Gaussians, terms, owners, gone
 _ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
 
 FIXED_BYTES = _ROWS_AT + _IDS.size + 8
-"""Of a batch with nothing in it, and what fills it up to a multiple of eight, at most."""
+"""Most bytes of an empty batch, with the padding to a multiple of eight."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """What a BATCH says.
+    """The content of a BATCH.
 
     Attributes:
-        sequence: Its number, from 1.
-        chunks: (C,) rising first ids of the chunks whose rows are here.
-        rows: (C,) of `CHUNK_ROW`.
-        gaussians: (G,) rising ids.
-        records: (G, 16) uint8.
-        terms: (M,) rising ids.
-        owners: (M,) the Gaussian of each, never falling.
-        term_records: (M, B) uint8.
-        gone: (D,) rising ids of those that have been replaced since the last batch, whether they were sent or not.
+        sequence: Number of the batch, from 1.
+        chunks: (C,) first ids, ascending, of the chunks whose rows are in this batch.
+        rows: (C,) of `CHUNK_ROW`, one for each chunk.
+        gaussians: (G,) ids of Gaussians, ascending.
+        records: (G, 16) uint8, the record of each Gaussian.
+        terms: (M,) ids of terms, ascending.
+        owners: (M,) the Gaussian of each term, never decreasing.
+        term_records: (M, B) uint8, the record of each term.
+        gone: (D,) ids, ascending, of the Gaussians that were replaced since the last batch, whether they were sent or
+            not.
     """
 
     sequence: int
@@ -81,10 +83,10 @@ class Sections:
     gone: NDArray[Any]
 
     def to_message(self, about: SceneHeader) -> bytes:
-        """BATCH.
+        """Return the BATCH message.
 
         Args:
-            about: Of the scene.
+            about: Header of the scene.
         """
         pieces = self._ids(about), self.rows, self.records, _packed(self.term_records, about.term_bits)
         rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
@@ -110,14 +112,14 @@ class Sections:
 
     @classmethod
     def parse(cls, data: bytes, about: SceneHeader) -> Sections:
-        """What a BATCH says.
+        """Return the content of a BATCH.
 
         Args:
             data: The message.
-            about: Of the scene.
+            about: Header of the scene.
 
         Raises:
-            ProtocolError: If it is none, or does not fit the scene.
+            ProtocolError: If the message is not a BATCH, or does not fit the scene.
         """
         if len(data) < _ROWS_AT or data[0] != BATCH:
             raise ProtocolError(f"message: expected BATCH, got {len(data):,} bytes of another kind")
@@ -148,14 +150,14 @@ class Sections:
 
 
 def _packed(records: U8, bits: int) -> U8:
-    """Records of terms without the bits that fill their bytes."""
+    """Return records of terms without the padding bits of each record."""
     words = np.zeros(-(-len(records) * bits // 64), "<u8")
     kernels.pack_rows(records, bits, words)
     return words.view(np.uint8)[: -(-len(records) * bits // 8)]
 
 
 def _ids_of(sequence: int, data: U8, chunks: int, gaussians: int, about: SceneHeader) -> list[I64]:
-    """Ids of chunks, Gaussians, terms, owners, and those that are gone."""
+    """Return five arrays of ids: chunks, Gaussians, terms, owners, and replaced Gaussians."""
     if len(data) < _IDS.size:
         _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
     terms, gone, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
@@ -187,7 +189,7 @@ def _ids_of(sequence: int, data: U8, chunks: int, gaussians: int, about: SceneHe
 
 
 def _share(about: SceneHeader) -> int:
-    """Gaussians for each term, times 2^16: by this owners go on with their terms."""
+    """Return Gaussians per term, times 2^16: the codec predicts from it how far the owner moves between two terms."""
     return (about.gaussians << 16) // max(about.terms, 1)
 
 

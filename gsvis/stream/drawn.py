@@ -1,7 +1,7 @@
-"""What a client draws, in arrays with room to grow: Gaussians in the order in which they came, terms likewise.
+"""The Gaussians and terms that a client draws, in arrays with room to grow.
 
-What comes is written behind what is there; where something goes, the last takes its place. So a batch costs by its own
-size, and a scene is a view of these arrays, and no copy.
+New rows are appended; the last row takes the place of a removed one. So the cost of a batch depends on its own size
+only. The geometry of a scene is a view of these arrays, not a copy.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Rows:
     """Arrays of one length that grow together.
 
     Args:
-        room: Rows for which memory is set aside, of which the system gives what is written to.
-        **like: An empty array of each, with the shape and type of its rows.
+        room: Rows to reserve memory for. The system provides only the memory that is written to.
+        **like: An empty array for each name, with the shape and type of its rows.
     """
 
     def __init__(self, room: int, **like: NDArray[Any]) -> None:
@@ -49,11 +49,11 @@ class Rows:
         return self._count
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """The rows that there are."""
+        """Return the rows written so far of one array, as a view."""
         return self._arrays[name][: self._count]
 
     def append(self, **rows: NDArray[Any]) -> None:
-        """Write rows behind those that there are."""
+        """Append rows to every array."""
         count = self._count + len(next(iter(rows.values())))
         if count > self._room:
             self._room = max(count, self._room * 3 // 2)
@@ -65,7 +65,7 @@ class Rows:
         self._count = count
 
     def drop(self, places: I64) -> tuple[I64, I64]:
-        """Take rows out, and put the last ones in their places; tells from where rows have come to where."""
+        """Remove rows and fill their places with the last rows; return the old and new places of the moved rows."""
         count = self._count - len(places)
         holes, behind = places[places < count], np.ones(len(places), bool)
         behind[places[places >= count] - count] = False
@@ -77,10 +77,10 @@ class Rows:
 
 
 class Drawn:
-    """What is drawn.
+    """The Gaussians that a client draws, with their terms.
 
     Args:
-        about: Of the scene.
+        about: Header of the scene.
     """
 
     def __init__(self, about: SceneHeader) -> None:
@@ -103,7 +103,8 @@ class Drawn:
             owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2), decays=none(),
             intensities=none(kind.intensities),
         )  # fmt: skip
-        self._slots = np.zeros(about.gaussians, np.int32)  # of each Gaussian, from 1; zeros take no memory
+        # Slot of each Gaussian, from 1; 0 if it is not drawn. Zeros take no memory.
+        self._slots = np.zeros(about.gaussians, np.int32)
         self._made: tuple[Gaussians, SrbfColors] | None = None
 
     def __len__(self) -> int:
@@ -111,15 +112,15 @@ class Drawn:
 
     @property
     def ids(self) -> I32:
-        """(M,) of what is drawn."""
+        """(M,) ids of the Gaussians that are drawn."""
         return self._gaussians["ids"]
 
     def add(self, s: Sections, chunks: I32, table: ChunkTable) -> None:
-        """Take what a batch has, which has been checked.
+        """Add the Gaussians and terms of a checked batch.
 
         Args:
             s: The batch.
-            chunks: (G,) the row of each of its Gaussians in the table.
+            chunks: (G,) for each Gaussian of the batch, the row of its chunk in `table`.
             table: Rows of chunks.
         """
         self._made = None
@@ -134,7 +135,11 @@ class Drawn:
             )  # fmt: skip
 
     def drop(self, ids: I64) -> None:
-        """Take out Gaussians, and their terms."""
+        """Remove Gaussians and their terms.
+
+        Raises:
+            ValueError: If an id is of a Gaussian that is not drawn.
+        """
         self._made = None
         slots = self._slots[ids] - 1
         if (slots < 0).any():
@@ -144,7 +149,7 @@ class Drawn:
         self._slots[self.ids[holes]] = holes + 1
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
-        """See `Receiver.scene`."""
+        """Return the Gaussians and their colors; see `Receiver.scene`."""
         if self._made is None:
             g, t = self._gaussians, self._terms
             n, names = len(g), ("functions", "centers", "decays", "intensities")
@@ -179,7 +184,7 @@ class Drawn:
 
 
 def _unchecked(kind: Any, **arrays: NDArray[Any]) -> Any:
-    """Gaussians or colors of arrays that were checked when they came, batch by batch."""
+    """Return a Gaussians or SrbfColors object without checking its arrays: each batch was checked on arrival."""
     made = object.__new__(kind)
     for name, array in arrays.items():
         view = array.view()

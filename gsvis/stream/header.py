@@ -1,7 +1,7 @@
-"""What a client has to know of a scene before its first batch: counts, levels, tables of colors, frame, identity.
+"""What a client must know of a scene before its first batch: counts, levels, tables of colors, frame, identity.
 
-As JSON in the metadata of the Arrow schema of all batches, so that a WELCOME and the batches after it, each without its
-head, are one Arrow stream.
+It is JSON in the metadata of the Arrow schema of all batches. A WELCOME and the batches after it, each without its
+head, form one Arrow stream.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
 __all__ = ["MOST", "SCHEMA", "SceneHeader"]
 
 SCHEMA = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
-"""Of every batch: one row a section."""
+"""Arrow schema of every batch: one row for each section."""
 
 HEAD = struct.Struct("<BBHI")  # type, version, 0, sequence
 MOST = 1 << 28
-"""Gaussians, and terms, of a scene that can be streamed: a client sets bits aside for each before any has come."""
+"""Most Gaussians, and most terms, of a streamed scene: a client reserves bits for each before the first arrives."""
 
 _MOST_BYTES = 1 << 20
 _KEY = b"gsvis"
@@ -40,18 +40,19 @@ _IDENTITY = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class SceneHeader:
-    """What WELCOME says.
+    """The content of WELCOME.
 
     Attributes:
-        gaussians: N.
-        terms: T.
-        chunks: C.
-        names: Of the levels, lowest first.
-        counts: Gaussians of each.
-        grids: What base colors and terms point into.
-        up: (3,) unit axis that points upwards.
-        meters_per_unit: Size of a scene unit; 0 where nobody knows.
-        identity: 64 hexadecimal digits: what ids and records are of. Holdings are worth something for the same only.
+        gaussians: N, the number of Gaussians.
+        terms: T, the number of terms.
+        chunks: C, the number of chunks.
+        names: Names of the levels, lowest first.
+        counts: Number of Gaussians of each level.
+        grids: Tables that base colors and terms index.
+        up: (3,) unit axis that points up.
+        meters_per_unit: Size of a scene unit; 0 if unknown.
+        identity: 64 hexadecimal digits that identify the ids and records. Holdings are valid only for a scene with the
+            same identity.
     """
 
     gaussians: int
@@ -66,7 +67,7 @@ class SceneHeader:
 
     @classmethod
     def from_manifest(cls, manifest: Manifest) -> SceneHeader:
-        """What the manifest of a package says.
+        """Return the header of a package.
 
         Raises:
             SceneError: If the scene is too large for one stream.
@@ -86,16 +87,16 @@ class SceneHeader:
 
     @cached_property
     def term_bytes(self) -> int:
-        """Bytes of the record of a term."""
+        """Bytes of the record of a term, padded."""
         return TermLayout.from_grids(self.grids).nbytes
 
     @cached_property
     def term_bits(self) -> int:
-        """Bits of it, which are what travels."""
+        """Bits of the record of a term, as sent: without padding."""
         return int(TermLayout.from_grids(self.grids).widths.sum())
 
     def to_message(self) -> bytes:
-        """WELCOME."""
+        """Return the WELCOME message."""
         said = {
             "protocol": PROTOCOL,
             "gaussians": self.gaussians,
@@ -115,10 +116,10 @@ class SceneHeader:
 
     @classmethod
     def parse(cls, data: bytes) -> SceneHeader:
-        """What a WELCOME says.
+        """Return the content of a WELCOME.
 
         Raises:
-            ProtocolError: If it is none, of another version, or contradicts itself.
+            ProtocolError: If the message is not a WELCOME, is of another version, or contradicts itself.
         """
         if len(data) < HEAD.size or len(data) > _MOST_BYTES or data[0] != WELCOME:
             raise ProtocolError(f"message: expected WELCOME, got {len(data):,} bytes of another kind")
@@ -129,7 +130,7 @@ class SceneHeader:
             if not schema.remove_metadata().equals(SCHEMA):
                 raise ProtocolError(f"WELCOME: expected the schema of batches, got {str(schema)[:80]!r}")
             return cls._of(parse_object(_WHERE, (schema.metadata or {}).get(_KEY, b"")))
-        except FormatError as error:  # names WELCOME itself
+        except FormatError as error:  # its message names WELCOME already
             raise ProtocolError(str(error)[:200]) from error
         except (pa.ArrowException, OSError, ValueError) as error:
             raise ProtocolError(f"WELCOME: {' '.join(str(error).split())[:200]}") from error
@@ -144,7 +145,7 @@ class SceneHeader:
         if not 1 <= len(levels) <= 16:
             raise ProtocolError(f"WELCOME: expected 1 to 16 levels, got {len(levels)}")
         up = said.numbers("up", 3).tolist()
-        info = PackageInfo((up[0], up[1], up[2]), said.number("meters_per_unit"))  # which checks them
+        info = PackageInfo((up[0], up[1], up[2]), said.number("meters_per_unit"))  # checks both values
         n = said.integer("gaussians", 0, MOST)
         found = cls(
             n, said.integer("terms", 0, min(255 * n, MOST)), said.integer("chunks", 0, n),

@@ -1,7 +1,7 @@
-"""How long transfers took, by the sender's own clock: what was sent when, and when it was acknowledged.
+"""Measure how long transfers take, by the sender's own clock: from the times of messages and acknowledgements.
 
-Messages follow each other on one ordered link. The time of one is from when the link was free for it: when it was sent,
-or when the one before had left; both are seen a round trip later.
+Messages follow each other on one ordered link. The time of a message starts when the link is free for it: when it is
+sent, or when the message before has left. The sender sees both one round trip later.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ import numpy as np
 
 __all__ = ["LinkMeter"]
 
-_SMALL = 4096  # bytes of a message whose way takes about a round trip
-_LEAST = 2048  # bytes of transfers whose duration says something of a link
+_SMALL = 4096  # most bytes of a transfer that takes about a round trip
+_LEAST = 2048  # least bytes of transfers whose duration is a measurement of the link
 
 
 class LinkMeter:
-    """Messages under way and the times of those that have arrived.
+    """Measure transfers on one link, and count the bytes in flight.
 
     Attributes:
         outstanding: Bytes sent and not acknowledged.
-        round_trip: The smallest seen of small messages, seconds; 0 before there was one.
+        round_trip: Seconds, the shortest round trip of a small transfer; 0 before the first.
         last: Number of the last message sent; -1 before the first.
     """
 
@@ -35,21 +35,31 @@ class LinkMeter:
 
     @property
     def round_trip(self) -> float:
-        """Seconds."""
+        """Seconds, the shortest round trip of a small transfer; 0 before the first."""
         return float(self._round_trip) if np.isfinite(self._round_trip) else 0.0
 
     def on_sent(self, t: float, sequence: int, nbytes: int) -> None:
-        """A message is on its way."""
+        """Record that a message was sent.
+
+        Args:
+            t: Seconds.
+            sequence: Number of the message.
+            nbytes: Bytes of the message.
+        """
         self._sent.append((sequence, t, nbytes))
         self.outstanding += nbytes
         self.last = sequence
 
     def on_ack(self, t: float, sequence: int) -> tuple[int, float] | None:
-        """All up to a message have arrived.
+        """Record that all messages up to this one have arrived.
+
+        Args:
+            t: Seconds.
+            sequence: Number of the last message that arrived.
 
         Returns:
-            Bytes and seconds of a transfer that says something of the link; None where there is none. Acknowledgements
-            that come twice say nothing.
+            Bytes and seconds of a transfer that measures the link; None if there is none yet. A repeated
+            acknowledgement returns None.
 
         Raises:
             ValueError: If no such message was sent.

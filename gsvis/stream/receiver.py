@@ -1,6 +1,6 @@
 """The client's side: messages in, Gaussians and colors to draw out. No socket, no clock.
 
-A batch is checked before anything of it is taken, then decoded once; a scene is a view of what has been decoded. Scene
+A batch is checked in full before any of it is stored, then decoded once. A scene is a view of the decoded arrays. Scene
 frame and units.
 """
 
@@ -27,18 +27,18 @@ __all__ = ["Received", "Receiver"]
 I64 = NDArray[np.int64]
 
 MOST_BYTES = 1 << 29
-"""Memory of a client for sets and tables of a scene: some 55 million Gaussians."""
+"""Default memory limit for sets and tables of a scene, in bytes: about 55 million Gaussians."""
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """What a batch has brought.
+    """What a batch added and removed.
 
     Attributes:
-        sequence: Its number, to be acknowledged.
-        gaussians: (G,) rising ids.
-        terms: (M,) rising ids.
-        dropped: (D,) rising ids of those that were held and are not shown any more.
+        sequence: Number of the batch, to acknowledge.
+        gaussians: (G,) ids of new Gaussians, ascending.
+        terms: (M,) ids of new terms, ascending.
+        dropped: (D,) ids, ascending, of Gaussians that were held and are no longer drawn.
         nbytes: Bytes of the message.
     """
 
@@ -50,19 +50,19 @@ class Received:
 
 
 class Receiver:
-    """What one client has.
+    """The state of one client.
 
     Args:
-        welcome: The first message.
-        most_bytes: Memory that sets and tables of the scene may take before a Gaussian has come: a WELCOME of a
-            kilobyte may promise billions of them.
+        welcome: The first message from the server.
+        most_bytes: Most bytes that sets and tables of the scene may take before the first Gaussian arrives. Without a
+            limit, a WELCOME of a kilobyte could claim billions of Gaussians.
 
     Attributes:
-        about: What WELCOME says of the scene.
-        holdings: What has come, and what has been replaced.
+        about: The content of WELCOME.
+        holdings: What the client has received, and what has been replaced.
 
     Raises:
-        ProtocolError: If it is no WELCOME, or its scene needs more memory than that.
+        ProtocolError: If the first message is not a WELCOME, or its scene needs more than `most_bytes`.
     """
 
     def __init__(self, welcome: bytes, *, most_bytes: int = MOST_BYTES) -> None:
@@ -81,20 +81,20 @@ class Receiver:
         return f"Receiver({self.holdings!r}, {len(self._drawn):,} shown)"
 
     def hello(self, view: FieldOfView) -> Hello:
-        """What to say to a server: the view, and what is held already."""
+        """Return the HELLO for a new connection: the view, and what this client holds already."""
         if not len(self._starts):
             return Hello(view)
         return Hello(view, bytes.fromhex(self.about.identity), self.holdings.to_bytes())
 
     def resume(self, welcome: bytes) -> bool:
-        """Take the WELCOME of a new connection, whose batches are counted from 1 again.
+        """Accept the WELCOME of a new connection, which numbers its batches from 1 again.
 
         Returns:
-            Whether it is of the same scene, so that everything is kept. If not, nothing has changed, and a new
-            receiver is needed.
+            True if the scene is the same; everything is kept. False if it is another scene; nothing changes, and the
+            client needs a new receiver.
 
         Raises:
-            ProtocolError: If it is no WELCOME.
+            ProtocolError: If the message is not a WELCOME.
         """
         if SceneHeader.parse(welcome).identity != self.about.identity:
             return False
@@ -102,10 +102,10 @@ class Receiver:
         return True
 
     def receive(self, data: bytes) -> Received:
-        """Take a BATCH.
+        """Decode a BATCH and add its content.
 
         Raises:
-            ProtocolError: If it does not fit the scene or what came before; nothing has changed then.
+            ProtocolError: If the batch does not fit the scene or the batches before. Nothing changes then.
         """
         s = Sections.parse(data, self.about)
         if s.sequence != self._sequence + 1:
@@ -123,19 +123,23 @@ class Receiver:
         return Received(s.sequence, s.gaussians, s.terms, dropped, len(data))
 
     def shown(self) -> I64:
-        """(M,) ids of the Gaussians that are drawn, in the order of `scene`."""
+        """Return the (M,) ids of the Gaussians that are drawn, in the order of `scene`."""
         return self._drawn.ids.astype(np.int64)
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
-        """What is drawn: M Gaussians in SH degree 0 with their base colors, and colors with the terms that came.
+        """Return what to draw: M Gaussians in SH degree 0 with their base colors, and colors with the received terms.
 
-        An eye sees `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)`. These are views of what the receiver
-        keeps, good until it receives again; copy what has to last longer.
+        `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)` gives the colors seen from a viewpoint. The arrays
+        are views of the receiver's memory, valid until the next `receive`; copy what must last longer.
         """
         return self._drawn.scene()
 
     def _with_chunks(self, s: Sections) -> tuple[I64, NDArray[np.int32], ChunkTable]:
-        """First ids of chunks, rising, the row of each, and all rows, with those of a batch."""
+        """Return first ids of chunks, ascending, the row of each, and all rows, with the chunks of a batch added.
+
+        Raises:
+            ValueError: If chunks overlap, or their ids or levels are not of the scene.
+        """
         if not len(s.chunks):
             return self._starts, self._rows, self._table
         r = s.rows
@@ -153,7 +157,12 @@ class Receiver:
         return starts, rows, table
 
     def _enter(self, s: Sections) -> I64:
-        """Take in what is held from now on; gives those that are not shown any more."""
+        """Add a batch to the holdings; return the ids of Gaussians that are no longer drawn.
+
+        Raises:
+            ValueError: If the client has an id already, a term comes before its Gaussian, or a Gaussian is replaced
+                twice.
+        """
         held = self.holdings.copy()
         held.add(s.gaussians, s.terms, s.gone)
         if len(s.terms) and not _are_in(held.sent, s.owners).all():
@@ -165,7 +174,11 @@ class Receiver:
 
 
 def _chunks_of(ids: I64, starts: I64, rows: NDArray[np.int32], table: ChunkTable) -> NDArray[np.int32]:
-    """(G,) the row of the chunk of each."""
+    """Return (G,) for each Gaussian, the row of its chunk.
+
+    Raises:
+        ValueError: If the row of a chunk is missing.
+    """
     if not len(ids):
         return np.zeros(0, np.int32)
     places = np.searchsorted(starts, ids, side="right") - 1
@@ -176,5 +189,5 @@ def _chunks_of(ids: I64, starts: I64, rows: NDArray[np.int32], table: ChunkTable
 
 
 def _are_in(words: NDArray[np.uint64], ids: I64) -> NDArray[np.bool_]:
-    """Which ids are in a packed set."""
+    """Return a mask: which ids are in a packed set."""
     return np.asarray((words[ids >> 6] >> (ids & 63).astype(np.uint64)) & np.uint64(1), np.bool_)

@@ -1,4 +1,4 @@
-"""The codes of ids in the plainest way, as strings of 0 and 1: the slow twin of the kernels."""
+"""The codes of ids, written simply, as strings of 0 and 1: the slow twin of the kernels."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ __all__ = ["decode_values", "encode_values"]
 
 
 def encode_values(values: list[int], order: int) -> str:
-    """Values >= 0 in exponential Golomb codes, in the order in which the bits are written.
+    """Return values >= 0 as exponential Golomb codes, in the order in which the bits are written.
 
     Examples:
         >>> encode_values([0, 1, 2], 0), encode_values([0, 5], 2)
@@ -20,7 +20,7 @@ def encode_values(values: list[int], order: int) -> str:
 
 
 def decode_values(bits: str, order: int, count: int) -> list[int]:
-    """The other way."""
+    """Return the first `count` values of a string of codes: the inverse of `encode_values`."""
     values, at = [], 0
     for _ in range(count):
         zeros = bits.index("1", at) - at

@@ -1,4 +1,4 @@
-"""A package as a server needs it: all that its sessions share, decoded once. Threads may share it."""
+"""A package, decoded once for all sessions of a server. Threads may share it."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class StreamedScene:
     """A package, ready to send; `StreamedScene.open` makes one.
 
     Attributes:
-        package: As opened.
-        contents: Its records.
-        about: What WELCOME says.
-        header: WELCOME, for every client.
-        index: What planners know of it.
-        candidates: Candidates of its cells, shared by all planners.
+        package: The open package.
+        contents: The records of the package.
+        about: The content of WELCOME.
+        header: The WELCOME message, the same for every client.
+        index: What planners need to know of the scene.
+        candidates: Candidates of each cell, shared by all planners.
         owners: (T,) int32, the Gaussian of each term.
-        chunk_rows: (C,) rows of chunks as they travel.
-        ending: Number of Gaussians that are replaced by others.
+        chunk_rows: (C,) of `CHUNK_ROW`, as sent.
+        ending: Number of Gaussians that others replace.
     """
 
     def __init__(self, package: Package, *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3) -> None:
-        """See `open`."""
+        """Decode an open package; see `open`."""
         self.package, self.contents = package, package.contents
         counts = self.contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
@@ -56,24 +56,24 @@ class StreamedScene:
     def open(
         cls, package: Package | str | PathLike[str], *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3
     ) -> StreamedScene:
-        """Open a package: read all its records, and no visible set yet.
+        """Open a package and read all its records; read no visible set yet.
 
         Args:
             package: An open package, which the caller closes, or its folder. A package without visible sets becomes one
                 cell that sees everything.
-            max_cache_bytes: Most bytes of decoded sets and candidates of cells.
+            max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep.
             pixel: Angle of a pixel of the clients, radians.
 
         Raises:
-            FormatError: If it is no package, or is damaged.
-            OSError: If it cannot be opened.
+            FormatError: If the folder is not a package, or is damaged.
+            OSError: If the folder cannot be opened.
         """
         _check.positive_int("max_cache_bytes", max_cache_bytes, at_least=0)
         found = package if isinstance(package, Package) else Package.open(package)
         return cls(found, max_cache_bytes=max_cache_bytes, pixel=pixel)
 
     def __len__(self) -> int:
-        """N."""
+        """Return N, the number of Gaussians."""
         return len(self.contents)
 
     def __repr__(self) -> str:
@@ -81,7 +81,7 @@ class StreamedScene:
 
     @property
     def most_hello(self) -> int:
-        """Most bytes that a HELLO can have; holdings are three bitmaps."""
+        """Most bytes of a HELLO for this scene; holdings are three bitmaps."""
         bits = 2 * len(self.contents) + len(self.contents.term_records)
         return 4096 + bits // 8 + bits // 64
 
@@ -90,23 +90,23 @@ class EveryCell:
     """The sets of one cell that sees all Gaussians and has all terms active.
 
     Args:
-        gaussians: N.
-        terms: T.
+        gaussians: N, the number of Gaussians.
+        terms: T, the number of terms.
     """
 
     def __init__(self, gaussians: int, terms: int) -> None:
         self._gaussians, self._terms = gaussians, terms
 
     def classes(self, cell: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-        """Return all Gaussians, in class 0."""
+        """Return the ids of all Gaussians, and class 0 for each."""
         return np.arange(self._gaussians), np.zeros(self._gaussians, np.uint8)
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
-        """Return all Gaussians."""
+        """Return all Gaussians as a packed set."""
         return pack(np.arange(self._gaussians), self._gaussians)
 
     def active_ids(self, cell: int) -> NDArray[np.int64]:
-        """Return all terms."""
+        """Return the ids of all terms."""
         return np.arange(self._terms)
 
 
@@ -128,7 +128,7 @@ def _chunk_rows(contents: Contents) -> NDArray[np.void]:
 
 
 def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
-    """Return what planners know of a package, whose visible sets are kept in a cache."""
+    """Return the index of a package for planners. Its visible sets are kept in `cache`."""
     contents, manifest = package.contents, package.manifest
     sizes: dict[str, Any] = {
         "gaussian_bytes": float(RECORD_BYTES),

@@ -1,8 +1,9 @@
-"""The session of one viewer: what it holds, may be sent, and when. No socket, no clock.
+"""The session of one viewer: what the client holds, what to send next, and when. No socket, no clock.
 
 Poses and acknowledgements go in, messages come out. The planner chooses records; the session measures the link, limits
-the bytes in flight, and adds what the client needs to decode the records: rows of chunks. It measures
-throughput itself, so simulator and server see the same, and a client cannot claim one. Seconds; bytes of messages.
+the bytes in flight, and adds what the client needs to decode the records: rows of chunks. The session measures
+throughput itself, so simulator and server see the same values, and a client cannot claim any. Times are in seconds;
+sizes are bytes of messages.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ LEAST = 1024
 PIECE = 4096.0
 """Bytes that a message should have at least, so that its overhead stays small."""
 
-_FIRST = 1.2  # bytes of a message for each byte of records, before the first one
+_FIRST = 1.2  # bytes of a message for each byte of records, assumed before the first message
 _LEARNED = 0.3  # weight of the last message in the mean of that ratio
 
 
@@ -41,9 +42,9 @@ class Message:
     """Bytes for the client.
 
     Attributes:
-        sequence: Its number; WELCOME has 0, batches follow without a gap.
+        sequence: Number of the message; WELCOME has 0, batches follow without a gap.
         data: The bytes.
-        batch: Its records; empty for WELCOME.
+        batch: The records in it; empty for WELCOME.
     """
 
     sequence: int
@@ -55,18 +56,18 @@ class Session:
     """The state of one viewer.
 
     Args:
-        scene: Shared by all sessions.
-        view: What the client shows.
-        config: None means `AbrConfig()`.
-        holdings: What the client holds already; None is nothing. What is sent changes it.
+        scene: The scene, shared by all sessions.
+        view: The client's field of view.
+        config: Settings of planner and estimator; None means `AbrConfig()`.
+        holdings: What the client holds already; None means nothing. The session adds what it sends.
 
     Attributes:
-        scene: As given.
-        config: As given.
+        scene: The scene.
+        config: Settings of planner and estimator.
         planner: Chooses the records.
-        meter: Measures what is in flight and how long it takes.
-        wire_bytes: Bytes of all messages.
-        record_bytes: Bytes of the records of all batches.
+        meter: Measures the bytes in flight and the time of transfers.
+        wire_bytes: Bytes of all messages so far.
+        record_bytes: Bytes of the records of all batches so far.
     """
 
     def __init__(
@@ -90,10 +91,10 @@ class Session:
 
     @classmethod
     def from_hello(cls, scene: StreamedScene, hello: Hello, config: AbrConfig | None = None) -> Session:
-        """Return the session of a client that says HELLO; ignore what it holds of another scene.
+        """Return the session for a HELLO; ignore holdings of another scene.
 
         Raises:
-            ValueError: If it claims holdings that the scene cannot have.
+            ValueError: If the client claims holdings that the scene cannot have.
         """
         holdings = None
         if hello.holdings and hello.identity.hex() == scene.about.identity:
@@ -102,7 +103,7 @@ class Session:
 
     @property
     def holdings(self) -> Holdings:
-        """What has been sent, and what the client had before."""
+        """What the session has sent, and what the client held before."""
         return self.planner.holdings
 
     @property
@@ -123,7 +124,7 @@ class Session:
 
     @property
     def done(self) -> bool:
-        """Whether the client has been sent all that its view asks for."""
+        """Whether the session has sent everything that the client's view needs."""
         return self.planner.done
 
     def welcome(self, t: float) -> Message:
@@ -132,10 +133,10 @@ class Session:
         return Message(0, self.scene.header, Batch.empty())
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """Take in the pose of the client at time t; see `Planner.on_pose`.
+        """Update the pose of the client at time t, in seconds; see `Planner.on_pose`.
 
         Raises:
-            ValueError: If a value is not finite, or the quaternion is 0. The state is unchanged then.
+            ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
         """
         self.planner.on_pose(t, position, quat)
 
@@ -150,7 +151,7 @@ class Session:
             self._throughput.observe(*transfer)
 
     def allowance(self) -> float:
-        """Return the bytes that may be sent now, which keep the link busy for the window and a round trip."""
+        """Return the bytes to send now: enough to keep the link busy for the window and a round trip."""
         return max(0.0, self.rate * (self.config.window + self.meter.round_trip) - self.outstanding)
 
     def room(self, seconds: float | None = None) -> float:
@@ -160,8 +161,8 @@ class Session:
             seconds: Seconds that the link should take for it; None means `config.piece`.
 
         Returns:
-            0 where the allowance is so small that the message should wait for the next acknowledgement. With nothing in
-            flight it is never 0, so that a link thought dead is tried again.
+            0 if the allowance is so small that the message should wait for the next acknowledgement. Never 0 with
+            nothing in flight, so that the session retries a link that seems dead.
         """
         size = max(self.rate * (self.config.piece if seconds is None else seconds), PIECE)
         room = max(self.allowance(), PIECE) if self.outstanding == 0 else self.allowance()
@@ -173,10 +174,10 @@ class Session:
         Args:
             t: Seconds.
             budget: Bytes that the message should have; None means `room`. The overhead of chunks and ids is known only
-                after the records have been chosen, so a message may exceed the budget by some percent.
+                after the planner has chosen the records, so a message may exceed the budget by some percent.
 
         Returns:
-            None where the budget is too small, nothing is left for the view, or no pose has come.
+            The batch; None if the budget is too small, nothing is left for the view, or no pose has arrived.
         """
         room = (self.room() if budget is None else budget) - FIXED_BYTES
         if room < LEAST - FIXED_BYTES:

@@ -1,7 +1,7 @@
-"""Messages between a client and a server, to the byte: little-endian, the first byte says which one it is.
+"""Messages between a client and a server, byte by byte: little-endian, the first byte is the kind of the message.
 
-What a client says is read by `parse_client`, which refuses anything else than a whole and sensible message before it
-allocates. Batches are in `batch.py`. docs/streaming.md is the description for other implementations.
+`parse_client` reads the messages of a client. It rejects a message that is not complete and valid before it allocates
+memory for it. Batches are in `batch.py`. docs/streaming.md describes the messages for other implementations.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ FAULTS = {
     "internal": 8,
     "ending": 9,
 }
-"""Codes of ERROR: no message; another version; over a limit; no token; too many connections; too many messages; no
-acknowledgement for too long; a fault of the server; the server is going away."""
+"""Codes of ERROR, in this order: not a valid message; another version; over a limit; no token; too many connections;
+too many messages; no acknowledgement for too long; a fault of the server; the server is shutting down."""
 
 IDENTITY = 32
 _HELLO = struct.Struct("<BBHI6f32s")  # type, version, 0, bytes of holdings, field of view, scene of the holdings
@@ -53,10 +53,10 @@ class Hello:
     """The first message of a client.
 
     Attributes:
-        view: What it shows.
-        identity: 32 bytes, `SceneHeader.identity` of the scene that the holdings are of; zeros without.
-        holdings: `Holdings.to_bytes` of what it holds; empty for nothing.
-        version: Of the protocol.
+        view: The client's field of view.
+        identity: 32 bytes, `SceneHeader.identity` of the scene of the holdings; zeros without holdings.
+        holdings: What the client holds, from `Holdings.to_bytes`; empty for nothing.
+        version: Version of the protocol.
     """
 
     view: FieldOfView
@@ -65,7 +65,11 @@ class Hello:
     version: int = PROTOCOL
 
     def to_bytes(self) -> bytes:
-        """The message."""
+        """Return the HELLO message.
+
+        Raises:
+            ValueError: If the identity is not 32 bytes.
+        """
         if len(self.identity) != IDENTITY:
             raise ValueError(f"identity: expected {IDENTITY} bytes, got {len(self.identity)}")
         v = self.view
@@ -75,7 +79,7 @@ class Hello:
 
 @dataclass(frozen=True)
 class PoseAt:
-    """Where the client is.
+    """The pose of the client at a time.
 
     Attributes:
         time_ms: Milliseconds of the client's own clock, below 2^32.
@@ -88,7 +92,7 @@ class PoseAt:
     quat: tuple[float, float, float, float]
 
     def to_bytes(self) -> bytes:
-        """The message."""
+        """Return the POSE message."""
         return _POSE.pack(POSE, self.time_ms & 0xFFFFFFFF, *self.position, *self.quat)
 
 
@@ -97,13 +101,13 @@ class Ack:
     """All messages up to this one have arrived; WELCOME is number 0.
 
     Attributes:
-        sequence: Of the last one.
+        sequence: Number of the last message that arrived.
     """
 
     sequence: int
 
     def to_bytes(self) -> bytes:
-        """The message."""
+        """Return the ACK message."""
         return _ACK.pack(ACK, self.sequence)
 
 
@@ -112,7 +116,7 @@ class Bye:
     """The client is leaving."""
 
     def to_bytes(self) -> bytes:
-        """The message."""
+        """Return the BYE message."""
         return _BYE.pack(BYE)
 
 
@@ -122,27 +126,31 @@ class ServerFault:
 
     Attributes:
         code: One of `FAULTS`.
-        line: For people.
+        line: Message for people.
     """
 
     code: int
     line: str
 
     def to_bytes(self) -> bytes:
-        """The message."""
+        """Return the ERROR message."""
         text = self.line.encode("utf-8", "replace")[:_MOST_LINE]
         return _ERROR.pack(ERROR, self.code, len(text)) + text
 
     @classmethod
     def from_error(cls, error: Exception) -> ServerFault:
-        """What to say of an error; nothing of the server's own faults but that there was one."""
+        """Return what to report of an error. Hide all details of an error that is not a ProtocolError."""
         if isinstance(error, ProtocolError):
             return cls(error.code, str(error))
         return cls(FAULTS["internal"], "the server failed; come back later")
 
     @classmethod
     def parse(cls, data: bytes) -> ServerFault:
-        """The message ERROR."""
+        """Return the content of an ERROR message.
+
+        Raises:
+            ProtocolError: If the message is not an ERROR, or its length is wrong.
+        """
         if len(data) < _ERROR.size or data[0] != ERROR:
             raise ProtocolError(f"message: expected ERROR, got {len(data)} bytes")
         _, code, length = _ERROR.unpack_from(data)
@@ -152,15 +160,15 @@ class ServerFault:
 
 
 def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt | Ack | Bye:
-    """What a client says.
+    """Return the content of a client's message.
 
     Args:
         data: One message.
-        most_hello: Bytes of a HELLO at most; for a known scene, `StreamedScene.most_hello`.
+        most_hello: Most bytes of a HELLO; for a known scene, `StreamedScene.most_hello`.
 
     Raises:
-        ProtocolError: If it is anything else than one whole message with values that make sense. A HELLO of another
-            version has code `FAULTS["version"]`, one over the limit `FAULTS["too-large"]`.
+        ProtocolError: If the data are not one complete message with valid values. The code is `FAULTS["version"]` for a
+            HELLO of another version, and `FAULTS["too-large"]` for a HELLO over the limit.
     """
     kind = data[0] if data else 0
     if kind == HELLO:
