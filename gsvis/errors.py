@@ -146,8 +146,8 @@ class MissingExtraError(BackendError, ImportError):
 
 _ELSEWHERE = "or write to another place"
 _REMEDIES = {
-    errno.ENOSPC: f"make room and run the same again, {_ELSEWHERE}",
-    errno.EDQUOT: f"make room and run the same again, {_ELSEWHERE}",
+    errno.ENOSPC: f"make room and run the same command again, {_ELSEWHERE}",
+    errno.EDQUOT: f"make room and run the same command again, {_ELSEWHERE}",
     errno.EFBIG: f"raise the limit on the size of files (ulimit -f), {_ELSEWHERE}",
     errno.EROFS: "write to another place",
     errno.EACCES: f"change its rights, {_ELSEWHERE}",
@@ -161,7 +161,7 @@ class OutputError(GsvisError, OSError):
     Args:
         path: The file or folder that was to be written.
         code: Number of the fault, as in `errno`.
-        kept: What is kept of the work, and how to go on from it. May be empty.
+        kept: What is kept of the work, and how to resume. May be empty.
         remedy: What the user can do about it; empty takes the usual one of the fault.
 
     Examples:

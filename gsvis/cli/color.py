@@ -225,7 +225,7 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
         if kept is None or not kept.folder.exists():
             raise
         raise KeyboardInterrupt(
-            f"what was found is kept in {kept.folder.name}; the same command goes on from there"
+            f"what was found is kept in {kept.folder.name}; run the same command to resume"
         ) from None
     except OutputError as error:
         if kept is None or not kept.folder.exists():

@@ -271,7 +271,7 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
             shutil.rmtree(work, ignore_errors=True)
             raise
         raise KeyboardInterrupt(
-            f"what was chosen and trained is kept in {work.name}; the same command goes on from there"
+            f"what was chosen and trained is kept in {work.name}; run the same command to resume"
         ) from None
     except OutputError as error:
         if not _begun(work):

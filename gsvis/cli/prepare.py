@@ -75,7 +75,7 @@ def run_prepare(command: Prepare) -> None:
             if command.dry_run:
                 raise
             raise KeyboardInterrupt(
-                f"what was finished is kept in {work.name}; the same command goes on there"
+                f"what was finished is kept in {work.name}; run the same command to resume"
             ) from None
         if not command.dry_run and command.discard:
             shutil.rmtree(prepared.work, ignore_errors=True)

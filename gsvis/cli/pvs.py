@@ -213,7 +213,7 @@ def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> Visib
             raise
         folder = journal_of(g, plan.grid, plan.space, command.out, plan.config)
         raise KeyboardInterrupt(
-            f"{kept:,} of {len(plan.grid):,} cells are kept in {folder.name}; the same command goes on from there"
+            f"{kept:,} of {len(plan.grid):,} cells are kept in {folder.name}; run the same command to resume"
         ) from None
 
 

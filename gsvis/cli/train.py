@@ -218,7 +218,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         if not plan.checkpoint.exists():
             raise
         raise KeyboardInterrupt(
-            f"what was trained is kept in {plan.checkpoint.name}; the same command goes on from there"
+            f"what was trained is kept in {plan.checkpoint.name}; run the same command to resume"
         ) from None
     except OutputError as error:
         if not plan.checkpoint.exists():

@@ -195,8 +195,7 @@ def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Ite
             yield from _submit(executor, scene, left, 2 * workers)
 
     message = (
-        "worker processes died again and again, most likely for want of memory: use fewer --workers or a smaller"
-        " --max-memory"
+        "worker processes died again and again, probably out of memory: use fewer --workers or a smaller --max-memory"
     )
     return _until_done(tasks, attempt, BrokenExecutor, message)
 

@@ -262,7 +262,7 @@ def _explain(error: OSError, work: KeptWork, plan: dict[str, Any], count: int, t
     except OutputError as found:
         return OutputError(found.path, found.errno or errno.EIO, held, found.remedy)
     except OSError:
-        again = "run the same again to go on"
+        again = "run the same again to resume"
         return OSError(error.errno or errno.EIO, f"{error.strerror or error}; {held}: {again}", str(target))
 
 

@@ -225,7 +225,7 @@ def test_a_run_that_is_stopped_leaves_no_file_and_is_gone_on_with(tmp_path: Path
     code, said, text = stopped.end(signal.SIGINT)
     assert (code, said) == (130, ""), text
     (kept,) = tmp_path.glob("rooms.arrow.partial-*")
-    assert f"{kept.name}; the same command goes on from there" in text.splitlines()[-1]
+    assert f"{kept.name}; run the same command to resume" in text.splitlines()[-1]
     assert "Traceback" not in text
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["rooms.ply", kept.name])
     with np.load(kept / "found.npz") as file:

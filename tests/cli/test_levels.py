@@ -267,7 +267,7 @@ def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path
     code, said, text = stopped.end(signal.SIGINT)
     assert (code, said) == (130, ""), text
     (kept,) = tmp_path.glob(".out.partial-*")
-    assert f"is kept in {kept.name}; the same command goes on from there" in text.splitlines()[-1]
+    assert f"is kept in {kept.name}; run the same command to resume" in text.splitlines()[-1]
     assert "Traceback" not in text
     assert "subsets.npz" in names(kept)
     assert names(tmp_path) == [kept.name]

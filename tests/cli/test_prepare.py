@@ -112,7 +112,7 @@ def test_it_says_what_is_kept_when_it_is_stopped(
     with monkeypatch.context() as patched:
         patched.setattr("gsvis.prepare.stages.measure_cost", stop)
         _, err = run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, code=130)
-    assert "kept in s.gsvis.work; the same command goes on there" in err
+    assert "kept in s.gsvis.work; run the same command to resume" in err
     found = json.loads(run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])
     assert [stage["name"] for stage in found["stages"] if not stage["reused"]] == ["cost", "package"]
 

@@ -213,7 +213,7 @@ def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> Non
     last = text.splitlines()[-1]
     assert "Traceback" not in text
     assert last.startswith("gsvis: interrupted; ")
-    assert "the same command goes on from there" in last
+    assert "run the same command to resume" in last
     now = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
     assert earlier.items() <= now.items()
     assert len(now) == 4

@@ -100,7 +100,7 @@ def test_a_run_that_is_stopped_is_gone_on_with(
     assert signal.getsignal(signal.SIGINT) is before
     out, err = capsys.readouterr()
     assert out == ""
-    text = "gsvis: interrupted; what was trained is kept in scene.ply.checkpoint; the same command goes on from there"
+    text = "gsvis: interrupted; what was trained is kept in scene.ply.checkpoint; run the same command to resume"
     assert err.splitlines()[-1] == text
     assert not (tmp_path / "scene.ply").exists()
     monkeypatch.setattr(Trainer, "advance", advance)

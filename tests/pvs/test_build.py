@@ -242,7 +242,7 @@ def test_a_disk_that_is_really_full(job: Job, tiny_disk: Path) -> None:
     path = tiny_disk / "scene.pvs"
     path.write_bytes(b"what was there before")
     for workers in (1, 2):
-        with pytest.raises(OSError, match=r"cell.*make room and run the same again") as caught:
+        with pytest.raises(OSError, match=r"cell.*make room and run the same command again") as caught:
             job.run(path, workers=Workers(workers))
         assert caught.value.errno == errno.ENOSPC
         assert path.read_bytes() == b"what was there before"
