@@ -35,9 +35,10 @@ def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]
         OSError: If the file cannot be written; an older file stays.
     """
     with atomic_path(path) as partial:
-        with partial.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # no name equals a parameter of savez
-        with zipfile.ZipFile(partial, "a") as archive:
+        with zipfile.ZipFile(partial, "w") as archive:  # closed if a write fails; np.savez 1.26 leaves it open
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
             archive.comment = _MARK + b"0" * _DIGITS
         with partial.open("r+b") as file:
             checksum = _checksum(cast(BufferedReader, file), partial.stat().st_size - _DIGITS)
