@@ -67,7 +67,7 @@ def write_arrow(
     separators = (",", ":") if seal == "whole" else None
     text = json.dumps(dict(header), separators=separators, sort_keys=True, allow_nan=False).encode()
     mark = {_CHECKSUM: _MARK + b"0" * _DIGITS + b'"}'} if seal == "whole" else {_HEADER_CHECKSUM: _crc_text(text)}
-    schema = pa.schema(fields, metadata={_HEADER: text, **mark})
+    schema = pa.schema(list(fields), metadata={_HEADER: text, **mark})
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
     with atomic_path(path, sweep=sweep) as partial:
         with pa.OSFile(os.fspath(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
