@@ -17,7 +17,8 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 sys.path.insert(0, str(ROOT / "tools"))
 
 from _harness import read_notes  # noqa: E402
-from results_rows import PAGES, SECTIONS, Row  # noqa: E402
+from results_pages import PAGES, Row  # noqa: E402
+from results_rows import SECTIONS  # noqa: E402
 
 DOCS = ROOT / "docs"
 BEGIN, END = "<!-- tables: python tools/results.py -->", "<!-- end of tables -->"
@@ -53,7 +54,7 @@ def read_results() -> dict[str, dict[str, Any]]:
     for path in sorted((DOCS / "results").glob("*.json")):
         if path.stem not in shown:
             raise ValueError(
-                f"{path.name}: expected a page that shows it; add {path.stem!r} to PAGES in results_rows.py"
+                f"{path.name}: expected a page that shows it; add {path.stem!r} to PAGES in results_pages.py"
             )
         text = path.read_text(encoding="utf-8")
         for old, new in SPELLING:

@@ -1,4 +1,4 @@
-"""Choose what one client gets next: rank records for its pose, and send them in that order until the view changes.
+"""Choose the records that a client receives next: rank them for its pose, and keep the order until the view changes.
 
 A plan covers the bytes of the near future; when it is used up, ranking continues behind it. Between two changes of the
 view, all batches together follow one order, whatever their sizes. The planner knows no link and no message: time and

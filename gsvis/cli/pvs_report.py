@@ -127,7 +127,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         beside = "; ".join("" if target is None else format_target(target, each["unit"]) for target, _ in wanted)
         verdicts = [met for _, met in wanted if met is not None]
         verdict = "" if not verdicts else "met" if all(verdicts) else "MISSED"
-        figures.append((each["told"], mean, worst, beside.strip("; "), verdict))
+        figures.append((each["label"], mean, worst, beside.strip("; "), verdict))
     classes = [
         (
             "whole set" if not each["least_class"] else f"weights from {each['least_weight']:.3g}",

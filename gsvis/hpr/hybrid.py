@@ -1,8 +1,8 @@
-"""Combine the z-buffer and hidden point removal: what one eye sees (paper, section 6.2). World frame, scene units.
+"""Find the Gaussians that are visible from a viewpoint by the z-buffer and hidden point removal (paper, section 6.2).
 
 The z-buffer measures how much light reaches each Gaussian, at the size of its pixels. A Gaussian is in doubt if light
 reaches it but no pixel center shows enough of it. The hull of the places where light ends then decides: in front of it
-the Gaussian lies on a visible surface, behind it in the depth of one.
+the Gaussian lies on a visible surface, behind it in the depth of one. World frame, scene units.
 """
 
 from __future__ import annotations

@@ -271,7 +271,7 @@ class Quality:
             "cells_left_out": list(self.left_out),
             "figures": {
                 each.key: {
-                    "told": each.label,
+                    "label": each.label,
                     "mean": each.mean,
                     "worst": each.worst,
                     "worst_of": each.worst_of,

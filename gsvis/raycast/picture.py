@@ -18,7 +18,7 @@ __all__ = ["ray_image"]
 def ray_image(
     tracer: Tracer, camera: Cameras, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> NDArray[np.float32]:
-    """Render what one camera sees, ray by ray.
+    """Render an image of one camera, ray by ray.
 
     Args:
         tracer: The scene.

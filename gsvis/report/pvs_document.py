@@ -47,7 +47,7 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
     """
     return {
         "format": "gsvis-pvs-report",
-        "version": 1,
+        "version": 2,
         "gsvis": subject.version,
         "command": subject.command,
         "parameters": subject.parameters,

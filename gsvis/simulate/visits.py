@@ -95,8 +95,8 @@ class Place:
         elif reference is not None:
             measured = _sog_size(reference), "SOG as gsvis writes it, of the scene: before it was packaged"
         else:
-            told = "SOG as gsvis writes it, of the scene: the package's highest level, base colors alone"
-            measured = _sog_size(contents.gaussians(highest)), told
+            how = "SOG as gsvis writes it, of the scene: the package's highest level, base colors alone"
+            measured = _sog_size(contents.gaussians(highest)), how
         return cls(package.path.resolve().name.removesuffix(".gsvis"), scene, reference, measured, space)
 
 

@@ -83,10 +83,10 @@ def draw_views(
         found.append(render_views(g, cameras, progress=report))
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene are empty; check the up axis")
-    told_space = f"drawn at random where eyes may be ({space.rule})"
+    drawn = f"drawn at random where eyes may be ({space.rule})"
     small = {"width": max(sampling.width // 2, 1), "height": max(sampling.height // 2, 1)}
     many = replace(sampling, count=_CHOOSE * sampling.count, stream=sampling.stream + 2, **small)
-    return LevelViews(found[0], found[1] if held_out else None, told_space, False, many.cameras(g, space))
+    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space))
 
 
 def load_photograph_views(

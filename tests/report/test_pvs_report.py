@@ -107,7 +107,7 @@ def test_the_document_holds_every_figure(kept: tuple[VisibilityStore, Quality, P
     store, found, folder = kept
     document = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert document == json.loads(json.dumps(pvs_document(found, store, subject())))
-    assert (document["format"], document["version"]) == ("gsvis-pvs-report", 1)
+    assert (document["format"], document["version"]) == ("gsvis-pvs-report", 2)
     assert document["quality"] == json.loads(json.dumps(found.as_dict()))
     assert document["store"]["cells"]["visible"] == store.visible_counts.tolist()
     assert len(document["store"]["cells"]["centers"]) == len(store)

@@ -1,0 +1,112 @@
+"""What a page of results consists of, and which benchmarks each page of details shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["PAGES", "Page", "Row", "Section"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the summary.
+
+    Attributes:
+        question: What a reader asks.
+        figures: "FILE: NAME" of the figures that answer, FILE without `.json`. Their targets and verdicts are used.
+        ours: Template of our answer: {0} is the value of the first figure. Default: the value and its unit.
+        peer: The best other answer, and whose it is.
+        target: Overrides the target of the first figure.
+        verdict: Overrides "reached" (every figure is) and "missed" (one figure is).
+    """
+
+    question: str
+    figures: tuple[str, ...] = ()
+    ours: str = ""
+    peer: str = ""
+    target: str = ""
+    verdict: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of the summary: a question, its rows, and the page with the details."""
+
+    title: str
+    page: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of details: its title and the benchmarks it shows, by the name of their JSON."""
+
+    title: str
+    benchmarks: tuple[str, ...]
+
+
+PAGES = {
+    "trust": Page(
+        "Trust",
+        (
+            "fuzz",
+            "fuzz_coverage",
+            "kill",
+            "server_soak",
+            "stress",
+            "check_repeated",
+            "suite",
+            "mutation",
+            "lowest",
+        ),
+    ),
+    "install": Page("Installing and starting", ("install", "startup")),
+    "formats": Page("Files", ("load_ply", "load_packed")),
+    "visibility": Page(
+        "What a view needs",
+        (
+            "visibility_cdf",
+            "visibility_walk",
+            "analyze_time",
+            "raycast_build",
+            "raycast_contributions",
+            "raycast_scaling",
+            "hpr_open3d",
+        ),
+    ),
+    "rasterizer": Page("Rasterizer", ("render_garden", "render_large", "render_against_rays")),
+    "sets": Page("Visible sets", ("pvs_build", "pvs_memory", "pvs_quality", "visibility_store", "hpr_hybrid")),
+    "color": Page(
+        "Color in pieces",
+        (
+            "color_quality_flowers",
+            "color_quality_nika",
+            "color_fit",
+            "omp",
+            "color_evaluate",
+            "color_epsilon",
+            "color_activation",
+            "color_figure15",
+            "train_srbf",
+            "train_srbf_spaces",
+        ),
+    ),
+    "levels": Page(
+        "Training and levels", ("train_photos", "train_resume", "levels_showroom", "levels_bonsai", "importance")
+    ),
+    "streaming": Page(
+        "Streaming",
+        (
+            "streaming",
+            "abr_planning",
+            "server_load",
+            "stream_codec",
+            "package_codec_showroom",
+            "package_codec_nika",
+            "package_edit_showroom",
+            "package_edit_nika",
+            "shaped_link",
+            "scaling",
+        ),
+    ),
+}
