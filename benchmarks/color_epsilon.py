@@ -35,9 +35,9 @@ from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.io import load_scene
+from gsvis.prepare.approximations import Approximations
 from gsvis.prepare.importance import importance_from_views
 from gsvis.render.metrics import flip_map, psnr
-from gsvis.report.approximations import Approximations
 from gsvis.report.staircase import PERSON_RULE, write_staircase_page
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace

@@ -52,6 +52,7 @@ from gsvis.package import Package
 
 HEALTH_S = 10.0  # in which /healthz has to answer
 SETTLE_S = 300.0  # memory and descriptors have to be flat from then on
+LATE_S = 0.02  # sleep by which the lateness of the viewers' own process is found
 BACKLOG = 2  # visits of each viewer that may wait to be checked
 QUICK = (
     "--steps", "10", "--views", "6", "--size", "96x72", "--cells", "24", "--max-viewpoints", "2", "--face-size", "96",
@@ -78,6 +79,34 @@ def certificate(folder: Path) -> list[str]:
         check=True, capture_output=True,
     )  # fmt: skip
     return ["--ssl-certfile", str(chain), "--ssl-keyfile", str(key)]
+
+
+class Lateness:
+    """How late the process of the viewers itself is, and how much of a core it takes.
+
+    Attributes:
+        found: (time, seconds) by which a sleep was longer than asked for.
+        processor: (time, seconds of processor) of this process.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[tuple[float, float]] = []
+        self.processor: list[tuple[float, float]] = []
+
+    async def run(self) -> None:
+        """Sample until cancelled."""
+        while True:
+            began = time.monotonic()
+            await asyncio.sleep(LATE_S)
+            now = time.monotonic()
+            self.found.append((now, now - began - LATE_S))
+            self.processor.append((now, time.process_time()))
+
+    def between(self, low: float, high: float) -> dict[str, float]:
+        """Return quantiles of the lateness in milliseconds, and the share of a core, between two times."""
+        used = [each for each in self.processor if low <= each[0] < high]
+        share = (used[-1][1] - used[0][1]) / (used[-1][0] - used[0][0]) if len(used) > 1 else float("nan")
+        return {**summary([late for t, late in self.found if low <= t < high]), "cpu_share": share}
 
 
 class Probe:
@@ -150,7 +179,8 @@ async def soak(
     quiet, assault, end = (begin + float(t) for t in np.cumsum(times))
     viewers = [Viewer(link, k, checks) for k in range(count)]
     running = [asyncio.create_task(viewer.run(end)) for viewer in viewers]
-    probing = asyncio.create_task(probe.run())
+    late = Lateness()
+    probing = asyncio.gather(probe.run(), late.run())
     await asyncio.sleep(assault - time.monotonic())
     await asyncio.to_thread(hostile)
     await asyncio.gather(*running)
@@ -165,6 +195,7 @@ async def soak(
         "most_visits_waiting_for_checks": checks.longest,
         "waited_for_checks_s": checks.waited_s,
         "memory_of_viewers_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "viewers_process": {"quiet": late.between(quiet, assault), "attack": late.between(assault, end)},
         "marks": (quiet, assault, end),
         "delays": {"quiet": between("delays", quiet, assault), "attack": between("delays", assault, end)},
         "openings": {"quiet": between("openings", quiet, assault), "attack": between("openings", assault, end)},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import shlex
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from gsvis.cli.source import (
     inspect_scene_of,
     load_source,
     parse_up,
-    summarize_levels,
 )
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
@@ -38,17 +37,15 @@ from gsvis.scene.navigable import NavigableSpace
 
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Prepare
-    from gsvis.color import EpsilonCalibration, Observer
     from gsvis.color.fit import FitConfig
-    from gsvis.color.srbf import SrbfColors
-    from gsvis.prepare.color_quality import ColorQuality
-    from gsvis.prepare.colors import ColorConfig, ColorPreparation
+    from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.fitted_colors import FittedColors
+    from gsvis.prepare.scene_colors import ColorOutputs
+    from gsvis.scene.view_sampling import ViewSampling
 
 __all__ = ["fit_config", "run_color"]
 
-_HELD_OUT, _OBSERVED = 1, 2  # streams of random numbers of views; those of the fit are 0
-_OBSERVED_VIEWS = 4
+_HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
 _HEAD, _PAGE = 4096, b"<title>Can you see it?"
 _FOV = 60.0
 _PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
@@ -207,151 +204,80 @@ def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
 
 def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     """Fit the colors and write all files; return the fitted colors."""
-    from gsvis.prepare.colors import find_kept, prepare_colors
-    from gsvis.prepare.fitted_colors import FittedColors, rounded
+    from gsvis.prepare.scene_colors import color_scene
 
-    g, sets = plan.source.whole, None if plan.store is None else plan.store.direction_sets
-    if plan.source.union.sh_degree > 0:
+    source, out = plan.source, command.out
+    if source.union.sh_degree > 0:
         warm_colors(plan.config, status)
-    kept = find_kept(g, plan.space, plan.config, command.out, sets=sets)
+    outputs = _outputs(command)
+    fitted = color_scene(source.whole, plan.space, out, outputs, config=plan.config, store=plan.store, progress=status)
+    plan.remarks.extend(_remarks(command, plan, outputs, fitted))
     try:
-        found = prepare_colors(g, plan.space, plan.config, sets=sets, keep=command.out, progress=status)
-        status("records", 0, 1)
-        colors = rounded(found.fit.colors, command.precision)
-        status("records", 1, 1)
-        epsilon, calibration = _epsilon(command, plan, colors, status)
-        size = _write(command, plan, found, (epsilon, calibration))
+        if command.staircase is not None and plan.space is not None:
+            _write_staircase(command, plan, fitted, status)
+        if fitted.quality is not None and command.report is not None:
+            _write_report(command, plan, fitted, status)
     except KeyboardInterrupt:
-        if kept is None or not kept.folder.exists():
-            raise
-        raise KeyboardInterrupt(
-            f"what was found is kept in {kept.folder.name}; run the same command to resume"
-        ) from None
+        raise KeyboardInterrupt(f"{out} is written, what else was asked for may not be") from None
     except OutputError as error:
-        if kept is None or not kept.folder.exists():
-            raise
-        raise error.keeping(f"what was found is kept in {kept.folder.name}") from error
-    if kept is not None:
-        kept.remove()
-    levels = plan.source.levels
-    shown = None if levels is None else levels.member(len(levels) - 1)
-    union = plan.source.union
-    fitted = FittedColors(union, colors, found, command.precision, size, epsilon, calibration, shown=shown)
-    try:
-        return _examine(command, plan, fitted, status)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"{command.out} is written, what else was asked for may not be") from None
-    except OutputError as error:
-        raise error.keeping(f"{command.out} is written") from error
-
-
-def _epsilon(
-    command: Color, plan: _Plan, colors: SrbfColors, status: Status
-) -> tuple[float | None, EpsilonCalibration | None]:
-    """Return the given epsilon, or else one calibrated by the model observer; None if not needed or not possible."""
-    from gsvis.prepare.color_quality import has_flip
-    from gsvis.scene.view_sampling import ViewSampling
-
-    if command.epsilon:
-        return command.epsilon, None
-    needed = command.epsilon is not None or command.active is not None
-    if not needed and (command.report is None or not has_flip()):
-        return None, None
-    if colors.num_terms == 0 or plan.space is None:
-        plan.remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
-        return (DEFAULT_EPSILON if needed else None), None  # without terms, any value works
-    from gsvis.color import FLIP_JND, MetricObserver, calibrate_epsilon
-    from gsvis.report.approximations import Approximations, flip_difference
-
-    status("epsilon", 0, 1)
-    views = ViewSampling(_OBSERVED_VIEWS, command.width, command.height, _FOV, command.seed, _OBSERVED)
-    source = plan.source
-    images = {"views": views.count, "width": views.width, "height": views.height, "fov": views.fov, "seed": views.seed}
-    pictures = Approximations(source.gaussians, source.shown(colors), views.cameras(source.whole, plan.space))
-    observer = MetricObserver(flip_difference(pictures), FLIP_JND, images=images)
-    found = calibrate_epsilon(cast("Observer", observer))
-    status("epsilon", 1, 1)
-    if not found.converged:
-        plan.remarks.append(f" Epsilon was not found for certain: {found.reason}.")
-    return found.epsilon, found
-
-
-def _write(
-    command: Color, plan: _Plan, found: ColorPreparation, known: tuple[float | None, EpsilonCalibration | None]
-) -> int:
-    """Write the file of colors; return its size in bytes."""
-    from gsvis.color.storage import save_srbf
-
-    epsilon, calibration = known
-    provenance = {
-        "made_by": f"gsvis {version()}",
-        "fit": asdict(plan.config.fit),
-        "views": asdict(plan.config.views),
-        "directions": found.sets_from,
-        "levels": summarize_levels(plan.source),
-        "epsilon": epsilon,
-        "epsilon_from": None if calibration is None else calibration.as_dict(),
-    }
-    precision = None if command.precision == "exact" else command.precision
-    save_srbf(command.out, plan.source.union, found.fit.colors, precision=precision, provenance=provenance)
-    return Path(command.out).stat().st_size
-
-
-def _examine(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> FittedColors:
-    """Write and measure everything else, after the file of colors is written: active terms, comparison, report."""
-    g, colors, epsilon = fitted.gaussians, fitted.colors, fitted.epsilon
-    if command.active is not None and plan.store is not None and epsilon is not None:
-        from gsvis.prepare.active_terms import build_active_terms
-
-        text = "given" if fitted.calibration is None else "the model observer FLIP"
-        with build_active_terms(
-            colors, g, plan.store, epsilon, command.active, provenance=text, progress=status
-        ) as active:
-            shares = np.array([active.share(cell).of_all for cell in range(len(active))])
-        fitted = replace(fitted, cell_shares=shares)
-    if plan.space is None:
-        if command.staircase is not None or command.held_out:
-            plan.remarks.append(" Nothing was compared: there is nowhere to look from.")
-        return fitted
-    if command.staircase is not None:
-        _write_staircase(command, plan, colors, status)
-    if command.held_out:
-        fitted = replace(fitted, quality=_compare(command, plan, fitted, status))
-    if command.report is not None:
-        _write_report(command, plan, fitted, status)
+        raise error.keeping(f"{out} is written") from error
     return fitted
 
 
-def _compare(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> ColorQuality:
-    from gsvis.prepare.color_quality import ColorQualityConfig, has_flip, measure_colors
+def _outputs(command: Color) -> ColorOutputs:
+    """Return what the command writes and measures besides the colors."""
+    from gsvis.prepare.color_quality import ColorQualityConfig, has_flip
+    from gsvis.prepare.scene_colors import ColorOutputs
     from gsvis.scene.view_sampling import ViewSampling
 
-    (g, colors), epsilon = fitted.drawn, fitted.epsilon
-    asked = ColorQualityConfig(flip=has_flip())
-    if command.report is None:
-        asked = replace(asked, counts=(), epsilons=() if epsilon is None else (epsilon,))
-    elif epsilon is not None:
-        asked = replace(asked, epsilons=tuple(sorted({*asked.epsilons, epsilon})))
-    views = ViewSampling(command.held_out, command.width, command.height, _FOV, command.seed, _HELD_OUT)
-    assert plan.space is not None
-    return measure_colors(g, colors, views.cameras(plan.source.whole, plan.space), asked, progress=status)
+    needed = command.epsilon is not None or command.active is not None
+    quality = ColorQualityConfig(flip=has_flip())
+    held_out = None
+    if command.held_out:
+        held_out = ViewSampling(command.held_out, command.width, command.height, _FOV, command.seed, _HELD_OUT)
+    return ColorOutputs(
+        precision=command.precision,
+        epsilon=command.epsilon or None,
+        calibrate=needed or (command.report is not None and has_flip()),
+        fallback=DEFAULT_EPSILON if needed else None,
+        active=command.active,
+        observed=_observed(command),
+        held_out=held_out,
+        quality=quality if command.report is not None else replace(quality, counts=(), epsilons=()),
+        made_by=f"gsvis {version()}",
+    )
 
 
-def _write_staircase(command: Color, plan: _Plan, colors: SrbfColors, status: Status) -> None:
-    from gsvis.report.approximations import Approximations
+def _observed(command: Color) -> ViewSampling:
+    """Return the views of the model observer, which the test for a person shows too."""
+    from gsvis.prepare.scene_colors import OBSERVED
+
+    return replace(OBSERVED, width=command.width, height=command.height, fov=_FOV, seed=command.seed)
+
+
+def _remarks(command: Color, plan: _Plan, outputs: ColorOutputs, fitted: FittedColors) -> list[str]:
+    """Return what the user should know about the result."""
+    remarks = []
+    if outputs.calibrate and outputs.epsilon is None and fitted.calibration is None:
+        remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
+    if fitted.calibration is not None and not fitted.calibration.converged:
+        remarks.append(f" Epsilon was not found for certain: {fitted.calibration.reason}.")
+    if plan.space is None and (command.staircase is not None or command.held_out):
+        remarks.append(" Nothing was compared: there is nowhere to look from.")
+    return remarks
+
+
+def _write_staircase(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> None:
+    from gsvis.prepare.approximations import Approximations
     from gsvis.report.staircase import PERSON_RULE, write_staircase_page
-    from gsvis.scene.view_sampling import ViewSampling
 
-    source, space = plan.source, plan.space
+    source, space, colors = plan.source, plan.space, fitted.colors
     assert command.staircase is not None
     assert space is not None
-    views = ViewSampling(_OBSERVED_VIEWS, command.width, command.height, _FOV, command.seed, _OBSERVED)
-    pictures = Approximations(source.gaussians, source.shown(colors), views.cameras(source.whole, space))
+    pictures = Approximations(*fitted.drawn, _observed(command).cameras(source.whole, space))
     ladder = pictures.ladder(PERSON_RULE.rungs, progress=status)
     about = {"variant": colors.variant, "precision": command.precision, "mean_terms": colors.num_terms / len(colors)}
-    write_staircase_page(
-        command.staircase, pictures.reference, ladder, title=plan.source.name, about=about, progress=status
-    )
+    write_staircase_page(command.staircase, pictures.reference, ladder, title=source.name, about=about, progress=status)
 
 
 def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> None:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +21,6 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, inspect_scene
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-
-if TYPE_CHECKING:
-    from gsvis.color.srbf import SrbfColors
 
 __all__ = [
     "Source",
@@ -81,10 +78,6 @@ class Source:
     def union(self) -> Gaussians:
         """The Gaussians of the scene, or those of all levels together."""
         return self.gaussians if self.levels is None else self.levels.union
-
-    def shown(self, colors: SrbfColors) -> SrbfColors:
-        """Return the colors of `gaussians`, from colors of the union."""
-        return colors if self.levels is None else colors[self.levels.member(len(self.levels) - 1)]
 
 
 def is_levels(scene: str) -> bool:

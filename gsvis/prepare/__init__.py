@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gsvis.prepare.active_terms import build_active_terms
+    from gsvis.prepare.approximations import Approximations, flip_difference
     from gsvis.prepare.color_quality import ColorQuality, ColorQualityConfig, measure_colors
     from gsvis.prepare.colors import ColorConfig, ColorPreparation, prepare_colors
     from gsvis.prepare.config import PrepareConfig
@@ -19,12 +20,15 @@ if TYPE_CHECKING:
     from gsvis.prepare.fitted_colors import FittedColors
     from gsvis.prepare.levels import MadeLevels, make_levels
     from gsvis.prepare.prepare import Prepared, prepare_package
+    from gsvis.prepare.scene_colors import ColorOutputs, color_scene
     from gsvis.prepare.stages import StageRecord
     from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
 __all__ = [
     "PAPER_TERMS",
+    "Approximations",
     "ColorConfig",
+    "ColorOutputs",
     "ColorPreparation",
     "ColorQuality",
     "ColorQualityConfig",
@@ -37,7 +41,9 @@ __all__ = [
     "StageRecord",
     "WalkTerms",
     "build_active_terms",
+    "color_scene",
     "estimate_preparation",
+    "flip_difference",
     "make_levels",
     "measure_colors",
     "prepare_colors",
@@ -47,11 +53,13 @@ __all__ = [
 
 _HOMES = {
     "active_terms": ("build_active_terms",),
+    "approximations": ("Approximations", "flip_difference"),
     "color_quality": (
         "ColorQuality",
         "ColorQualityConfig",
         "measure_colors",
     ),
+    "scene_colors": ("ColorOutputs", "color_scene"),
     "colors": (
         "ColorConfig",
         "ColorPreparation",

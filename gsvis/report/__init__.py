@@ -6,15 +6,12 @@ from gsvis.report.pictures import ViewPicture, picture_views
 from gsvis.report.staircase import PERSON_RULE, load_staircase_result, write_staircase_page
 
 if TYPE_CHECKING:
-    from gsvis.report.approximations import Approximations, flip_difference
     from gsvis.report.document import Subject, report_document, write_report
 
 __all__ = [
     "PERSON_RULE",
-    "Approximations",
     "Subject",
     "ViewPicture",
-    "flip_difference",
     "load_staircase_result",
     "picture_views",
     "report_document",
@@ -24,11 +21,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import names that need the rasterizer or matplotlib on first use."""
-    if name in ("Approximations", "flip_difference"):
-        from gsvis.report import approximations
-
-        return getattr(approximations, name)
+    """Import names that need matplotlib on first use."""
     if name in ("Subject", "report_document", "write_report"):
         from gsvis._extras import require
 

@@ -7,8 +7,8 @@ from gsvis.color.activation import active
 from gsvis.color.epsilon import MetricObserver, calibrate_epsilon
 from gsvis.color.evaluate import evaluate
 from gsvis.color.srbf import SrbfColors
+from gsvis.prepare import Approximations, flip_difference
 from gsvis.render.rasterizer import rasterize
-from gsvis.report import Approximations, flip_difference
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
