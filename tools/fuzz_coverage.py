@@ -47,7 +47,7 @@ APART = {
         "gsvis.report.staircase:write_staircase_page",
         "gsvis.stream.batch:Sections._ids",
         "gsvis.stream.batch:Sections.to_message",
-        "gsvis.stream.batch:_packed",
+        "gsvis.stream.batch:_pack",
         "gsvis.stream.header:SceneHeader.from_manifest",
         "gsvis.stream.header:SceneHeader.to_message",
         "gsvis.stream.session:Session._encode",

@@ -153,7 +153,8 @@ class Planner:
             planes: (F, 5, 4) frusta; a Gaussian in any of them is in view.
             regime: One of `REGIMES`.
         """
-        self._aim(cell, _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4)), regime)
+        view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
+        self._aim(self._find(cell), *view, regime)
 
     def take(self, budget: float) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
@@ -188,9 +189,7 @@ class Planner:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
         config = self.config
         then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
-        here = self._here
-        if here is None or here.cell != self.cell:
-            here = self.candidates.in_cell(self.cell)
+        here = self._find(self.cell)
         self.regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
         if self._planned is not None:
             cell, was, was_then, regime = self._planned
@@ -202,14 +201,19 @@ class Planner:
         for k, pose in enumerate(poses):
             planes[k] = self.view.planes(pose.position, pose.quat)
         self.reach = _REACH * rate
-        self._aim(self.cell, _check.floats("position", now.position, (3,)), planes, self.regime)
+        self._aim(here, _check.floats("position", now.position, (3,)), planes, self.regime)
         self._planned = self.cell, now, then, self.regime
         self.plans += 1
 
-    def _aim(self, cell: int, eye: F32, planes: F32, regime: str) -> None:
+    def _find(self, cell: int) -> Candidates:
+        """Return the candidates of a cell; those of the last cell need no cache."""
+        here = self._here
+        return here if here is not None and here.cell == cell else self.candidates.in_cell(cell)
+
+    def _aim(self, here: Candidates, eye: F32, planes: F32, regime: str) -> None:
         config = self.config
         self._table, self._keys = table(config.policy, regime, self.candidates.index.num_levels, config.utility)
-        self._enter(cell)
+        self._enter(here)
         self._view = kernels.View(eye, planes, self.candidates.bodies)
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
@@ -217,11 +221,11 @@ class Planner:
         still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
         return still and a.turn_to(b) <= self.config.turn
 
-    def _enter(self, cell: int) -> None:
+    def _enter(self, here: Candidates) -> None:
         """Switch to the units of a cell."""
-        if self._here is not None and self._here.cell == cell:
+        if self._here is here:
             return
-        here = self._here = self.candidates.in_cell(cell)
+        self._here = here
         self._waits[:, 0] = kernels.UNKNOWN
         owed, held = here.owing.copy(), self.holdings.words.terms
         if held.any():

@@ -382,7 +382,7 @@ class Train:
     restart: Flag = False
     """Ignore a checkpoint and begin again."""
     overwrite: Flag = False
-    """Replace a scene that exists. To go on from a checkpoint needs no --overwrite."""
+    """Replace a scene that exists. To resume from a checkpoint needs no --overwrite."""
     json: Flag = False
     """Print the record on standard output instead of a table."""
     debug: Flag = False

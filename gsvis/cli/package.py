@@ -50,7 +50,7 @@ def run_verify(command: Verify) -> None:
         ("meters per unit", f"{meters:g}" if meters else "not known"),
         ("cost of rounding", f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}" if cost else "not measured"),
     ]
-    strays = [f" {found.strays:,} files that no part of it needs lie beside the parts."] if found.strays else []
+    strays = [f" {found.strays:,} files beside the parts belong to no part of it."] if found.strays else []
     show(facts(command.package, rows), " Every part is whole.", *strays)
 
 

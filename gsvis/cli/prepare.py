@@ -54,7 +54,7 @@ def run_prepare(command: Prepare) -> None:
         status("space", 1, 1)
         work = WorkFolder(command.out).folder
         if work.exists():
-            status.line(f"what {work.name} keeps is taken from there, as far as it fits")
+            status.line(f"reusing the results in {work.name} that fit")
         about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}
         try:
             if command.dry_run:

@@ -247,7 +247,7 @@ def _tell_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
         return
     rows = [*_rows(plan), ("workers", f"{estimate.workers:,}")]
     if estimate.finished:
-        rows.append(("found earlier", f"{estimate.finished:,} cells of an interrupted build: it would go on"))
+        rows.append(("found earlier", f"{estimate.finished:,} cells of an interrupted build, which would resume"))
     rows += [
         ("time", f"about {clock(estimate.seconds)}"),
         ("memory", f"at most about {size_of(estimate.memory)}, all processes together"),

@@ -54,7 +54,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     status("space", 0, 1)
     viewpoints, text = _viewpoints(store, source)
     status("space", 1, 1)
-    from gsvis.pvs.quality import QualityConfig, measure_quality  # imports torch
+    from gsvis.pvs.quality import QualityConfig, measure_quality
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.pvs_document import write_pvs_report
 

@@ -188,7 +188,7 @@ class ArrowFile:
         data = memoryview(self._opened())
         start, end = _footer_start(self.path, data), len(data) - _TAIL
         footer = bytes(data[start:end])
-        blocks: NDArray[Any] = self._guard("footer", "a list of batches", lambda: _listed_blocks(footer))
+        blocks: NDArray[Any] = self._guard("footer", "a list of batches", lambda: _list_blocks(footer))
         at, length = blocks["offset"], blocks["metadata"].astype(np.int64)
         good = (at >= 8) & (at % 8 == 0) & (at <= start) & (length >= 8) & (blocks["body"] >= 0)
         good &= (blocks["body"] <= start) & (at + length + np.minimum(blocks["body"], start) <= start)
@@ -301,7 +301,7 @@ def _checksum(data: memoryview, places: list[int]) -> int:
     return crc
 
 
-def _listed_blocks(footer: bytes) -> NDArray[Any]:
+def _list_blocks(footer: bytes) -> NDArray[Any]:
     """Return the place of each record batch that a footer lists.
 
     References:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import weakref
 from typing import IO, Literal
 
-__all__ = ["locked", "try_lock"]
+__all__ = ["MARK", "locked", "try_lock"]
+
+MARK = ".lock"
+"""Suffix of the file beside a locked file that serves as the lock where there are no other locks."""
 
 
 def locked(file: IO[str]) -> bool:
@@ -56,7 +59,7 @@ def _mark(file: IO[str]) -> bool:
     """Create the file `NAME.lock` beside an open file; return whether that succeeded."""
     from filelock import SoftFileLock, Timeout
 
-    mark = SoftFileLock(f"{file.name}.lock", timeout=0, is_singleton=False)
+    mark = SoftFileLock(f"{file.name}{MARK}", timeout=0, is_singleton=False)
     try:
         mark.acquire()
     except Timeout:

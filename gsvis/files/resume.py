@@ -32,7 +32,7 @@ from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import digest_of, read_whole
-from gsvis.files.locks import locked
+from gsvis.files.locks import MARK, locked
 from gsvis.files.output import output_errors
 
 __all__ = ["PLAN", "KeptWork", "folder_beside", "seal", "unseal"]
@@ -111,7 +111,12 @@ class KeptWork:
         """Return the names of all entries, also of damaged ones; hidden files do not count."""
         if not self.folder.is_dir():
             return set()
-        return {name for name in os.listdir(self.folder) if name[:1] != "." and name not in (PLAN, self.lock_name)}
+        return {name for name in os.listdir(self.folder) if name[:1] != "." and name not in self._own}
+
+    @property
+    def _own(self) -> set[str]:
+        """Names of files that are no entries: the description and the lock, which can be two files."""
+        return {PLAN, self.lock_name, f"{self.lock_name}{MARK}"}
 
     def keep(self, name: str, data: bytes) -> None:
         """Keep bytes under a name; replace an older entry.

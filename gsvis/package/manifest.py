@@ -210,7 +210,7 @@ class Manifest:
         """Read and check a manifest.
 
         Raises:
-            FormatError: If the file is no manifest, damaged, of a newer version, a link out of its folder, or
+            FormatError: If the file is no manifest, damaged, of another version, a link out of its folder, or
                 inconsistent.
             OSError: If the file cannot be opened.
         """
@@ -219,8 +219,9 @@ class Manifest:
         if fields.raw("format") != FORMAT:
             raise FormatError(path, "format", FORMAT, repr(fields.raw("format"))[:60], "is this a package?")
         version = fields.integer("version", 1, 1 << 30)
-        if version > VERSION:
-            raise FormatError(path, "version", f"at most {VERSION}", f"{version}", "update gsvis")
+        if version != VERSION:
+            remedy = "update gsvis" if version > VERSION else "prepare the package again"
+            raise FormatError(path, "version", f"{VERSION}", f"{version}", remedy)
         value = dict(fields.value)
         digest = value.pop("sha256", None)
         try:

@@ -95,7 +95,7 @@ class Package:
             path: Folder of the package.
 
         Raises:
-            FormatError: If the folder is no package, or the manifest is damaged or of a newer version.
+            FormatError: If the folder is no package, or the manifest is damaged or of another version.
             OSError: If the manifest cannot be opened.
         """
         return cls(path)

@@ -140,7 +140,7 @@ def prepare_colors(
         found["importance"] = np.ones(len(union))
         sources = sources.replace(" and gathered from the views of the fit", "")
     elif "importance" not in found:
-        from gsvis.prepare.importance import importance_from_views  # imports torch
+        from gsvis.prepare.importance import importance_from_views
 
         seen = importance_from_views(g, views, progress=progress)
         found["sets"] |= seen.sets

@@ -18,7 +18,7 @@ from typing import Any
 from gsvis import _check
 from gsvis.files.limits import digest_of
 from gsvis.files.output import keeping
-from gsvis.files.resume import PLAN, KeptWork
+from gsvis.files.resume import KeptWork
 
 __all__ = ["WorkFolder", "digest_of_folder"]
 
@@ -88,7 +88,7 @@ class WorkFolder(KeptWork):
 
     def clear(self) -> None:
         """Remove the pieces that this run did not use: those of other scenes and options."""
-        used = self._used | {f"{name}.sha256" for name in self._used} | {self.lock_name, PLAN}
+        used = self._used | {f"{name}.sha256" for name in self._used} | self._own
         for path in self.folder.iterdir() if self.folder.is_dir() else ():
             if path.name in used:
                 continue

@@ -69,7 +69,7 @@ def _hybrid(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
 
 
 def _raster(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
-    from gsvis.render import view_weights  # imports torch
+    from gsvis.render import view_weights
     from gsvis.scene.cameras import Cameras
 
     def see(viewpoint: F64) -> Sight:

@@ -1,4 +1,4 @@
-"""A server of packages and a client over real sockets: the scheduler of the simulator behind WebSockets.
+"""A server of packages and a client over real sockets: the session of the simulator behind WebSockets.
 
     with open_scenes(["scene.gsvis"]) as scenes, Server(scenes).running() as url:
         client = fetch(url, FieldOfView.from_degrees(90, 70), path.at, seconds=5.0)

@@ -335,7 +335,7 @@ class _Front:
                 if scope["type"] == "websocket":
                     await send({"type": "websocket.close", "code": 1011})
                 elif not begun:
-                    await PlainTextResponse("the server failed; come back later\n", 500)(scope, receive, send)
+                    await PlainTextResponse("the server failed; try again later\n", 500)(scope, receive, send)
 
     def _is_good(self, scope: Scope) -> bool:
         host = HTTPConnection(scope).headers.get("host")

@@ -185,9 +185,9 @@ class StreamClient:
             await self._clock.within(_OPEN_S, _say(socket, hello.to_bytes()))
             welcome = await self._clock.within(_OPEN_S, _next(socket))
             if self.receiver is None:
-                self.receiver = self._received(welcome)
+                self.receiver = self._start_scene(welcome)
             elif not self.receiver.resume(welcome):
-                self.receiver = self._received(welcome)
+                self.receiver = self._start_scene(welcome)
                 self.restarts += 1
             self.connections += 1
             await _say(socket, Ack(0).to_bytes())
@@ -208,7 +208,7 @@ class StreamClient:
                     task.cancel()
                 await asyncio.gather(*beside, return_exceptions=True)
 
-    def _received(self, welcome: bytes) -> Receiver:
+    def _start_scene(self, welcome: bytes) -> Receiver:
         """Return a receiver of a scene, within the memory limit."""
         try:
             return Receiver(welcome, most_bytes=self.config.scene_bytes)

@@ -236,7 +236,7 @@ class Connection:
     async def _leave_seat(self) -> None:
         """End the connection when another viewer takes the seat."""
         await self._seat_gone.wait()
-        why = f"silent for {self.silent_s:.0f} s, and another viewer of this address needs the seat; come back"
+        why = f"silent for {self.silent_s:.0f} s, and another viewer of this address needs the seat; reconnect"
         raise ProtocolError(why, FAULTS["late"])
 
     async def _talk(self) -> None:

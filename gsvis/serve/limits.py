@@ -14,7 +14,7 @@ from gsvis import _check
 
 __all__ = ["Limits", "Pace", "RateBucket", "Seats", "Viewer"]
 
-_SILENT_S = 5.0  # seconds of silence after which a seat goes to another viewer of its address, where there is no other
+_SILENT_S = 5.0  # seconds of silence after which a seat goes to another viewer of its address, if no other is free
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ class Metrics:
         gaussians: Gaussians in the batches.
         terms: Terms in the batches.
         received: Messages of clients, by kind.
-        skipped: Poses ignored because there were too many or they were invalid.
+        skipped: Poses ignored because there were too many.
         parts: Answers for files of packages, by status.
         parts_bytes: Bytes of these answers.
         faults: Damaged parts and other faults of scenes, by scene.
@@ -133,8 +133,8 @@ class Metrics:
         Info("gsvis_build", "Versions of what serves.", registry=r).info(_build())
         self.clients = Gauge(r, "gsvis_clients", "Clients streaming now.")
         self.opened = Counter(r, "gsvis_clients_opened_total", "Clients that began to stream.", "scene")
-        self.closed = Counter(r, "gsvis_clients_closed_total", "Clients that went or were sent away.", "reason")
-        self.refused = Counter(r, "gsvis_refused_total", "Requests that were turned away.", "reason")
+        self.closed = Counter(r, "gsvis_clients_closed_total", "Clients that left or were disconnected.", "reason")
+        self.refused = Counter(r, "gsvis_refused_total", "Requests that were refused.", "reason")
         self.cut = Counter(r, "gsvis_cut_total", "Connections that were cut.", "reason")
         self.accept_failures = Counter(r, "gsvis_accept_failures_total", "Connections not accepted.", "error")
         self.sent_bytes = Counter(r, "gsvis_sent_bytes_total", "Bytes of batches.")
@@ -142,12 +142,14 @@ class Metrics:
         self.gaussians = Counter(r, "gsvis_sent_gaussians_total", "Gaussians in batches.")
         self.terms = Counter(r, "gsvis_sent_terms_total", "Terms in batches.")
         self.received = Counter(r, "gsvis_received_messages_total", "Messages of clients.", "kind")
-        self.skipped = Counter(r, "gsvis_skipped_poses_total", "Poses that were passed over.")
+        self.skipped = Counter(r, "gsvis_skipped_poses_total", "Poses that were ignored.")
         self.parts = Counter(r, "gsvis_parts_requests_total", "Requests for files of packages.", "status")
         self.parts_bytes = Counter(r, "gsvis_parts_bytes_total", "Bytes of files of packages.")
         self.faults = Counter(r, "gsvis_scene_faults_total", "Damaged parts and other faults of scenes.", "scene")
-        self.planning = Histogram(r, "gsvis_planning_seconds", "From the decision to send to the batch as bytes.")
-        self.late = Histogram(r, "gsvis_late_seconds", "By how much later than due the event loop does something.")
+        self.planning = Histogram(
+            r, "gsvis_planning_seconds", "Seconds from the decision to send to the encoded batch."
+        )
+        self.late = Histogram(r, "gsvis_late_seconds", "Seconds by which the event loop runs late.")
         ProcessCollector(registry=r)
 
     def text(self) -> str:

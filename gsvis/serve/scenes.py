@@ -25,6 +25,7 @@ __all__ = ["Scenes", "ServedScene", "open_scenes"]
 
 _REACH = 100.0
 _WALK = 8  # cells that a warm-up visits
+_FULL = 0.9  # share of the cache at which warming up stops
 _PIECE = 65536.0  # bytes that a warm-up sends in each cell
 
 
@@ -83,7 +84,7 @@ class ServedScene:
                 session.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
             holdings = session.holdings.to_bytes()
         for cell in range(len(grid)):
-            if scene.candidates.cache.fill > 0.9:
+            if scene.candidates.cache.fill > _FULL:
                 break
             scene.candidates.in_cell(cell)
 

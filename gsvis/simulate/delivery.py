@@ -73,7 +73,7 @@ class Adaptive:
     Args:
         scene: State that all clients share.
         view: Field of view of the client.
-        config: How the scheduler decides; None means `AbrConfig()`.
+        config: Settings of planner and estimator; None means `AbrConfig()`.
         name: Name for reports.
 
     Attributes:

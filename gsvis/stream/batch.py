@@ -88,7 +88,7 @@ class Sections:
         Args:
             about: Header of the scene.
         """
-        pieces = self._ids(about), self.rows, self.records, _packed(self.term_records, about.term_bits)
+        pieces = self._ids(about), self.rows, self.records, _pack(self.term_records, about.term_bits)
         rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
         ends = [0]
         for row in rows:
@@ -149,7 +149,7 @@ class Sections:
         return cls(sequence, chunks, rows[1].view(CHUNK_ROW), gaussians, records, terms, owners, term_records, gone)
 
 
-def _packed(records: U8, bits: int) -> U8:
+def _pack(records: U8, bits: int) -> U8:
     """Return records of terms without the padding bits of each record."""
     words = np.zeros(-(-len(records) * bits // 64), "<u8")
     kernels.pack_rows(records, bits, words)

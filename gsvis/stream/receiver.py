@@ -27,7 +27,7 @@ __all__ = ["Received", "Receiver"]
 I64 = NDArray[np.int64]
 
 MOST_BYTES = 1 << 29
-"""Default memory limit for sets and tables of a scene, in bytes: about 55 million Gaussians."""
+"""Default memory limit for sets and tables of a scene, in bytes: about 90 million Gaussians with four terms each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Receiver:
 
     def __init__(self, welcome: bytes, *, most_bytes: int = MOST_BYTES) -> None:
         self.about = SceneHeader.parse(welcome)
-        needed = 9 * self.about.gaussians + self.about.terms // 4  # two tables of int32, and packed sets twice
+        needed = 5 * self.about.gaussians + self.about.terms // 4  # a table of int32, and packed sets twice
         if needed > most_bytes:
             expected, got = f"a scene for {most_bytes:,} bytes of memory", f"one for {needed:,}"
             raise ProtocolError(f"WELCOME: expected {expected}, got {got}", FAULTS["too-large"], "raise most_bytes")

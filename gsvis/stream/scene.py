@@ -47,7 +47,7 @@ class StreamedScene:
         self.chunk_rows = _chunk_rows(self.contents)
         self.about = SceneHeader.from_manifest(package.manifest)
         self.header = self.about.to_message()
-        cache: Cache[Any] = Cache(max_cache_bytes)
+        cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
         self.index = _scene_index(package, cache)
         self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
         self.candidates = CandidateIndex(self.index, pixel=pixel, cache=cache)
@@ -61,7 +61,7 @@ class StreamedScene:
         Args:
             package: An open package, which the caller closes, or its folder. A package without visible sets becomes one
                 cell that sees everything.
-            max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep.
+            max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep; the last is kept in any case.
             pixel: Angle of a pixel of the clients, radians.
 
         Raises:

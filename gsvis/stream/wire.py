@@ -142,7 +142,7 @@ class ServerFault:
         """Return what to report of an error. Hide all details of an error that is not a ProtocolError."""
         if isinstance(error, ProtocolError):
             return cls(error.code, str(error))
-        return cls(FAULTS["internal"], "the server failed; come back later")
+        return cls(FAULTS["internal"], "the server failed; try again later")
 
     @classmethod
     def parse(cls, data: bytes) -> ServerFault:

@@ -273,7 +273,7 @@ def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path
     assert names(tmp_path) == [kept.name]
     assert main(["levels", *words]) == 0
     out, err = capsys.readouterr()
-    assert f"going on from {kept.name}" in err
+    assert f"resuming from {kept.name}" in err
     assert "an earlier run had kept" in " ".join(out.split())
     assert names(tmp_path) == ["out"]
     other = tmp_path / "other"

@@ -64,7 +64,7 @@ def test_a_footer_that_points_elsewhere_is_refused(tmp_path: Path, place: int, v
     data = bytearray(path.read_bytes())
     with pa.OSFile(str(path)) as source:
         footer = arrow._footer_start(path, memoryview(source.read()))
-    blocks = arrow._listed_blocks(bytes(data[footer:-10]))
+    blocks = arrow._list_blocks(bytes(data[footer:-10]))
     at = bytes(data).index(blocks[3].tobytes(), footer) + place
     size = 4 if place == 8 else 8
     data[at : at + size] = value.to_bytes(size, "little", signed=True)

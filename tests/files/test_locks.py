@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from gsvis.files.locks import locked, try_lock
+from gsvis.files.resume import KeptWork
 from gsvis.prepare.work_folder import WorkFolder
 
 ROOT = Path(__file__).parents[2]
@@ -79,6 +80,21 @@ def test_work_of_two_runs_does_not_meet(kind: str, tmp_path: Path) -> None:
         pass
     with theirs.opened():
         pass
+
+
+def test_a_lock_is_no_kept_entry_and_stays_until_the_work_ends(kind: str, tmp_path: Path) -> None:
+    work = KeptWork(tmp_path / "a", {})
+    with work.opened():
+        assert work.names() == set()
+    assert not work.folder.exists()
+    mine, theirs = (WorkFolder(tmp_path / "a.gsvis") for _ in range(2))
+    with mine.opened():
+        mine.at("kept").touch()
+        (mine.folder / "of another run").touch()
+        mine.clear()
+        assert mine.names() == {"kept"}
+        with pytest.raises(ValueError, match=r"no other process"), theirs.opened():
+            pass
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills itself by a signal")

@@ -274,6 +274,7 @@ def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
     reread(tmp_path / "s", lambda value: None)
     for change, message in (
         (lambda v: v.update(version=3), "update gsvis"),
+        (lambda v: v.update(version=1), "prepare the package again"),
         (lambda v: v.update(version=0), "version"),
         (lambda v: v.update(format="other"), "is this a package"),
         (lambda v: v.update(gaussians=61), "gaussians"),

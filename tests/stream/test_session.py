@@ -66,6 +66,13 @@ def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
     assert cache.nbytes <= cache.max_bytes
 
 
+def test_viewers_of_one_cell_share_its_candidates_in_a_cache_without_room(scene: StreamedScene) -> None:
+    small = StreamedScene.open(scene.package, max_cache_bytes=0)
+    assert small.candidates.in_cell(0) is small.candidates.in_cell(0)
+    assert len(small.candidates.cache) == 1
+    scene.package.visibility.cache = scene.candidates.cache
+
+
 def test_classes_stand_for_the_mean_of_their_ends(scene: StreamedScene) -> None:
     sets = scene.package.visibility
     ends = [*sets.info.class_edges.tolist(), 1.0]

@@ -1,6 +1,6 @@
 """Kernels of the package: chunks of Gaussians, records of 16 bytes, places along a Morton curve.
 
-Arrays are checked and contiguous. What decodes uses only integers, exact float64 products and correctly rounded
+Arrays are checked and contiguous. Decoding uses only integers, exact float64 products and correctly rounded
 operations, so any client that follows `reference.py` gets the same bits.
 """
 
@@ -19,7 +19,7 @@ LARGEST = np.float64(np.finfo(np.float32).max)
 
 @njit(cache=True, nogil=True)
 def morton(means, center, half, out):
-    """Place (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
+    """Write places (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
     for i in range(len(means)):
         code = np.uint64(0)
         for axis in range(3):
@@ -40,7 +40,7 @@ def morton(means, center, half, out):
 
 @njit(cache=True, nogil=True)
 def log_scales(scales, out):
-    """Log-scales (N, 3) int32 in 1/64 octave, none far below the largest of its Gaussian; (N,) the largest."""
+    """Write log-scales (N, 3) int32 in 1/64 octave, none far below the largest of a Gaussian; return those (N,)."""
     largest = np.empty(len(scales), np.int32)
     for i in range(len(scales)):
         most = LEAST_LOG
@@ -60,12 +60,12 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
 
     Args:
         means: (N, 3).
-        largest: (N,) largest log-scale of each.
-        steps: (N,) coarsest step of a coordinate that each may have, > 0.
-        places: Steps along the side of a box.
-        most: Gaussians in a chunk at most.
-        spread: By how much `largest` may differ in a chunk.
-        starts: (N,) int64, for the first Gaussian of each chunk.
+        largest: (N,) largest log-scale of each Gaussian.
+        steps: (N,) coarsest step of a coordinate that each Gaussian may have, > 0.
+        places: Number of steps along the side of a box.
+        most: Most Gaussians in a chunk.
+        spread: Largest difference of `largest` in a chunk.
+        starts: (N,) int64, receives the first Gaussian of each chunk.
 
     Returns:
         The number of chunks.
@@ -95,12 +95,12 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
 
 @njit(cache=True, nogil=True)
 def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities, colors, bits, out):
-    """Records (N, 16), zero before, of Gaussians of the given chunks.
+    """Write the records (N, 16), zero before, of Gaussians of the given chunks.
 
     Args:
-        chunk: (N,) row of each in the table.
+        chunk: (N,) row of the chunk of each Gaussian.
         origins: (C, 3) float32, lowest corners.
-        steps: (C, 3) float32.
+        steps: (C, 3) float32, steps of the coordinates.
         lows: (C,) int16, lowest log-scale in 1/64 octave.
         strides: (C,) uint8, steps of log-scales.
         means: (N, 3) float32.
@@ -108,7 +108,7 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
         levels: (N, 3) int32 log-scales.
         opacities: (N,) float32.
         colors: (N, 3 or 4) uint8 base color, and its scale.
-        bits: Of a coordinate, of a component of a quaternion, and of a log-scale.
+        bits: Bits of a coordinate, of a component of a quaternion, and of a log-scale.
         out: (N, 16) uint8.
     """
     position, rotation, scale = bits
@@ -150,22 +150,22 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
 
 @njit(cache=True, nogil=True)
 def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, means, quats, scales, opacities):
-    """What records stand for, into means (M, 3), quats (M, 4), scales (M, 3), opacities (M,), all float32.
+    """Decode records into means (M, 3), quats (M, 4), scales (M, 3) and opacities (M,), all float32.
 
     Args:
-        chunk: (M,) row of each in the table.
-        origins: (C, 3) float32.
-        steps: (C, 3) float32.
-        lows: (C,) int16.
-        strides: (C,) uint8.
+        chunk: (M,) row of the chunk of each Gaussian.
+        origins: (C, 3) float32, lowest corners.
+        steps: (C, 3) float32, steps of the coordinates.
+        lows: (C,) int16, lowest log-scale in 1/64 octave.
+        strides: (C,) uint8, steps of log-scales.
         records: (M, 16) uint8.
-        bits: Of a coordinate, of a component of a quaternion, and of a log-scale.
+        bits: Bits of a coordinate, of a component of a quaternion, and of a log-scale.
         first: Byte at which the string of bits begins.
         roots: (64,) float64, 2^(k / 64).
-        means: (M, 3).
-        quats: (M, 4).
-        scales: (M, 3).
-        opacities: (M,).
+        means: (M, 3), receives the centers.
+        quats: (M, 4), receives unit quaternions, wxyz.
+        scales: (M, 3), receives standard deviations.
+        opacities: (M,), receives opacities.
     """
     position, rotation, scale = bits
     half, width = (1 << (rotation - 1)) - 1, position + rotation + scale

@@ -10,7 +10,7 @@ from gsvis._kernels.faces import face_of
 
 @njit(cache=True, nogil=True)
 def add_viewpoint(ids, weights, tau, means, viewpoint, centers, planes, best, sets):
-    """Join what one viewpoint sees to best (N,) and to the direction sets (N, 10); how many Gaussians are new."""
+    """Add what one viewpoint sees to best (N,) and to the direction sets (N, 10); return how many Gaussians are new."""
     new = 0
     for k in range(len(ids)):
         weight = weights[k]

@@ -15,12 +15,12 @@ from gsvis._kernels.bits import lowest, ones
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
 _CHUNK = 1024  # words of one roaring container: 65,536 positions
-_ARRAY = 4096  # a container of at most so many positions lists them
+_ARRAY = 4096  # most positions of a container that lists them
 
 
 @njit(**_OPTIONS)
 def count_shared(left, right):
-    """Set bits that two sets share."""
+    """Return the number of positions that two sets share."""
     total = 0
     for w in range(len(left)):
         total += np.int64(ones(left[w] & right[w]))
@@ -29,7 +29,7 @@ def count_shared(left, right):
 
 @njit(**_OPTIONS)
 def positions(words, out):
-    """Positions of the set bits, rising; `out` holds as many."""
+    """Write the positions of the set bits, ascending; `out` has room for exactly these."""
     filled = 0
     for w in range(len(words)):
         word = words[w]
@@ -49,7 +49,7 @@ def mark(ids, words):
 
 @njit(**_OPTIONS)
 def scatter(words, order, out):
-    """Set in `out` the bits order[i] of the set positions i."""
+    """Set the bits order[i] in `out` for the positions i of a set."""
     for w in range(len(words)):
         word = words[w]
         while word:
@@ -60,18 +60,18 @@ def scatter(words, order, out):
 
 @njit(**_OPTIONS)
 def reach(words, waiting, alive, order, value, out):
-    """Write `value` at order[i] for the positions i of `words` that still wait, which then wait no more.
+    """Write `value` at order[i] for the positions i of a set that still wait, and stop them from waiting.
 
     Args:
-        words: the set.
-        waiting: what waits; changed.
-        alive: (L,) int64, numbers of the words of `waiting` that are not 0; those that stay so move to its front.
-        order: (N,) int32.
-        value: what to write.
-        out: (N,) receives it.
+        words: The set.
+        waiting: The positions that wait, as a set; changed.
+        alive: (L,) int64, numbers of the words of `waiting` that are not 0; those that stay so move to the front.
+        order: (N,) int32, the Gaussian at each position.
+        value: The value to write.
+        out: (N,) receives the value.
 
     Returns:
-        How many words are alive after it.
+        Number of words of `waiting` that are still not 0.
     """
     kept = 0
     for k in range(len(alive)):
@@ -99,7 +99,7 @@ def add_signature(words, bit, signatures):
 
 @njit(**_OPTIONS)
 def nearest_centers(signatures, centers, labels):
-    """The center (K, W) with the fewest differing bits for each signature (M, W); the first of equals."""
+    """Write for each signature (M, W) the center (K, W) with the fewest differing bits; the first of equal ones."""
     for i in range(len(signatures)):
         best, label = 1 << 30, 0
         for k in range(len(centers)):
@@ -126,7 +126,7 @@ def count_bits(signatures, labels, bits, sizes):
 
 @njit(**_OPTIONS)
 def count_contexts(words, parent, counts):
-    """How many positions of a set have each value in `parent`."""
+    """Add up how many positions of a set have each value in `parent`."""
     for w in range(len(words)):
         word = words[w]
         while word:
@@ -150,16 +150,16 @@ def place_classes(words, parent, symbols, starts, levels):
 
 @njit(**_OPTIONS)
 def roaring(words, keys, cards, out):
-    """Fill the containers of the portable roaring format; the length used.
+    """Write the containers of the portable roaring format.
 
     Args:
-        words: whole containers of 1,024 words.
-        keys: (containers,) int64 room for the containers that are not empty.
-        cards: (containers,) int64 room for their counts.
-        out: uint16 room for their contents.
+        words: The set, whole containers of 1,024 words.
+        keys: (containers,) int64, receives the numbers of the containers that are not empty.
+        cards: (containers,) int64, receives their counts.
+        out: uint16, receives their contents.
 
     Returns:
-        Containers that are not empty, and uint16s written.
+        Number of containers that are not empty, and number of uint16 written.
     """
     found, end = 0, 0
     for chunk in range(len(words) // _CHUNK):

@@ -1,4 +1,4 @@
-"""Kernels of the wire: rising ids as distances in exponential Golomb codes, what is new to a client, terms by owner.
+"""Kernels of the wire: ascending ids as distances in exponential Golomb codes, what is new to a client, terms by owner.
 
 Arrays are checked and contiguous, sets are packed words. Bits are written from the lowest of each byte up. A value v
 in a code of order k: w = v + 2^k has n bits; n - k - 1 zeros and a one, then the lower n - 1 bits of w, lowest first.
@@ -18,13 +18,13 @@ MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
 
 @njit(inline="always")
 def _length(value):
-    """Bits of an integer in [1, 2^52)."""
+    """Return the number of bits of an integer in [1, 2^52)."""
     return (np.float64(value).view(np.int64) >> 52) - 1022
 
 
 @njit(**_OPTIONS)
 def distances(ids, out):
-    """Of rising ids from each other, less one; of the first, the id itself."""
+    """Write the distance of each of the ascending ids from the one before, less one; for the first, the id itself."""
     before = np.int64(-1)
     for i in range(len(ids)):
         out[i] = np.int64(ids[i]) - before - 1
@@ -33,13 +33,13 @@ def distances(ids, out):
 
 @njit(**_OPTIONS)
 def owner_distances(terms, owners, share, out):
-    """By how much each owner is further than the distance of the terms tells, the sign in the lowest bit.
+    """Write how far each owner is from the one that the distance of the terms predicts, the sign in the lowest bit.
 
     Args:
-        terms: (M,) rising.
-        owners: (M,) never falling.
+        terms: (M,) ids of terms, ascending.
+        owners: (M,) the Gaussian of each term, never decreasing.
         share: Gaussians for each term of the scene, times 2^16.
-        out: (M,) int64.
+        out: (M,) int64, receives the values.
     """
     term, owner = np.int64(0), np.int64(0)
     for i in range(len(terms)):
@@ -51,7 +51,7 @@ def owner_distances(terms, owners, share, out):
 
 @njit(**_OPTIONS)
 def best_order(values):
-    """The order in which values take about the fewest bits."""
+    """Return the order of the code in which values take about the fewest bits."""
     lengths, longest = np.zeros(64, np.int64), 1
     for i in range(len(values)):
         n = _length(values[i] + 1)
@@ -72,17 +72,17 @@ def write_ids(chunks, gaussians, terms, owners, gone, share, orders, out):
     """Append the ids of a batch to its row of ids.
 
     Args:
-        chunks: (C,) int64, rising, as the others are.
-        gaussians: (G,) int32.
-        terms: (M,) uint32.
-        owners: (M,) int32, never falling.
-        gone: (D,) int32.
-        share: See `owner_distances`.
+        chunks: (C,) int64 first ids of chunks, ascending.
+        gaussians: (G,) int32 ids of Gaussians, ascending.
+        terms: (M,) uint32 ids of terms, ascending.
+        owners: (M,) int32, the Gaussian of each term, never decreasing.
+        gone: (D,) int32 ids of replaced Gaussians, ascending.
+        share: Gaussians for each term of the scene, times 2^16.
         orders: (5,) uint8, receives the order of the code of each list.
-        out: uint8, for all of it.
+        out: uint8, receives the bits; long enough for all of them.
 
     Returns:
-        How many bits there are.
+        Number of bits.
     """
     values = np.empty(max(len(chunks), len(gaussians), len(terms), len(gone)), np.int64)
     bit = np.int64(0)
@@ -110,10 +110,10 @@ def write_ids(chunks, gaussians, terms, owners, gone, share, orders, out):
 
 @njit(**_OPTIONS)
 def write(values, order, out, bit):
-    """Append values to a string of bits, in which those from `bit` to the end of its byte are zero.
+    """Append values to a string of bits; those from `bit` to the end of its byte must be zero.
 
     Returns:
-        The bit after the last; what follows in its byte is zero.
+        The bit after the last; the rest of its byte is zero.
     """
     byte, filled = bit >> 3, bit & 7
     word = np.uint64(out[byte]) if filled else np.uint64(0)
@@ -122,7 +122,7 @@ def write(values, order, out, bit):
         w = np.uint64(values[i]) + (one << np.uint64(order))
         n = _length(np.int64(w))
         zeros = n - order - 1
-        if zeros + n > 32:  # rare: what is there first, so that there is room
+        if zeros + n > 32:  # rare: write the bits so far first, so that there is room
             while filled >= 8:
                 byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
             filled += zeros
@@ -148,7 +148,7 @@ def _flush(out, byte, word):
 
 @njit(**_OPTIONS)
 def read(data, bit, order, values):
-    """Read as many values as there is room for. Gives the bit after the last; -1 where the bits are no such values."""
+    """Read values until the array is full; return the bit after the last, or -1 if the bits are no such values."""
     end = 8 * len(data)
     for i in range(len(values)):
         zeros = 0
@@ -174,7 +174,7 @@ def read(data, bit, order, values):
 
 @njit(**_OPTIONS)
 def ids_from(values, limit, out):
-    """The other way from `distances`; whether all ids are below the limit."""
+    """Write the ids whose `distances` are given; return whether all are below the limit."""
     at = np.int64(-1)
     for i in range(len(values)):
         at += values[i] + 1
@@ -186,7 +186,7 @@ def ids_from(values, limit, out):
 
 @njit(**_OPTIONS)
 def owners_from(values, terms, share, gaussians, out):
-    """The other way from `owner_distances`; whether all owners are below `gaussians` and none falls."""
+    """Write the owners whose `owner_distances` are given; return whether they are below `gaussians` and ascend."""
     term, owner = np.int64(0), np.int64(0)
     for i in range(len(values)):
         rest = values[i] >> 1 if values[i] & 1 == 0 else -((values[i] + 1) >> 1)
@@ -200,7 +200,7 @@ def owners_from(values, terms, share, gaussians, out):
 
 @njit(**_OPTIONS)
 def first_times(places, of, known, out):
-    """Those of `of[places]`, which never fall, that are not known yet; from now on they are. Gives their number."""
+    """Write those of `of[places]` that are not known yet, and mark them as known; return their number."""
     count = 0
     for i in range(len(places)):
         found = of[places[i]]
@@ -213,7 +213,7 @@ def first_times(places, of, known, out):
 
 @njit(**_OPTIONS)
 def added(words, before, out):
-    """Rising ids of what has come to a set, `before`, which becomes `words`; those there is room for."""
+    """Write the ascending ids in the set `words` that `before` lacks, and add them to it; return their number."""
     count, one = 0, np.uint64(1)
     for w in range(len(words)):
         fresh = words[w] & ~before[w]
@@ -229,17 +229,17 @@ def added(words, before, out):
 
 @njit(**_OPTIONS)
 def group_terms(owners, slots, terms, offsets, out):
-    """Put terms together by the slot of their Gaussian, in the order in which they came.
+    """Group terms by the slot of their Gaussian, within a slot in the order of their arrival.
 
     Args:
-        owners: (M,) Gaussian of each.
-        slots: (N,) slot of each Gaussian, counted from 1; the terms of one that has none, 0, are left out.
+        owners: (M,) Gaussian of each term.
+        slots: (N,) slot of each Gaussian, counted from 1; terms of a Gaussian with slot 0 are left out.
         terms: (functions (M,), centers (M, 2), decays (M,), intensities (M, I)).
-        offsets: (n + 1,) int64 zeros, receives where those of each slot begin.
-        out: Arrays like those of the terms, receive them.
+        offsets: (n + 1,) int64 zeros, receives where the terms of each slot begin.
+        out: Arrays like `terms`, receive the grouped terms.
 
     Returns:
-        How many are kept.
+        Number of terms in `out`.
     """
     n = len(offsets) - 1
     for i in range(len(owners)):
@@ -268,7 +268,7 @@ def group_terms(owners, slots, terms, offsets, out):
 
 @njit(**_OPTIONS)
 def gather(rows, places, out):
-    """Rows (N, B) at some places (M,), behind each other in out (M B,)."""
+    """Copy the rows (N, B) at some places (M,) one after the other to out (M B,)."""
     width, at = rows.shape[1], 0
     for i in range(len(places)):
         place = places[i]
@@ -279,7 +279,7 @@ def gather(rows, places, out):
 
 @njit(**_OPTIONS)
 def pack_rows(rows, bits, out):
-    """The lowest bits of each of rows (M, B), B at most 8, as one string of bits, lowest first, into words of zeros."""
+    """Write the lowest bits of each row (M, B), B <= 8, as one string of bits, lowest first, to words of zeros."""
     count, width = rows.shape
     mask = ~np.uint64(0) >> np.uint64(64 - bits)
     bit = 0
@@ -296,7 +296,7 @@ def pack_rows(rows, bits, out):
 
 @njit(**_OPTIONS)
 def unpack_rows(data, bits, rows):
-    """The other way: rows (M, B) of a string of bits that is long enough."""
+    """Write the rows (M, B) that `pack_rows` packed; the string of bits must be long enough."""
     count, width = rows.shape
     for i in range(count):
         for b in range(width):
