@@ -208,7 +208,7 @@ def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
 def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     """Fit the colors and write all files; return the fitted colors."""
     from gsvis.prepare.colors import find_kept, prepare_colors
-    from gsvis.prepare.fitted_colors import FittedColors, rounded
+    from gsvis.prepare.fitted_colors import FittedColors, round_colors
 
     g, sets = plan.source.whole, None if plan.store is None else plan.store.direction_sets
     if plan.source.union.sh_degree > 0:
@@ -217,7 +217,7 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     try:
         found = prepare_colors(g, plan.space, plan.config, sets=sets, keep=command.out, progress=status)
         status("records", 0, 1)
-        colors = rounded(found.fit.colors, command.precision)
+        colors = round_colors(found.fit.colors, command.precision)
         status("records", 1, 1)
         epsilon, calibration = _epsilon(command, plan, colors, status)
         size = _write(command, plan, found, (epsilon, calibration))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import weakref
 from typing import IO, Literal
 
-__all__ = ["locked", "try_lock"]
+__all__ = ["lock_file", "try_lock"]
 
 
-def locked(file: IO[str]) -> bool:
+def lock_file(file: IO[str]) -> bool:
     """Lock an open file until it is closed; return whether that succeeded.
 
     If the system or the file system has no locks, a file `NAME.lock` beside it serves as the lock until the file
