@@ -67,7 +67,7 @@ def test_locks_of_two_files_do_not_meet(kind: str, tmp_path: Path) -> None:
         assert lock_file(second)
 
 
-def test_a_descriptor_tells_whether_there_are_locks(kind: str, tmp_path: Path) -> None:
+def test_a_descriptor_shows_whether_there_are_locks(kind: str, tmp_path: Path) -> None:
     with (tmp_path / "a").open("a+") as first, (tmp_path / "a").open("a+") as second:
         states = [try_lock(first.fileno()), try_lock(second.fileno())]
     assert states == (["none", "none"] if kind == "no locks" else ["held", "busy"])

@@ -1,4 +1,4 @@
-"""Preparing colors of a scene and comparing them: what is found, kept, gone on with and refused."""
+"""Preparing colors of a scene and comparing them: what is found, kept, resumed and refused."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_scenes_without_view_dependence_need_no_space() -> None:
         prepare_colors(rooms().gaussians, None, QUICK)
 
 
-def test_what_is_wrong_is_said() -> None:
+def test_what_is_wrong_is_refused_by_name() -> None:
     scene, g = rooms(), rooms().gaussians
     for sets in (np.zeros((len(g), 9), np.uint8), np.zeros((5, 10), np.uint8), np.zeros((len(g), 10))):
         with pytest.raises(ValueError, match="sets: expected uint8"):

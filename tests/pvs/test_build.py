@@ -66,10 +66,10 @@ class Stop:
     """A progress callback that ends the build after so many cells, and remembers where it began."""
 
     def __init__(self, after: int, error: type[BaseException] = KeyboardInterrupt) -> None:
-        self.after, self.error, self.told = after, error, []
+        self.after, self.error, self.calls = after, error, []
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        self.told.append((stage, done))
+        self.calls.append((stage, done))
         if stage == "cells" and done >= self.after:
             raise self.error
 
@@ -126,7 +126,7 @@ def test_a_stopped_build_goes_on_where_it_stood(job: Job, tmp_path: Path, looked
     again = Stop(99)
     assert job.run(path, progress=again) == job.wanted
     assert len(looked) == len(job.grid)
-    assert again.told[0] == ("cells", 5)
+    assert again.calls[0] == ("cells", 5)
     assert [entry.name for entry in path.parent.iterdir()] == ["scene.pvs"]
 
 
