@@ -183,7 +183,7 @@ def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
 
     work = find_levels_work(_target(command.out), g, drawn, config)
     if _begun(work):
-        status.line(f"going on from {work.name}, which an earlier run left")
+        status.line(f"resuming from {work.name}, which an earlier run left")
         remarks.append(" It went on from what an earlier run had kept; the time is of this one alone.")
     return _Plan(source, config, drawn, work, remarks)
 

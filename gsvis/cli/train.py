@@ -272,7 +272,7 @@ def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: 
             begun.append(done)
             shown = len(trainer.history)
             if done:
-                status.line(f"going on from step {done:,} of {total:,}")
+                status.line(f"resuming from step {done:,} of {total:,}")
         count = len(trainer.parameters)
         brief, whole = f"loss {trainer.loss:.3f}, {_thousands(count)}", f"loss {trainer.loss:.4f}, {count:,} Gaussians"
         measured = [record.psnr for record in trainer.history if not math.isnan(record.psnr)]
