@@ -31,7 +31,8 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
-CONFIG = PvsConfig(size=16, max_viewpoints=6)
+CONFIG = PvsConfig(size=16, growth=0.1, min_viewpoints=3, max_viewpoints=6)
+"""Small, and cells are done after different numbers of viewpoints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,8 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     made = two_rooms(2000, sh_degree=1)
     grid = CellGrid.over(made.navigable, max_cells=12)
     path = tmp_path_factory.mktemp("pvs") / "here.pvs"
-    build_pvs(made.gaussians, grid, made.navigable, path, CONFIG).close()
+    with build_pvs(made.gaussians, grid, made.navigable, path, CONFIG) as store:
+        assert len(set(store.viewpoints.tolist())) > 1
     return Job(made.gaussians, grid, made.navigable, path.read_bytes())
 
 
