@@ -141,9 +141,9 @@ def errors(fit: SphereFit, directions: F64, truth: F64) -> list[float]:
     return [float(np.mean((fit.evaluate(directions, k) - truth) ** 2)) for k in COUNTS]
 
 
-def draw(path: Path, name: str, function: Function, fit: SphereFit, text: list[float]) -> None:
+def draw(path: Path, name: str, function: Function, fit: SphereFit, mean_errors: list[float]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with Image.open(io.BytesIO(sphere_figure(function, fit, errors=text, title=name))) as image:
+    with Image.open(io.BytesIO(sphere_figure(function, fit, errors=mean_errors, title=name))) as image:
         size = WIDE, round(image.height * WIDE / image.width)
         image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(path, optimize=True)
 

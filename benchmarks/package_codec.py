@@ -42,7 +42,7 @@ from gsvis.scene.sh import SH_C0
 
 SCENES = {"showroom": ("showroom", 3, "+z"), "nika": ("nika_sh3", 0, "-y"), "nika-small": ("nika_sh3", 2, "-y")}
 BATCH = 50_000
-TOLD = {
+LABELS = {
     "spz_base": "SPZ, base colors alone",
     "sog_base": "SOG, base colors alone",
     "spz_sh": "SPZ with SH",
@@ -109,7 +109,7 @@ def main() -> None:
         return float(np.median(found))
 
     whole = None if options.package is None else sizes_of(options.package)
-    rivals = {label: others[name] for name, label in TOLD.items() if name in others}
+    rivals = {label: others[name] for name, label in LABELS.items() if name in others}
     if whole is not None:
         rivals["package with levels, terms, visible sets"] = whole["all"]
         rivals["records, rows of chunks and terms of that"] = whole["records"] + whole["chunks"] + whole["terms"]

@@ -46,10 +46,10 @@ def main() -> None:
                          "visible_raster": int((b >= TAU).sum())})  # fmt: skip
             print(name, rows[-1], file=sys.stderr)
         details[f"{name}:{lod}"] = rows
-        for key, text in (("rays_kept_by_raster", "ray-traced weight that the rasterized set keeps"),
+        for key, label in (("rays_kept_by_raster", "ray-traced weight that the rasterized set keeps"),
                           ("raster_kept_by_rays", "rasterized weight that the ray-traced set keeps")):  # fmt: skip
             mean = float(np.mean([row[key] for row in rows]))
-            figures.append({"name": f"{name} LOD {lod}: {text}", "target": None, "reached": mean, "unit": "share",
+            figures.append({"name": f"{name} LOD {lod}: {label}", "target": None, "reached": mean, "unit": "share",
                             "better": "higher"})  # fmt: skip
         psnr = float(np.mean([row["psnr"] for row in rows]))
         figures.append({"name": f"{name} LOD {lod}: image by rays against image by rasterizer", "target": None,

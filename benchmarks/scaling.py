@@ -70,16 +70,16 @@ def memory(path: Path) -> dict[str, float]:
     for cell in range(len(scene.index.grid)):
         scene.candidates.in_cell(cell)
     cells = resident()
-    senders = []
+    sessions = []
     for k in range(CLIENTS):
         session = Session(scene, VIEW)
         session.on_pose(0.0, scene.index.grid.centers[k % len(scene.index.grid)], (1.0, 0.0, 0.0, 0.0))
         while session.next_message(0.0, 1e6) is not None:
             pass
-        senders.append(session)
+        sessions.append(session)
     clients = resident()
     return {"open_seconds": seconds, "open": opened - before, "cells": cells - opened,
-            "client": (clients - cells) / len(senders)}  # fmt: skip
+            "client": (clients - cells) / len(sessions)}  # fmt: skip
 
 
 def apart(work: Any, path: Path) -> Any:

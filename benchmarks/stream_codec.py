@@ -65,7 +65,7 @@ class Clock:
         return message, time.thread_time() - start - (self.planning - before)
 
 
-def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, Any], Receiver]:
+def measure_session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, Any], Receiver]:
     session, receiver = Session(scene, VIEW), Receiver(scene.header)
     clock, squeeze = Clock(session), zstandard.ZstdCompressor(level=3)
     bytes_of = dict.fromkeys(("records", "terms", "ids", "chunks", "fixed"), 0)
@@ -95,7 +95,7 @@ def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, An
         zstd += len(squeeze.compress(message.data))
         deflate += len(zlib.compress(message.data, 1))
     total = sum(sizes)
-    text = {
+    record = {
         "batches": len(sizes), "gaussians": gaussians, "terms": terms, "wire_bytes": total, "bytes_of": bytes_of,
         "overhead": total / max(bytes_of["records"] + bytes_of["terms"], 1) - 1, "zstd": zstd / total,
         "deflate": deflate / total, "median_message": float(np.median(sizes)),
@@ -103,7 +103,7 @@ def session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict[str, An
         **{name: quartiles(values) for name, values in
            (("encode_ms", encode), ("receive_ms", receive), ("ready_ms", ready))},
     }  # fmt: skip
-    return text, receiver
+    return record, receiver
 
 
 def quartiles(seconds: list[float]) -> dict[str, float]:
@@ -183,7 +183,7 @@ def main() -> None:
         record["per_gaussian"] = each
         receivers = {}
         for mbit in RATES:
-            found, receivers[mbit] = session(scene, mbit, int(10 * args.seconds))
+            found, receivers[mbit] = measure_session(scene, mbit, int(10 * args.seconds))
             record[f"{mbit} Mbit/s"] = found
             figure(f"{name}, {mbit} Mbit/s: what the wire adds to records", 100 * found["overhead"], "%")
             least = 1.0 if mbit == 10 else None

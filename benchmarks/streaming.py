@@ -205,7 +205,7 @@ def walked(
         found: list[dict[str, Any]] = json.loads(kept.read_text())
         return found
     g, file_size = place(name)
-    path, text = brought(name, g, walk, visit * config.seconds, config.watched)
+    path, placed = brought(name, g, walk, visit * config.seconds, config.watched)
     with Package.open(package) as opened:
         scene = StreamedScene.open(opened)
         contents, stage = scene.contents, Stage(scene.contents, g)
@@ -226,7 +226,7 @@ def walked(
             )
             for delivery in deliveries:
                 playbacks.append(play(delivery, later, path, stage.size, seconds=config.watched, tick=config.tick))
-                rows.append({"scene": name, "walk": WALKS[walk], "link": link.trace.name, "path": text})
+                rows.append({"scene": name, "walk": WALKS[walk], "link": link.trace.name, "path": placed})
         for row, session in zip(rows, watch(stage, playbacks, path, config), strict=True):
             row.update(session.as_dict())
     if kept is not None:

@@ -1,4 +1,4 @@
-"""Does a training run that was killed and gone on with end where one that was never killed ends?
+"""Does a training run that was killed and resumed end where one that was never killed ends?
 
 `gsvis train` on bonsai at 200 x 133, killed with SIGKILL at moments drawn at random (seed 0), checkpoints every few
 seconds, started again with the same command until it is done; compared with a run left alone, same command. A life ends
@@ -76,8 +76,8 @@ def main() -> None:
                     run.kill()
                     run.wait()
             lives.append(round(time.monotonic() - began, 1))
-            found.append(gone_on_from(log.read_text(encoding="utf-8")))
-            print(f"life of {lives[-1]} s, gone on from step {found[-1]}", file=sys.stderr, flush=True)
+            found.append(read_resumed_step(log.read_text(encoding="utf-8")))
+            print(f"life of {lives[-1]} s, resumed from step {found[-1]}", file=sys.stderr, flush=True)
             if ended:
                 break
         if not killed_at.exists():
@@ -87,28 +87,28 @@ def main() -> None:
     counts, levels = zip(*(ends(record) for record in records), strict=True)
     figures = [
         {
-            "name": f"bonsai, killed {len(lives) - 1} times and gone on with: difference in final count",
+            "name": f"bonsai, killed {len(lives) - 1} times and resumed: difference in final count",
             "target": 0.01,
             "reached": abs(counts[1] / counts[0] - 1.0),
             "unit": "of the count",
             "better": "lower",
         },
         {
-            "name": f"bonsai, killed {len(lives) - 1} times and gone on with: difference in held-out PSNR",
+            "name": f"bonsai, killed {len(lives) - 1} times and resumed: difference in held-out PSNR",
             "target": 0.05,
             "reached": abs(levels[1] - levels[0]),
             "unit": "dB",
             "better": "lower",
         },
     ]
-    details = {"whole_s": whole_s, "lives_s": lives, "gone_on_from": found, "steps": arguments.iterations}
+    details = {"whole_s": whole_s, "lives_s": lives, "resumed_from": found, "steps": arguments.iterations}
     details |= {"counts": counts, "psnr": levels, "same_bytes": same}
     write_result(arguments.out, "Does a killed run end where another ends?", figures, details)
 
 
-def gone_on_from(text: str) -> int:
-    """The step that a run says it goes on from; 0 if it began anew."""
-    words = re.search(r"going on from step ([\d,]+)", text)
+def read_resumed_step(text: str) -> int:
+    """Return the step that a run resumed from; 0 if it began anew."""
+    words = re.search(r"resuming from step ([\d,]+)", text)
     return int(words[1].replace(",", "")) if words else 0
 
 

@@ -84,8 +84,8 @@ def surface() -> dict[str, dict[str, Any]]:
 
 
 def test_public_names_are_the_frozen_ones() -> None:
-    text = "the public names changed; if that is meant: python tests/test_api_surface.py --write"
-    assert surface() == json.loads(FROZEN.read_text(encoding="utf-8")), text
+    message = "the public names changed; if that is meant: python tests/test_api_surface.py --write"
+    assert surface() == json.loads(FROZEN.read_text(encoding="utf-8")), message
 
 
 def test_public_names_are_documented_where_they_live() -> None:

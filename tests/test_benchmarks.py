@@ -26,7 +26,7 @@ def harness() -> ModuleType:
 
 
 @pytest.mark.parametrize("path", BENCHMARKS, ids=lambda path: path.stem)
-def test_every_benchmark_tells_inputs_from_findings(harness: ModuleType, path: Path) -> None:
+def test_every_benchmark_separates_inputs_from_findings(harness: ModuleType, path: Path) -> None:
     doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
     assert doc is not None
     assert doc.splitlines()[0].endswith("?"), "a benchmark asks one question"

@@ -93,7 +93,7 @@ def test_integers_never_wrap_around() -> None:
     assert _check.integers("x", [], ("N",)).dtype == np.int64
 
 
-def test_ranges_are_closed_unless_told_and_refuse_nan() -> None:
+def test_ranges_are_closed_by_default_and_refuse_nan() -> None:
     _check.in_range("x", np.array([0.0, 1.0]), 0.0, 1.0)
     _check.in_range("x", np.array([]), 0.0, 1.0)
     with pytest.raises(ValueError, match=r"x: expected values in \(0, inf\), got 0"):

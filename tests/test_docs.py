@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 from pathlib import Path
@@ -84,3 +85,63 @@ def test_the_page_of_gsvis_lists_every_name_of_it() -> None:
 
     text = (ROOT / "docs" / "api" / "gsvis.md").read_text(encoding="utf-8")
     assert set(re.findall(r"\[`(\w+)`\]\(", text)) == {name for name in gsvis.__all__ if not name.startswith("_")}
+
+
+ROOMS = sorted(path.name for path in (ROOT / "gsvis").iterdir() if (path / "__init__.py").exists())
+FOLDERS = ("gsvis", "tests", "tools", "benchmarks", "docs", "examples")
+MARK = "Names that changed"  # begins the old names in CONTRIBUTING.md; CHANGELOG.md has them everywhere
+
+
+def names_in(body: list[ast.stmt]) -> dict[str, list[ast.stmt]]:
+    """Return what a module or a class defines by its text, with the body of each class."""
+    names: dict[str, list[ast.stmt]] = {}
+    for node in (each for statement in body for each in ast.walk(statement)):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            names[node.name] = node.body
+        elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            names.setdefault(node.id if isinstance(node, ast.Name) else node.attr, [])
+        elif isinstance(node, ast.alias):
+            names.setdefault((node.asname or node.name).rpartition(".")[2], [])
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
+            names.setdefault(node.value, [])  # of __all__
+    return names
+
+
+def is_defined(place: Path, names: list[str]) -> bool:
+    """Return whether a module or a room, given without its suffix, defines names, each inside the one before."""
+    for k, name in enumerate(names):
+        if (place / name).is_dir() or (place / f"{name}.py").exists():
+            place /= name
+            continue
+        file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+        body = ast.parse(file.read_text(encoding="utf-8")).body
+        for inner in names[k:]:
+            found = names_in(body)
+            if inner not in found:
+                return False
+            body = found[inner]
+        return True
+    return place.is_dir() or place.with_suffix(".py").exists()
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if path.name != "CHANGELOG.md"], ids=page)
+def test_every_module_and_file_that_a_page_names_exists(path: Path) -> None:
+    text = path.read_text(encoding="utf-8").partition(MARK)[0]
+    for dotted in re.findall(r"`gsvis\.([\w.]*\w)`", text):
+        assert is_defined(ROOT / "gsvis", dotted.split(".")), f"{page(path)}: gsvis.{dotted} does not exist"
+    for place in re.findall(r"`((?:\w+/)+[\w.-]+)`", text):
+        folder = place.partition("/")[0]
+        if folder in FOLDERS and not re.search("[A-Z]{3}", place):  # capitals stand for any name
+            assert list(ROOT.glob(f"{place}*")), f"{page(path)}: {place} does not exist"
+        elif folder in ROOMS and not place.endswith((".json", ".html")):  # a report has the name of a room
+            module, _, names = place.removesuffix(".py").partition(".")
+            parts = [*module.split("/"), *filter(None, names.split("."))]
+            assert is_defined(ROOT / "gsvis", parts), f"{page(path)}: {place} does not exist"
+
+
+def test_names_are_found_where_they_are_defined() -> None:
+    room = ROOT / "gsvis"
+    for names in ("color", "color.srbf", "color.srbf.SrbfColors.offsets", "files.limits.Budget.claim", "Tracer"):
+        assert is_defined(room, names.split(".")), names
+    for names in ("colour", "color.no_such", "color.srbf.SrbfColors.no_such", "render.rasterizer.Budget"):
+        assert not is_defined(room, names.split(".")), names

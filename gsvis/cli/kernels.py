@@ -51,7 +51,7 @@ def warm_colors(config: ColorConfig, status: Status) -> None:
     from gsvis.color.activation import Activation
     from gsvis.color.evaluate import evaluate
     from gsvis.prepare.colors import ColorConfig, prepare_colors
-    from gsvis.prepare.fitted_colors import rounded
+    from gsvis.prepare.fitted_colors import round_colors
     from gsvis.scene.view_sampling import ViewSampling
 
     status("kernels", 0, 1)
@@ -59,7 +59,7 @@ def warm_colors(config: ColorConfig, status: Status) -> None:
     one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)), bands)
     around = NavigableSpace.from_box((3, 3, 3), (4, 4, 4), 1)
     quick = ColorConfig(replace(config.fit, mean_terms=None, max_terms=1), ViewSampling(1, 16, 12))
-    colors = rounded(prepare_colors(one, around, quick).fit.colors, "wire")
+    colors = round_colors(prepare_colors(one, around, quick).fit.colors, "wire")
     evaluate(colors, one.means, (4.0, 0.0, 0.0))
     Activation(colors, one.means, 0.01).contributions((4.0, 0.0, 0.0))
     status("kernels", 1, 1)

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["bent", "circle", "compand", "geometric", "middles", "nearest", "octahedral", "unoctahedral"]
+__all__ = ["bend", "circle", "compand", "geometric", "middles", "nearest", "octahedral", "unoctahedral"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U16 = NDArray[np.uint16]
 
 
-def bent(low: float, high: float, center: float, knee: float, bits: int) -> F32:
+def bend(low: float, high: float, center: float, knee: float, bits: int) -> F32:
     """Return (2^bits,) from low to high: evenly spaced within `knee` of the center, in even ratios outside.
 
     The even spacing d follows from the range; outside it is d |x - center| / knee.

@@ -145,11 +145,11 @@ class Grids:
         if space in ("hsl", "hsv") and component == 0:
             return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
         center = 0.0 if space == "yuv" and component > 0 else 0.5
-        return _grids.bent(*self.base[component], center, BASE_KNEE, bits)
+        return _grids.bend(*self.base[component], center, BASE_KNEE, bits)
 
     def scale_table(self) -> F32:
         """Return (2^bits,) scales, in even steps up to 1, because the error of the color matters."""
-        return _grids.bent(*self.scales, 0.0, 1.0, self.precision.scale)
+        return _grids.bend(*self.scales, 0.0, 1.0, self.precision.scale)
 
     def theta_table(self) -> F32:
         """Return (2^bits,) polar angles, none at a pole."""

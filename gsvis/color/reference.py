@@ -104,7 +104,7 @@ def refine(
     points, root = np.asarray(directions, np.float64), np.sqrt(np.asarray(weights, np.float64))
     goal = np.asarray(targets, np.float64) * root[:, None]
 
-    def left(flat: F64) -> F64:
+    def residuals(flat: F64) -> F64:
         moved = flat.reshape(-1, 3)
         decays = np.linalg.norm(moved, axis=1)
         lobes = np.exp(points @ moved.T - decays) * root[:, None]
@@ -113,5 +113,5 @@ def refine(
         intensities = np.linalg.lstsq(padded, full, rcond=None)[0]
         return np.asarray((full - padded @ intensities).ravel())
 
-    solved = least_squares(left, np.asarray(v, np.float64).ravel())
+    solved = least_squares(residuals, np.asarray(v, np.float64).ravel())
     return float(2.0 * solved.cost), np.asarray(solved.x.reshape(-1, 3))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import weakref
 from typing import IO, Literal
 
-__all__ = ["MARK", "locked", "try_lock"]
+__all__ = ["MARK", "lock_file", "try_lock"]
 
 MARK = ".lock"
 """Suffix of the file beside a locked file that serves as the lock where there are no other locks."""
 
 
-def locked(file: IO[str]) -> bool:
+def lock_file(file: IO[str]) -> bool:
     """Lock an open file until it is closed; return whether that succeeded.
 
     If the system or the file system has no locks, a file `NAME.lock` beside it serves as the lock until the file

@@ -32,7 +32,7 @@ from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import digest_of, read_whole
-from gsvis.files.locks import MARK, locked
+from gsvis.files.locks import MARK, lock_file
 from gsvis.files.output import output_errors
 
 __all__ = ["PLAN", "KeptWork", "folder_beside", "seal", "unseal"]
@@ -92,7 +92,7 @@ class KeptWork:
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = (self.folder / self.lock_name).open("a+", encoding="utf-8")
         with lock:
-            if not locked(lock):
+            if not lock_file(lock):
                 raise ValueError(
                     f"{self._argument}: expected work that no other process is busy with, got one that is, in"
                     f" {self.folder}; wait for it or stop it"

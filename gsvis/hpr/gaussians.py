@@ -20,14 +20,27 @@ from gsvis.hpr.hull import Hull
 from gsvis.raycast import MIN_ALPHA, TAU
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["OcclusionHull", "visible_gaussians"]
+__all__ = ["ON_HULL", "OcclusionHull", "visible_gaussians"]
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
+ON_HULL = 1.0
+"""Nearness of a Gaussian whose nearest point lies on the hull, the largest of a visible one."""
+
 _BINS = 192
+"""Bins of depth in which a cell sums up optical thickness."""
 _MOST_CELLS = 256
+"""Largest number of cells along a side of the cubemap's faces."""
+_SKY = 1e3
+"""Distance of the sky over that of the farthest center."""
+_AT_SKY = 0.999
+"""Share of the distance of the sky beyond which an eye sees without end."""
+_DARK = 1e-6
+"""Distance over the median of the centers to which an eye sees in the dark; 0 cannot be flipped."""
+_NOISE = 1e-9
+"""Relative noise on the flips: cells are symmetric and depths repeat, and four points must not lie in one plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +178,7 @@ def visible_gaussians(
         ValueError: If an argument is out of range.
     """
     hull = OcclusionHull.from_scene(g, viewpoint, size=size, spent=spent, margin=margin)
-    near = np.flatnonzero(hull.nearness(ids) <= 1.0)
+    near = np.flatnonzero(hull.nearness(ids) <= ON_HULL)
     return near if ids is None else np.unique(_check.integers("ids", ids, ("M",))[near])
 
 
@@ -190,9 +203,9 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
 def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     """Return the distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
 
-    Where light never ends, the sky is flipped. It lies 1000 times as far as the farthest of the centers, at `distances`
-    (N,) from the eye. A multiple of the deepest end of light would be wrong: more opacity moves that end, and a nearer
-    sky shows more.
+    Where light never ends, the sky is flipped. It lies `_SKY` times as far as the farthest of the centers, at
+    `distances` (N,) from the eye. A multiple of the deepest end of light would be wrong: more opacity moves that end,
+    and a nearer sky shows more.
     """
     away = distances[distances > 0.0]
     if len(away) == 0 or not depths[np.isfinite(depths)].any():  # nothing to test, open everywhere, or total darkness
@@ -200,15 +213,13 @@ def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     directions = np.empty((len(depths), 3))
     _kernels.centers_of_cells(size, directions)
     gamma = -((np.pi / (2.0 * size)) ** 2) / (8.0 * margin)
-    sky = 1e3 * float(away.max())
-    dark = 1e-6 * float(np.median(away))  # how far an eye sees in the dark; 0 cannot be flipped
+    sky, dark = _SKY * float(away.max()), _DARK * float(np.median(away))
     flips = directions * np.clip(depths, dark, sky)[:, None] ** gamma
-    # Cells are symmetric and depths repeat: a little noise keeps four points from lying in one plane.
-    flips *= 1.0 + 1e-9 * np.random.default_rng(0).random((len(flips), 1))
+    flips *= 1.0 + _NOISE * np.random.default_rng(0).random((len(flips), 1))
     hull, _ = Hull.around(flips, exact=False)
     if hull is None:
         return depths
     reach = hull.radial(directions)
     with np.errstate(divide="ignore", over="ignore"):
         seen = np.where(reach > 0.0, reach, 0.0) ** (1.0 / gamma)
-    return np.where(seen >= 0.999 * sky, np.inf, np.maximum(seen, 0.0))
+    return np.where(seen >= _AT_SKY * sky, np.inf, np.maximum(seen, 0.0))

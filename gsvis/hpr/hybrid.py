@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gsvis import _check
-from gsvis.hpr.gaussians import OcclusionHull
+from gsvis.hpr.gaussians import ON_HULL, OcclusionHull
 from gsvis.hpr.zbuffer import Seen, Splats, look_around
 from gsvis.raycast import TAU
 from gsvis.scene.gaussians import Gaussians
@@ -61,6 +61,6 @@ def hybrid(
         level = max(k for k in range(len(levels)) if k == 0 or levels[k].shape[1] >= _HULL_SIZE)
         hull = OcclusionHull.from_depths(g[seen.ids[doubtful]], viewpoint, levels[level], margin=margin)
         weights = weights.copy()
-        weights[doubtful[hull.nearness() <= 1.0]] = limit
+        weights[doubtful[hull.nearness() <= ON_HULL]] = limit
     kept = weights >= limit
     return replace(seen, ids=seen.ids[kept], weights=weights[kept], light=seen.light[kept])

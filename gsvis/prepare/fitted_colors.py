@@ -20,7 +20,7 @@ from gsvis.prepare.colors import ColorPreparation
 from gsvis.raycast.directions import direction_fractions
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["PRECISION_NAMES", "FittedColors", "rounded"]
+__all__ = ["PRECISION_NAMES", "FittedColors", "round_colors"]
 
 F64 = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ PRECISION_NAMES = (*PRECISIONS, "exact")
 """Precisions that records can be rounded to; "exact" keeps float32."""
 
 
-def rounded(colors: SrbfColors, precision: str) -> SrbfColors:
+def round_colors(colors: SrbfColors, precision: str) -> SrbfColors:
     """Return the colors rounded to a precision. Save them with `quantize(colors, precision)`.
 
     Args:

@@ -26,7 +26,7 @@ from gsvis.prepare.active_terms import build_active_terms
 from gsvis.prepare.approximations import Approximations, flip_difference
 from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors
 from gsvis.prepare.colors import ColorConfig, ColorPreparation, find_kept, prepare_colors
-from gsvis.prepare.fitted_colors import PRECISION_NAMES, FittedColors, rounded
+from gsvis.prepare.fitted_colors import PRECISION_NAMES, FittedColors, round_colors
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
@@ -111,7 +111,7 @@ def color_scene(
     with _keeping(kept):
         found = prepare_colors(scene, space, config, sets=sets, keep=out, progress=progress)
         progress("records", 0, 1)
-        colors = rounded(found.fit.colors, outputs.precision)
+        colors = round_colors(found.fit.colors, outputs.precision)
         progress("records", 1, 1)
         shown = scene.member(len(scene) - 1) if isinstance(scene, Levels) else None
         fitted = FittedColors(union_of(scene), colors, found, outputs.precision, 0, outputs.epsilon, shown=shown)

@@ -121,7 +121,7 @@ def measure_quality(
         def within(_stage: str, at: int, _total: int, before: int = before) -> None:
             progress("quality", before + at, wanted * each)
 
-        done[cell] = meter.measured(cell, eyes, within)
+        done[cell] = meter.measure(cell, eyes, within)
     if not done:
         raise SceneError("no cell has a viewpoint outside something solid: there is nothing to measure")
     cells = np.array(sorted(done), np.int64)
@@ -207,7 +207,7 @@ class _Meter:
                 return found[:count]
         return None
 
-    def measured(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
+    def measure(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
         """Return the measurements of one cell; progress counts viewpoints."""
         store, g, config = self.store, self.g, self.config
         ids, classes = store.classes(cell)

@@ -56,7 +56,7 @@ def camera_colors_torch(
     if colors is None:
         return CameraColors(lambda c: None, False)
     if not isinstance(colors, SrbfColors | SrbfTensors | Evaluator):
-        given = _given(colors, len(tensors), len(cameras)).to(tensors.means)
+        given = _check_given(colors, len(tensors), len(cameras)).to(tensors.means)
         return CameraColors(lambda c: given[c if len(given) > 1 else 0], given.requires_grad)
     check_count(colors, len(tensors))
     eyes = cameras.viewpoints
@@ -70,14 +70,14 @@ def camera_colors_torch(
         colors = SrbfTensors.from_colors(source, tensors.means.dtype, tensors.means.device)
     terms = colors
 
-    def seen(c: int) -> Tensor:
+    def evaluate_for(c: int) -> Tensor:
         found = evaluate_torch(terms, tensors.means, eyes[c]).to(tensors.means)
         return found if training or found.requires_grad else _finite(found)  # training checks only shapes
 
-    return CameraColors(seen, terms.requires_grad)
+    return CameraColors(evaluate_for, terms.requires_grad)
 
 
-def _given(colors: Any, n: int, cameras: int) -> Tensor:
+def _check_given(colors: Any, n: int, cameras: int) -> Tensor:
     """Return checked colors as a (1, N, 3) or (C, N, 3) tensor."""
     if isinstance(colors, Tensor):
         given = colors

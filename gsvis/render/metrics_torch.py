@@ -39,7 +39,7 @@ def ssim_torch(image: Any, target: Any, data_range: float, padding: str) -> Tens
     c1, c2 = (0.01 * white) ** 2, (0.03 * white) ** 2
     count, height, width, _ = a.shape
     x, y = (v.permute(0, 3, 1, 2).reshape(3 * count, height, width) for v in (a, b))
-    means = _blurred(torch.cat([x, y, x * x, y * y, x * y]), WINDOW // 2 if padding == "same" else 0)
+    means = _blur(torch.cat([x, y, x * x, y * y, x * y]), WINDOW // 2 if padding == "same" else 0)
     mx, my, mxx, myy, mxy = means.chunk(5)
     luminance = (2.0 * mx * my + c1) / (mx * mx + my * my + c1)
     structure = (2.0 * (mxy - mx * my) + c2) / ((mxx - mx * mx) + (myy - my * my) + c2)
@@ -97,7 +97,7 @@ def _stack(name: str, value: Any) -> Tensor:
     return tensor if tensor.ndim == 4 else tensor[None]
 
 
-def _blurred(planes: Tensor, margin: int) -> Tensor:
+def _blur(planes: Tensor, margin: int) -> Tensor:
     """Return (B, H, W) planes, padded by `margin` zeros and blurred with the Gaussian window; only whole windows."""
     window = torch.from_numpy(gaussian_window()).to(planes)
     if planes.device.type == "cpu":

@@ -134,7 +134,7 @@ def rasterize(
     behind: F32 = _check.floats("background", background, (3,))
     degree = gaussians.sh_degree if sh_degree is None else min(_sh_degree(sh_degree), gaussians.sh_degree)
     _check.positive_int("frozen", frozen, at_least=0)
-    if isinstance(gaussians, Gaussians) and backend != "cuda" and not _check.is_tensor(getattr(colors, "base", colors)):
+    if isinstance(gaussians, Gaussians) and backend != "cuda" and not _are_tensors(colors):
         draw_one: _Draw = draw_reference if backend == "reference" else draw
         draw_one = partial(draw_one, background=behind, sh_degree=degree, antialiased=antialiased)
         return _draw_arrays(gaussians, cameras, colors, draw_one)
@@ -149,7 +149,7 @@ def rasterize(
         gaussians, cameras, backend=backend, background=behind, sh_degree=degree, antialiased=antialiased,
         colors=colors, frozen=frozen,
     )  # fmt: skip
-    if of_tensors or _check.is_tensor(getattr(colors, "base", colors)):
+    if of_tensors or _are_tensors(colors):
         return drawn
     return Rendering(*(_check.plain(part) for part in (drawn.images, drawn.alphas, drawn.depths, drawn.median_depths)))
 
@@ -167,6 +167,11 @@ def _draw_arrays(gaussians: Gaussians, cameras: Cameras, colors: Colors, draw_on
         size = (0, cameras.height, cameras.width)
         return Rendering(np.zeros((*size, 3), np.float32), *(np.zeros(size, np.float32) for _ in range(3)))
     return Rendering(*(part[0][None] if len(part) == 1 else np.stack(part) for part in zip(*drawn, strict=True)))
+
+
+def _are_tensors(colors: Any) -> bool:
+    """Return whether colors are a tensor or `SrbfTensors`; an array whose memory belongs to a tensor is an array."""
+    return _check.is_tensor(colors if isinstance(colors, np.ndarray) else getattr(colors, "base", colors))
 
 
 def _sh_degree(value: int) -> int:

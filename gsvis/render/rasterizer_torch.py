@@ -100,11 +100,11 @@ def rasterize_tensors(
         size = (0, cameras.height, cameras.width)
         empty = torch.zeros(size, dtype=tensors.means.dtype, device=tensors.means.device)
         return RenderingTensors(torch.zeros((*size, 3)).to(empty), empty, empty, empty, means2d)
-    images, alphas, depths, medians = (_stacked(part) for part in zip(*outputs, strict=True))
+    images, alphas, depths, medians = (_stack(part) for part in zip(*outputs, strict=True))
     return RenderingTensors(images, alphas, depths, medians, means2d)
 
 
-def _stacked(parts: tuple[Tensor, ...]) -> Tensor:
+def _stack(parts: tuple[Tensor, ...]) -> Tensor:
     return parts[0][None] if len(parts) == 1 else torch.stack(parts)  # one image need not be copied
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.render.reference import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
 from gsvis.render.splats import Projected, View, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -111,10 +112,10 @@ def contributors(
     dx, dy = x + 0.5 - splats[:, 0], y + 0.5 - splats[:, 1]
     log2_alpha = splats[:, 5] + splats[:, 2] * dx * dx + splats[:, 3] * dx * dy + splats[:, 4] * dy * dy
     alphas = np.exp2(log2_alpha)
-    seen = alphas >= 1.0 / 255.0
-    members, alphas = members[seen], np.minimum(alphas[seen], 0.999)
+    seen = alphas >= MIN_ALPHA
+    members, alphas = members[seen], np.minimum(alphas[seen], MAX_ALPHA)
     transmittance = np.cumprod(np.concatenate([[1.0], 1.0 - alphas]))
-    lit = np.cumprod(transmittance[1:] > 1e-4).astype(bool)
+    lit = np.cumprod(transmittance[1:] > MIN_TRANSMITTANCE).astype(bool)
     return PixelContributors(
         projected.ids[members[lit]].astype(np.int64),
         alphas[lit].astype(np.float32),

@@ -192,10 +192,10 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
     if "spheres" not in figures:
         return ""
-    text = ", ".join(str(k) for k in COUNTS)
+    counts = ", ".join(str(k) for k in COUNTS)
     caption = (
         "Gaussians whose color depends much on direction, as spheres that show what an eye on that side would see:"
-        f" by SH, by the base color, and by {text} terms ({escape(fitted.colors.variant)}). Below each is its mean"
+        f" by SH, by the base color, and by {counts} terms ({escape(fitted.colors.variant)}). Below each is its mean"
         " squared error over all directions. The terms were fitted for this picture, over the whole sphere."
     )
     return (

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import psnr, ssim
 from gsvis.scene.gaussians import Gaussians
+from gsvis.train.history import MOST_PSNR
 from gsvis.train.images import PosedImages, display_image
 
 if TYPE_CHECKING:
     from gsvis.render.tensors import GaussianTensors
 
 __all__ = ["ViewLikeness", "mean_psnr", "measure_views"]
-
-_MOST_PSNR = 100.0  # of identical images, dB
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ def measure_views(
     progress("measure", 0, len(views))
     for index in range(len(views)):
         drawn, target = display_image(scene, views.cameras[index]), np.clip(views.image(index), 0.0, 1.0)
-        found[:, index] = min(float(psnr(drawn, target)), _MOST_PSNR), float(ssim(drawn, target))
+        found[:, index] = min(float(psnr(drawn, target)), MOST_PSNR), float(ssim(drawn, target))
         progress("measure", index + 1, len(views))
     return ViewLikeness(views.cameras.names, *found)
 

@@ -205,7 +205,7 @@ def test_the_orders_of_the_paper(seed) -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_in_view_or_not_is_told_from_the_corners_of_the_image(seed) -> None:
+def test_in_view_or_not_follows_from_the_corners_of_the_image(seed) -> None:
     rng = np.random.default_rng(seed)
     eye, quat = rng.normal(0, 3, 3), rng.normal(size=4)
     fov = FieldOfView(*rng.uniform(0.2, 2.0, 4), near=0.1)

@@ -36,7 +36,7 @@ def test_rotation_vectors_and_quaternions_are_inverse(values: list[float]) -> No
 
 
 @given(st.lists(st.floats(-1.7, 1.7), min_size=3, max_size=3), st.lists(st.floats(-1, 1), min_size=3, max_size=3))
-def test_poses_tell_how_far_they_are_apart(values: list[float], step: list[float]) -> None:
+def test_poses_measure_how_far_they_are_apart(values: list[float], step: list[float]) -> None:
     start = Pose.from_arrays([1, 2, 3], exponential(np.array([0.3, -0.2, 0.9])))
     turned = product(start.quat, exponential(np.array(values)))
     for quat in (turned, -turned):

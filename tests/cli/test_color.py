@@ -58,7 +58,7 @@ def refused(capsys: Capture, *words: object) -> str:
     return " ".join(err.split())
 
 
-def test_a_file_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_file_is_written_and_summarized(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "rooms.arrow"
     assert main(["color", str(ply), "-o", str(out), *QUICK]) == 0
     text = capsys.readouterr().out
@@ -94,7 +94,7 @@ def test_the_document_and_the_same_bytes_again(ply: Path, tmp_path: Path, capsys
     assert (tmp_path / "a.arrow").read_bytes() == (tmp_path / "b.arrow").read_bytes()
 
 
-def test_visible_sets_tell_directions_and_active_terms(ply: Path, pvs: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_visible_sets_give_directions_and_active_terms(ply: Path, pvs: Path, tmp_path: Path, capsys: Capture) -> None:
     out, active = tmp_path / "rooms.arrow", tmp_path / "rooms.terms.arrow"
     words = [ply, "-o", out, "--pvs", pvs, "--active", active, "--epsilon", "0.02", *QUICK]
     found = document(capsys, *words, "--precision", "fine")
@@ -160,7 +160,7 @@ def test_contradictions_are_refused_before_the_work(ply: Path, pvs: Path, tmp_pa
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_without_flip_it_is_not_asked_and_said_at_once_where_it_is_needed(
+def test_without_flip_it_is_not_used_and_refused_at_once_where_it_is_needed(
     ply: Path, pvs: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
@@ -215,7 +215,7 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
     assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
 
 
-def test_a_run_that_is_stopped_leaves_no_file_and_is_gone_on_with(tmp_path: Path) -> None:
+def test_a_run_that_is_stopped_leaves_no_file_and_is_resumed(tmp_path: Path) -> None:
     out = tmp_path / "rooms.arrow"
     save_scene(two_rooms(12_000, sh_degree=1).gaussians, tmp_path / "rooms.ply")
     words = [str(tmp_path / "rooms.ply"), "-o", str(out), "--held-out", "0", "--views", "2", "--mean-terms", "0.5"]

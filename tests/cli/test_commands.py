@@ -318,7 +318,7 @@ def test_debug_shows_where(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> 
         main(["inspect", "nowhere.ply"])
 
 
-def test_a_bug_is_told_in_one_line(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bug_is_reported_in_one_line(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(path: object, lod: object = None) -> Gaussians:
         raise TypeError("something\nodd")
 

@@ -157,9 +157,7 @@ def test_each_fault_has_its_remedy(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.ply": b"mine"}
 
 
-def test_temporary_files_that_do_not_fit_are_told_apart(
-    world: dict[str, Path], tmp_path: Path, capsys: Capture
-) -> None:
+def test_temporary_files_that_do_not_fit_are_named(world: dict[str, Path], tmp_path: Path, capsys: Capture) -> None:
     words = f"render {world['ply']} -o {tmp_path}/a.gif --orbit 2 --depth --width 64 --height 48".split()
     assert main(words) == 0
     before = contents(tmp_path)
@@ -170,7 +168,7 @@ def test_temporary_files_that_do_not_fit_are_told_apart(
     assert contents(tmp_path) == before
 
 
-def test_a_full_standard_output_is_told(world: dict[str, Path]) -> None:
+def test_a_full_standard_output_is_reported(world: dict[str, Path]) -> None:
     full = Path("/dev/full")
     if not full.exists():
         pytest.skip("no /dev/full here")

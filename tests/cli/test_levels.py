@@ -143,7 +143,7 @@ def test_photographs_names_and_another_number_of_levels(
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
 
 
-def test_photographs_of_something_else_are_told(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_photographs_of_something_else_are_reported(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
     g = load_scene(ply)
     away = Gaussians(g.means + 100.0, g.quats, g.scales, g.opacities, g.sh0, g.shN)
     save_scene(away, tmp_path / "away.ply")
@@ -217,7 +217,7 @@ def test_wrong_arguments_exit_with_2_and_say_which(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_wrong_files_and_folders_are_told_at_once(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_wrong_files_and_folders_are_refused_at_once(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "empty").mkdir()
     assert "no.ply: no such file" in refused(capsys, tmp_path / "no.ply", "-o", tmp_path / "out")
@@ -260,7 +260,7 @@ def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
     assert f"(default: {usual.iterations})" in text
 
 
-def test_a_run_that_is_stopped_is_gone_on_with(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_run_that_is_stopped_is_resumed(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "16"]
     stopped = Halted("train", 1, "levels", *words)
     stopped.wait()

@@ -19,7 +19,7 @@ def package(tmp_path: Path) -> Path:
     return tmp_path / "s.gsvis"
 
 
-def test_verify_tells_what_a_package_is(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_prints_what_a_package_is(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(package)]) == 0
     output = capsys.readouterr().out
     assert "Every part is whole." in output
@@ -33,7 +33,7 @@ def test_verify_tells_what_a_package_is(package: Path, capsys: pytest.CaptureFix
     assert [level["name"] for level in found["levels"]] == list(NAMES)
 
 
-def test_verify_tells_what_is_wrong_in_one_line(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_prints_what_is_wrong_in_one_line(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
     part = next((package / "parts").iterdir())
     part.write_bytes(b"x" * part.stat().st_size)
     assert main(["verify", str(package)]) == 2

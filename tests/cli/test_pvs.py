@@ -45,7 +45,7 @@ def refused(capsys: Capture, *words: object) -> str:
     return " ".join(err.split())
 
 
-def test_a_store_is_written_and_told_about(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_store_is_written_and_summarized(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "rooms.pvs"
     assert main(["pvs", str(ply), "-o", str(out), *QUICK]) == 0
     text = capsys.readouterr().out
@@ -87,7 +87,7 @@ def test_the_space_may_lie_along_a_path(tmp_path: Path, capsys: Capture) -> None
     assert document(capsys, *words, "--retarget")["cells"] >= 1
 
 
-def test_a_dry_run_tells_the_cost_and_writes_nothing(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_dry_run_prints_the_cost_and_writes_nothing(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [ply, "-o", tmp_path / "out" / "a.pvs", *QUICK, *BOX, "--dry-run"]
     assert main(["pvs", *map(str, words)]) == 0
     text = capsys.readouterr().out

@@ -39,7 +39,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def refused(capsys: Capture, *arguments: object) -> str:
-    """The one line on stderr of a refusal; nothing on stdout. No stage is told, however slow the machine."""
+    """The one line on stderr of a refusal; nothing on stdout. No stage is printed, however slow the machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gsvis.cli.terminal._QUIET", float("inf"))
         assert main([str(word) for word in arguments]) == 2
@@ -103,7 +103,7 @@ def test_another_scene_a_damaged_store_and_missing_files_are_refused_in_one_line
     assert not out.exists()
 
 
-def test_damage_inside_a_store_is_told_before_anything_is_written(
+def test_damage_inside_a_store_is_reported_before_anything_is_written(
     built: tuple[Path, Path], tmp_path: Path, capsys: Capture
 ) -> None:
     data = bytearray(built[0].read_bytes())

@@ -107,7 +107,7 @@ def test_an_orbit_is_a_numbered_sequence_of_distinct_pictures(ply: Path, tmp_pat
     assert np.linalg.norm(away[0]) > 0.5 * np.linalg.norm(high - low)
 
 
-def test_an_orbit_goes_where_it_is_told(ply: Path, capsys: Capture, tmp_path: Path) -> None:
+def test_an_orbit_goes_where_its_options_say(ply: Path, capsys: Capture, tmp_path: Path) -> None:
     words = ["--orbit", 3, "--target", 1, 2, 3, "--radius", 2, "--elevation", -30, "--up", "-y"]
     document = documented(capsys, ply, "-o", tmp_path / "o.gif", *words, *TINY)
     away = np.array([camera["eye"] for camera in document["cameras"]]) - [1, 2, 3]
@@ -250,7 +250,7 @@ def test_a_seed_repeats_the_sampled_camera_and_its_words_give_it_again(tmp_path:
     assert documented(capsys, *words, "--seed", 4)["cameras"] != document["cameras"]
 
 
-def test_what_a_folder_holds_stays_and_later_frames_are_told(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_what_a_folder_holds_stays_and_later_frames_are_reported(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     frames = tmp_path / "frames"
     frames.mkdir()
     for name in ("notes.txt", "cover.png", "0001.png", "0002.png", "0007.png"):

@@ -167,7 +167,7 @@ def test_killed_in_mid_stream_and_started_again_it_sends_what_is_missing_once(pa
     assert len(came) == len(set(came)) == len(client.receiver.holdings.received)
 
 
-def test_what_cannot_be_served_is_told_in_one_line(
+def test_what_cannot_be_served_is_reported_in_one_line(
     package: Path, tmp_path: Path, failed: Callable[..., str]
 ) -> None:  # fmt: skip
     assert "no such file" in failed(tmp_path / "none.gsvis")

@@ -41,7 +41,7 @@ def street(folder: Path) -> str:
 
 
 def refused(capsys: Capture, *arguments: object) -> str:
-    """The one line on stderr of a refusal; nothing on stdout. No stage is told, however slow the machine."""
+    """The one line on stderr of a refusal; nothing on stdout. No stage is printed, however slow the machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gsvis.cli.terminal._QUIET", float("inf"))
         assert main([str(word) for word in arguments]) == 2
@@ -112,7 +112,7 @@ def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, cap
 
 
 @pytest.mark.usefixtures("blank_plots")
-def test_a_path_that_sees_nothing_is_told_and_has_no_headline(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_path_that_sees_nothing_has_no_headline(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     path = walk(3.0)
     far = HeadPath(path.times, path.positions + np.array([0.0, 1e4, 0.0]), path.quats, path.up)
     write_poses(far, tmp_path / "far.csv")

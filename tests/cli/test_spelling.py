@@ -41,7 +41,7 @@ def commands() -> list[tuple[str, type]]:
         (["inspect", "builtin:attic"], "expected one of builtin:.* got 'builtin:attic'"),
     ],
 )
-def test_what_is_mistyped_is_told_in_one_line(words: list[str], message: str, capsys: Capture) -> None:
+def test_what_is_mistyped_is_reported_in_one_line(words: list[str], message: str, capsys: Capture) -> None:
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""

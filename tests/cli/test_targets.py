@@ -119,9 +119,9 @@ def test_a_wrong_output_is_refused_at_once(
 def test_a_wrong_input_is_refused_before_the_work(
     name: str, world: dict[str, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command, text = INPUTS[name]
+    command, message = INPUTS[name]
     words = [word.format(out=tmp_path / "out", **world) for word in command.split()]
-    assert text in refused(words, capsys, monkeypatch)
+    assert message in refused(words, capsys, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 

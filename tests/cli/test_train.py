@@ -1,4 +1,4 @@
-"""`gsvis train` in this process: what it writes, says, refuses, keeps and goes on from."""
+"""`gsvis train` in this process: what it writes, prints, refuses, keeps and resumes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def refused(capsys: Capture, *words: object) -> str:
     return " ".join(err.split())
 
 
-def test_a_scene_and_its_record_are_written_and_told_about(photos: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_scene_and_its_record_are_written_and_summarized(photos: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "scene.ply"
     assert main(["train", str(photos), "-o", str(out), *STEPS]) == 0
     text, said = capsys.readouterr()
@@ -80,7 +80,7 @@ def test_all_photographs_smaller_and_from_random_points(photos: Path, tmp_path: 
     assert record == json.loads((tmp_path / "a.train.json").read_text(encoding="utf-8"))
 
 
-def test_a_run_that_is_stopped_is_gone_on_with(
+def test_a_run_that_is_stopped_is_resumed(
     photos: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = [photos, "-o", tmp_path / "scene.ply", *STEPS]
@@ -162,7 +162,7 @@ def test_what_cannot_be_is_refused_before_the_work(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written_to_is_told_at_once(photos: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_folder_that_may_not_be_written_to_is_refused_at_once(photos: Path, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "closed").mkdir(mode=0o500)
     assert "cannot write there" in refused(capsys, photos, "-o", tmp_path / "closed" / "scene.ply")
 

@@ -71,8 +71,8 @@ def test_the_point_of_75_percent_is_found(spread: float, guess: float, bias: flo
     assert abs(errors.mean()) < bias
     assert errors.std() < deviation
     assert max(len(f.epsilons) for f in found) < 200
-    text = np.sqrt(np.mean([f.standard_error**2 for f in found]))
-    assert 0.6 < text / errors.std() < 1.3
+    stated = np.sqrt(np.mean([f.standard_error**2 for f in found]))
+    assert 0.6 < stated / errors.std() < 1.3
 
 
 def test_smaller_steps_end_closer_to_the_point() -> None:

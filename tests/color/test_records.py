@@ -217,7 +217,7 @@ def test_bits_are_checked(bits: int, message: str) -> None:
 @given(st.floats(-50, 0.4), st.floats(0.6, 80), st.integers(2, 12))
 def test_tables_rise_and_keep_their_ends(low: float, high: float, bits: int) -> None:
     low, high = float(np.float32(low)), float(np.float32(high))
-    for table in (_grids.bent(low, high, 0.5, 0.5, bits), _grids.geometric(0.01, high, bits)):
+    for table in (_grids.bend(low, high, 0.5, 0.5, bits), _grids.geometric(0.01, high, bits)):
         assert len(table) == 2**bits
         assert np.all(np.diff(table) >= 0)
         assert table[-1] == np.float32(high)

@@ -88,7 +88,7 @@ def test_many_batches_make_one_scene(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert same(load_srbf(tmp_path / "a.arrow"), (g, colors))
 
 
-def test_the_header_tells_what_is_in_the_file(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
+def test_the_header_states_what_is_in_the_file(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
     path, g, colors = saved
     info = srbf_info(path)
     assert (info.variant, info.gaussians, info.terms, info.grids) == ("axes", 30, colors.num_terms, None)

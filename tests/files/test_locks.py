@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gsvis.files.locks import locked, try_lock
+from gsvis.files.locks import lock_file, try_lock
 from gsvis.files.resume import KeptWork
 from gsvis.prepare.work_folder import WorkFolder
 
@@ -24,9 +24,9 @@ def lock(descriptor, *, blocking):
     raise OSError(38, "no such function")
 
 filelock.lock_descriptor, sys.modules["fcntl"] = lock, None
-from gsvis.files.locks import locked
+from gsvis.files.locks import lock_file
 file = open(sys.argv[1], "a+")
-assert locked(file)
+assert lock_file(file)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -49,12 +49,12 @@ def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str
 
 def test_one_holds_a_lock_until_the_file_is_closed(kind: str, tmp_path: Path) -> None:
     first, second = (tmp_path / "a").open("a+"), (tmp_path / "a").open("a+")
-    assert locked(first)
-    assert not locked(second)
+    assert lock_file(first)
+    assert not lock_file(second)
     first.write("what a lock keeps is written by who holds it")
     first.close()
     del first
-    assert locked(second)
+    assert lock_file(second)
     second.close()
     del second
     left = {"a"}
@@ -64,11 +64,11 @@ def test_one_holds_a_lock_until_the_file_is_closed(kind: str, tmp_path: Path) ->
 
 def test_locks_of_two_files_do_not_meet(kind: str, tmp_path: Path) -> None:
     with (tmp_path / "a").open("a+") as first, (tmp_path / "b").open("a+") as second:
-        assert locked(first)
-        assert locked(second)
+        assert lock_file(first)
+        assert lock_file(second)
 
 
-def test_a_descriptor_tells_whether_there_are_locks(kind: str, tmp_path: Path) -> None:
+def test_a_descriptor_shows_whether_there_are_locks(kind: str, tmp_path: Path) -> None:
     with (tmp_path / "a").open("a+") as first, (tmp_path / "a").open("a+") as second:
         states = [try_lock(first.fileno()), try_lock(second.fileno())]
     assert states == (["none", "none"] if kind == "no locks" else ["held", "busy"])
@@ -108,4 +108,4 @@ def test_without_locks_what_a_killed_process_held_is_free(tmp_path: Path, monkey
     monkeypatch.setitem(sys.modules, "fcntl", None)
     monkeypatch.setattr(filelock, "lock_descriptor", refuse)
     with (tmp_path / "a").open("a+") as file:
-        assert locked(file)
+        assert lock_file(file)

@@ -87,7 +87,7 @@ def run_whole(target: Target, case: Case, index: int = -1, *, valid: bool = Fals
             warnings.simplefilter("error")
             verdict = run_case(target, folder, case, valid=valid)
     except Exception as error:
-        kind, (line, key) = "exception", _told(error)
+        kind, (line, key) = "exception", _explain(error)
     seconds, nbytes = time.process_time() - began, max(_most_memory() - before, 0)
     if not kind and seconds > SLOW_S:
         kind, line, key = "slow", f"{seconds:.0f} s of the processor for {size:,} bytes", "slow"
@@ -97,7 +97,7 @@ def run_whole(target: Target, case: Case, index: int = -1, *, valid: bool = Fals
     return Outcome("found" if kind else verdict, seconds, nbytes, finding)
 
 
-def _told(error: BaseException) -> tuple[str, str]:
+def _explain(error: BaseException) -> tuple[str, str]:
     """One line of an error, and a key: its type and the innermost place in gsvis."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if "/gsvis/" in frame.filename] or list(frames)

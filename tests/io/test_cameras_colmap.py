@@ -1,4 +1,4 @@
-"""COLMAP models: both encodings give the poses that were written; damaged files are told, never guessed."""
+"""COLMAP models: both encodings give the poses that were written; damaged files are refused, never guessed."""
 
 from __future__ import annotations
 
@@ -127,14 +127,14 @@ def test_a_name_without_an_end_is_refused(tmp_path: Path) -> None:
         ("1 PINHOLE 64 48 50 50 32 24", "# none", "expected at least one posed image, got none"),
     ],
 )
-def test_what_is_wrong_in_text_is_told(tmp_path: Path, cameras: str, images: str, message: str) -> None:
+def test_what_is_wrong_in_text_is_reported(tmp_path: Path, cameras: str, images: str, message: str) -> None:
     (tmp_path / "cameras.txt").write_text(cameras + "\n")
     (tmp_path / "images.txt").write_text(images + "\n\n")
     with pytest.raises(FormatError, match=message):
         load_cameras(tmp_path)
 
 
-def test_an_unknown_model_and_a_missing_partner_are_told(tmp_path: Path) -> None:
+def test_an_unknown_model_and_a_missing_partner_are_reported(tmp_path: Path) -> None:
     write_binary(tmp_path)
     data = bytearray((tmp_path / "cameras.bin").read_bytes())
     data[12:16] = struct.pack("<i", 99)

@@ -138,7 +138,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
         ({"w": 0.5}, "expected an image size"),
     ],
 )
-def test_what_is_wrong_in_transforms_is_told(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+def test_what_is_wrong_in_transforms_is_reported(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     content = {"w": 64, "h": 48, "fl_x": 50.0, "frames": [{"transform_matrix": EYE}]} | change
     with pytest.raises(FormatError, match=message):
         load(tmp_path, content)
@@ -155,7 +155,7 @@ def test_what_is_wrong_in_transforms_is_told(tmp_path: Path, change: dict[str, A
         ({"img_name": None}, r"\[0\].img_name: expected a string"),
     ],
 )
-def test_what_is_wrong_in_inria_cameras_is_told(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+def test_what_is_wrong_in_inria_cameras_is_reported(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(FormatError, match=message):
         load(tmp_path, [as_inria(CAMERAS)[0] | change])
     with pytest.raises(FormatError, match=r"\[0\]: expected an object"):

@@ -43,8 +43,8 @@ def splats(n: int = 7, degree: int = 2) -> Any:
 def expected(raw: Any) -> Gaussians:
     """What the values mean, by torch."""
     with torch.no_grad():
-        activate = {**raw, "scales": torch.exp(raw["scales"]), "opacities": torch.sigmoid(raw["opacities"])}
-        return Gaussians(**{name: activate[name].detach().numpy().copy() for name in FIELDS})
+        activated = {**raw, "scales": torch.exp(raw["scales"]), "opacities": torch.sigmoid(raw["opacities"])}
+        return Gaussians(**{name: activated[name].detach().numpy().copy() for name in FIELDS})
 
 
 def assert_same(a: Gaussians, b: Gaussians) -> None:

@@ -141,7 +141,7 @@ def test_stamps_that_do_not_rise_are_dropped(tmp_path: Path, caplog: pytest.LogC
         read_eyenav(written(tmp_path, [*rows, *rows]))
 
 
-def test_a_gap_is_bridged_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_gap_is_bridged_and_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     heads, degrees = walk()
     rows = rows_of(heads, degrees, period=100)
     with caplog.at_level(logging.WARNING, "gsvis"):
@@ -150,7 +150,7 @@ def test_a_gap_is_bridged_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixt
     assert np.allclose(path.at(2.0)[0], heads[20], atol=1e-2)
 
 
-def test_faults_are_told_by_line_and_column(tmp_path: Path) -> None:
+def test_faults_are_reported_with_line_and_column(tmp_path: Path) -> None:
     heads, degrees = walk(4)
     rows = rows_of(heads, degrees)
 

@@ -1,4 +1,4 @@
-"""Levels come back from their folder bit by bit; what was lost or changed there is told by name."""
+"""Levels come back from their folder bit by bit; what was lost or changed there is reported by name."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_write_cut_short_leaves_no_map_that_lies(tmp_path: Path, monkeypatch: 
         load_levels(tmp_path / "out")
 
 
-def test_a_missing_or_changed_ply_is_told(tmp_path: Path) -> None:
+def test_a_missing_or_changed_ply_is_refused(tmp_path: Path) -> None:
     save_levels(levels_of(), tmp_path)
     data = bytearray((tmp_path / "low.ply").read_bytes())
     data[-1] ^= 1
@@ -151,7 +151,7 @@ def rewritten(folder: Path, **changes: object) -> None:
         ({"format": "other"}, "gsvis-levels"),
     ],
 )
-def test_a_header_that_does_not_fit_is_told(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+def test_a_header_that_does_not_fit_is_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     save_levels(levels_of(20), tmp_path)
     rewritten(tmp_path, **changes)
     with pytest.raises(FormatError, match=message):
@@ -169,7 +169,7 @@ def test_a_header_that_does_not_fit_is_told(tmp_path: Path, changes: dict[str, o
         ("sha256", "no", "64 hexadecimal"),
     ],
 )
-def test_a_level_row_that_does_not_fit_is_told(tmp_path: Path, key: str, value: object, message: str) -> None:
+def test_a_level_row_that_does_not_fit_is_refused(tmp_path: Path, key: str, value: object, message: str) -> None:
     save_levels(levels_of(40), tmp_path)
     rows = ArrowFile(tmp_path / MAP, "gsvis-levels", 1).header.items("levels")
     rows[0][key] = value

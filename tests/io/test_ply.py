@@ -156,7 +156,7 @@ def test_a_gap_in_the_harmonics_is_refused(tmp_path: Path, drop: str) -> None:
         load(tmp_path, ply_bytes(columns))
 
 
-def test_a_point_cloud_is_told_from_a_scene(tmp_path: Path) -> None:
+def test_a_point_cloud_is_distinguished_from_a_scene(tmp_path: Path) -> None:
     cloud = {name: np.zeros(3) for name in ("x", "y", "z", "red", "green", "blue")}
     with pytest.raises(FormatError, match="point cloud"):
         load(tmp_path, ply_bytes(cloud))

@@ -1,4 +1,4 @@
-"""Points of reconstructions: every encoding gives what was written; damaged files are told, never guessed."""
+"""Points of reconstructions: every encoding gives what was written; damaged files are refused, never guessed."""
 
 from __future__ import annotations
 

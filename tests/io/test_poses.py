@@ -1,4 +1,4 @@
-"""Plain pose files: round trip, faults told by line and column, and the format told from the header."""
+"""Plain pose files: round trip, faults reported with line and column, and the format found from the header."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_columns_may_come_in_any_order_with_others_among_them(tmp_path: Path) ->
         (['0,0,0,"0,1,0,0,0'], "line 2", "unexpected end of data"),
     ],
 )
-def test_faults_are_told_by_line_and_column(tmp_path: Path, rows: list[str], where: str, got: str) -> None:
+def test_faults_are_reported_with_line_and_column(tmp_path: Path, rows: list[str], where: str, got: str) -> None:
     file = tmp_path / "walk.csv"
     file.write_text("\n".join([HEADER, *rows]) + "\n", encoding="utf-8")
     for read in (read_poses, load_path):
@@ -105,7 +105,7 @@ def test_headers_that_are_no_poses(tmp_path: Path) -> None:
         load_path(tmp_path / "none.csv")
 
 
-def test_damaged_bytes_are_told(tmp_path: Path) -> None:
+def test_damaged_bytes_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "walk.csv.gz"
     write_poses(wander(200), file)
     whole = file.read_bytes()

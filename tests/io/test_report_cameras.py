@@ -48,7 +48,7 @@ def test_cameras_come_back_bit_by_bit(tmp_path_factory: pytest.TempPathFactory, 
         ("name", 3, "name"),
     ],
 )
-def test_damage_is_told_by_its_place(key: str, value: object, message: str, tmp_path: Path) -> None:
+def test_damage_is_reported_with_its_place(key: str, value: object, message: str, tmp_path: Path) -> None:
     entry = describe_cameras(Cameras.orbit((0, 0, 0), 1.0, 1))[0]
     with pytest.raises(FormatError, match=message):
         load_cameras(written(tmp_path, [entry | {key: value}]))

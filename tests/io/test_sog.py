@@ -386,7 +386,7 @@ def test_real_streamed_scenes(realdata: Path, name: str, lod: int, count: int, d
 
 
 @pytest.mark.realdata
-def test_real_absent_levels_are_told(realdata: Path) -> None:
+def test_real_absent_levels_are_reported(realdata: Path) -> None:
     with pytest.raises(FormatError, match="LODs present: 2, 3"):
         load_streamed_sog(realdata / "scenes" / "showroom", 0)
     assert list_lods(realdata / "scenes" / "flowers_sh2") == (1, 2, 3)

@@ -1,4 +1,4 @@
-"""Packages on disk: what is read is what was written, the same scene gives the same files, and damage is told."""
+"""Packages on disk: what is read is what was written, the same scene gives the same files, and damage is refused."""
 
 from __future__ import annotations
 
@@ -269,7 +269,7 @@ def reread(folder: Path, change: object, *, resign: bool = True) -> None:
         path.write_bytes(whole)
 
 
-def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
+def test_a_manifest_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     written(tmp_path / "s", 60, stores=True).close()
     reread(tmp_path / "s", lambda value: None)
     for change, message in (
@@ -301,7 +301,7 @@ def test_a_manifest_that_contradicts_itself_is_told(tmp_path: Path) -> None:
         reread(tmp_path / "s", lambda value: None, resign=False)
 
 
-def test_what_is_no_package_is_told(tmp_path: Path) -> None:
+def test_what_is_no_package_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         Package.open(tmp_path / "none")
     with pytest.raises(FormatError, match="a folder without"):

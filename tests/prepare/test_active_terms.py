@@ -188,7 +188,7 @@ def test_an_interrupted_build_leaves_what_was_there(tmp_path: Path, stop: int) -
     assert sorted(p.name for p in tmp_path.iterdir()) == ["w.pvs", "w.terms.arrow"]
 
 
-def test_bad_files_are_told(tmp_path: Path) -> None:
+def test_bad_files_are_refused(tmp_path: Path) -> None:
     w = world(tmp_path)
     w.build().close()
     whole = w.path.read_bytes()
@@ -206,7 +206,7 @@ def test_bad_files_are_told(tmp_path: Path) -> None:
 
 
 def test_no_byte_can_change_unnoticed(tmp_path: Path) -> None:
-    """Each changed byte is told, or changes nothing that is read."""
+    """Each changed byte is refused, or changes nothing that is read."""
     w = world(tmp_path, 3)
     with w.build() as terms:
         truth = [terms.active(cell) for cell in range(3)], [terms.share(cell) for cell in range(3)], terms.info
@@ -240,7 +240,7 @@ def test_other_versions_and_foreign_metadata(tmp_path: Path, monkeypatch: pytest
         ActiveTerms.open(w.path)
 
 
-def test_bad_cells_and_closed_stores_are_told(tmp_path: Path) -> None:
+def test_bad_cells_and_closed_stores_are_refused(tmp_path: Path) -> None:
     w = world(tmp_path)
     terms = w.build()
     for cell in (-1, 11, 1.0, True, None):

@@ -61,7 +61,7 @@ def test_a_ladder_is_the_images_of_its_rungs(pictures: Approximations) -> None:
     assert calls == [("rungs", 0, 2), ("rungs", 1, 2), ("rungs", 2, 2)]
 
 
-def test_flip_tells_the_view_that_shows_it_most(pictures: Approximations) -> None:
+def test_flip_finds_the_view_that_shows_it_most(pictures: Approximations) -> None:
     metrics = pytest.importorskip("gsvis.render.metrics")
     pytest.importorskip("flip_evaluator")
     difference = flip_difference(pictures, percentile=90.0, pixels_per_degree=20.0)

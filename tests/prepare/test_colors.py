@@ -1,4 +1,4 @@
-"""Preparing colors of a scene and comparing them: what is found, kept, gone on with and refused."""
+"""Preparing colors of a scene and comparing them: what is found, kept, resumed and refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gsvis.color.srbf import SrbfColors
 from gsvis.errors import SceneError
 from gsvis.prepare.color_quality import PSNR_CAP, ColorQualityConfig, measure_colors
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
-from gsvis.prepare.fitted_colors import FittedColors, rounded
+from gsvis.prepare.fitted_colors import FittedColors, round_colors
 from gsvis.prepare.importance import importance_from_views
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import trace_directions
@@ -103,7 +103,7 @@ def test_scenes_without_view_dependence_need_no_space() -> None:
         prepare_colors(rooms().gaussians, None, QUICK)
 
 
-def test_what_is_wrong_is_said() -> None:
+def test_what_is_wrong_is_refused_by_name() -> None:
     scene, g = rooms(), rooms().gaussians
     for sets in (np.zeros((len(g), 9), np.uint8), np.zeros((5, 10), np.uint8), np.zeros((len(g), 10))):
         with pytest.raises(ValueError, match="sets: expected uint8"):
@@ -153,7 +153,7 @@ def test_the_figures_of_fitted_colors_add_up() -> None:
     scene, g = rooms(), rooms().gaussians
     found = prepare_colors(g, scene.navigable, QUICK)
     for precision in ("exact", "wire"):
-        colors = rounded(found.fit.colors, precision)
+        colors = round_colors(found.fit.colors, precision)
         fitted = FittedColors(g, colors, found, precision, 1)
         assert fitted.by_count.sum() == pytest.approx(1.0)
         assert (fitted.by_count * np.arange(len(fitted.by_count))).sum() == pytest.approx(fitted.mean_terms)

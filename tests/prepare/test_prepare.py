@@ -119,7 +119,7 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     stages: list[str] = []
     found = prepare(rooms, again, flat, progress=lambda stage, done, total: stages.append(stage))
     assert new(found) == ["colors", "terms", "cost", "package"]
-    assert "importance" not in stages  # what views told serves every fit
+    assert "importance" not in stages  # what views found serves every fit
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}

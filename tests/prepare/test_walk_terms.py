@@ -159,7 +159,7 @@ def test_colors_without_terms(tmp_path: Path) -> None:
     assert found.terms[-1] == found.bytes[-1] == 0.0
 
 
-def test_what_does_not_belong_together_is_told(tmp_path: Path) -> None:
+def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     w, other = world(tmp_path), world(tmp_path, seed=1, name="other.pvs")
     path = inside(w)
     with pytest.raises(ValueError, match="colors: expected those of 150 Gaussians, got 3"):

@@ -31,7 +31,8 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
-CONFIG = PvsConfig(size=16, max_viewpoints=6)
+CONFIG = PvsConfig(size=16, growth=0.1, min_viewpoints=3, max_viewpoints=6)
+"""Small, and cells are done after different numbers of viewpoints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,8 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     made = two_rooms(2000, sh_degree=1)
     grid = CellGrid.over(made.navigable, max_cells=12)
     path = tmp_path_factory.mktemp("pvs") / "here.pvs"
-    build_pvs(made.gaussians, grid, made.navigable, path, CONFIG).close()
+    with build_pvs(made.gaussians, grid, made.navigable, path, CONFIG) as store:
+        assert len(set(store.viewpoints.tolist())) > 1
     return Job(made.gaussians, grid, made.navigable, path.read_bytes())
 
 
@@ -66,10 +68,10 @@ class Stop:
     """A progress callback that ends the build after so many cells, and remembers where it began."""
 
     def __init__(self, after: int, error: type[BaseException] = KeyboardInterrupt) -> None:
-        self.after, self.error, self.told = after, error, []
+        self.after, self.error, self.calls = after, error, []
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        self.told.append((stage, done))
+        self.calls.append((stage, done))
         if stage == "cells" and done >= self.after:
             raise self.error
 
@@ -126,7 +128,7 @@ def test_a_stopped_build_goes_on_where_it_stood(job: Job, tmp_path: Path, looked
     again = Stop(99)
     assert job.run(path, progress=again) == job.wanted
     assert len(looked) == len(job.grid)
-    assert again.told[0] == ("cells", 5)
+    assert again.calls[0] == ("cells", 5)
     assert [entry.name for entry in path.parent.iterdir()] == ["scene.pvs"]
 
 

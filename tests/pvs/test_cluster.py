@@ -47,8 +47,8 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
 
 def address_in(file: Path, process: subprocess.Popen[bytes]) -> str:
     """The address that a scheduler writes into its file."""
-    parse_up = time.monotonic() + GUARD
-    while time.monotonic() < parse_up:
+    deadline = time.monotonic() + GUARD
+    while time.monotonic() < deadline:
         assert process.poll() is None, "the scheduler ended"
         with contextlib.suppress(FileNotFoundError, ValueError):  # not there yet, or half of it
             return str(json.loads(file.read_text())["address"])
@@ -95,7 +95,7 @@ def test_a_cluster_gives_the_same_bytes_even_if_a_worker_dies(
     assert path.read_bytes() == (tmp_path / "here.pvs").read_bytes()
 
 
-def test_a_scheduler_without_workers_is_told(scheduler: str) -> None:
+def test_a_scheduler_without_workers_is_reported(scheduler: str) -> None:
     for timeout in (1.0, 4.0, 16.0, 64.0):  # a slow scheduler answers late, and then it is asked once more
         with pytest.raises(BackendError) as caught, connect(scheduler, timeout=timeout):
             raise AssertionError("not reached")
@@ -104,7 +104,7 @@ def test_a_scheduler_without_workers_is_told(scheduler: str) -> None:
     assert f"start some with `dask worker {scheduler}`" in str(caught.value)
 
 
-def test_a_scheduler_that_does_not_answer_is_told() -> None:
+def test_a_scheduler_that_does_not_answer_is_reported() -> None:
     with (
         socket.socket() as silent,
         pytest.raises(BackendError, match=r"no Dask scheduler answers at tcp.* within 0.5 s"),

@@ -187,7 +187,7 @@ def test_without_a_dense_union_there_are_no_figures_of_one(tmp_path: Path) -> No
     assert found.as_dict()["cells"][0]["dense"] is None
 
 
-def test_rays_tell_much_the_same(tmp_path: Path) -> None:
+def test_rays_give_much_the_same(tmp_path: Path) -> None:
     config = QualityConfig(cells=1, viewpoints=2, size=24, dense=0, width=16, height=12, rays=True)
     found = measured(tmp_path, half, config)
     assert found.ray_recall == pytest.approx(found.recall, abs=0.1)

@@ -30,7 +30,7 @@ def tracer() -> Tracer:
 
 
 def open_store(folder: Path, scene: Gaussians, cells: list[list[int]]) -> VisibilityStore:
-    """Cells in a row along x, one unit wide, the first around the origin, which see what is told, in class 1."""
+    """Cells in a row along x, one unit wide, the first around the origin, which see the given Gaussians, in class 1."""
     coords = np.stack([np.arange(len(cells)), np.zeros(len(cells)), np.zeros(len(cells))], axis=1).astype(np.int32)
     grid = CellGrid(np.full(3, -0.5), 1.0, (len(cells), 1, 1), coords, np.array([0.0, 0.0, 1.0]))
     info = StoreInfo(len(scene), scene_hash(scene), 1 / 255, EDGES)
@@ -39,7 +39,7 @@ def open_store(folder: Path, scene: Gaussians, cells: list[list[int]]) -> Visibi
     return VisibilityStore.open(folder / "x.pvs", scene=scene)
 
 
-def test_what_is_visible_is_told_with_its_weight(tmp_path: Path) -> None:
+def test_what_is_visible_is_reported_with_its_weight(tmp_path: Path) -> None:
     with open_store(tmp_path, tracer().proxies.gaussians, [[WALL, HAZE], []]) as store:
         answer = store.why(WALL, 0, tracer())
         assert answer.verdict == "visible"
@@ -48,7 +48,7 @@ def test_what_is_visible_is_told_with_its_weight(tmp_path: Path) -> None:
         assert (answer.nearest_cell, answer.nearest_distance) == (0, 0.0)
 
 
-def test_what_is_hidden_is_told_with_what_hides_it(tmp_path: Path) -> None:
+def test_what_is_hidden_is_reported_with_what_hides_it(tmp_path: Path) -> None:
     with open_store(tmp_path, tracer().proxies.gaussians, [[WALL], [], [BALL]]) as store:
         answer = store.why(BALL, 0, tracer())
         assert answer.verdict == "hidden"
@@ -98,14 +98,14 @@ def test_a_gaussian_that_nothing_hides_is_reported_as_missed(tmp_path: Path) -> 
         assert str(answer).endswith("No cell sees it: it lies outside the view of all of them.")
 
 
-def test_what_is_too_faint_is_told_so(tmp_path: Path) -> None:
+def test_what_is_too_faint_is_reported_as_faint(tmp_path: Path) -> None:
     with open_store(tmp_path, tracer().proxies.gaussians, [[WALL], []]) as store:
         answer = store.why(FAINT, 0, tracer())
         assert answer.verdict == "faint"
         assert str(answer) == "Gaussian 3 is too faint to be seen from anywhere: its opacity is below 0.003922."
 
 
-def test_without_a_tracer_the_store_tells_what_it_knows(tmp_path: Path) -> None:
+def test_without_a_tracer_the_store_reports_what_it_knows(tmp_path: Path) -> None:
     with open_store(tmp_path, tracer().proxies.gaussians, [[WALL], [BALL]]) as store:
         answer = store.why(BALL, 0)
         assert (answer.verdict, answer.rays, answer.nearest_cell) == ("hidden", 0, 1)

@@ -9,7 +9,7 @@ import torch
 from gsvis.color.evaluate import Evaluator, evaluate
 from gsvis.color.evaluate_torch import SrbfTensors
 from gsvis.color.variants import VARIANTS
-from gsvis.render import GaussianTensors, rasterize
+from gsvis.render import GaussianTensors, Rendering, RenderingTensors, rasterize
 from gsvis.render.cuda import is_available
 from gsvis.scene.cameras import Cameras
 from tests.color.samples import random_colors
@@ -53,6 +53,15 @@ def test_colors_without_terms_are_colors() -> None:
     colors = random_colors(np.random.default_rng(2), len(g)).first(0)
     plain = rasterize(g, VIEWS, colors=colors.base)
     torch.testing.assert_close(rasterize(g, VIEWS, colors=colors).images, plain.images, atol=0, rtol=0)
+
+
+def test_arrays_that_share_memory_with_tensors_are_arrays() -> None:
+    g = scene("blobs")
+    values = torch.linspace(0.0, 1.0, 3 * len(g)).reshape(-1, 3)
+    shared, own = (rasterize(g, VIEWS, colors=each) for each in (values.numpy(), values.numpy().copy()))
+    assert isinstance(shared, Rendering)
+    np.testing.assert_array_equal(shared.images, own.images)
+    assert isinstance(rasterize(g, VIEWS, colors=values), RenderingTensors)
 
 
 @pytest.mark.parametrize("name", ["rgb", "hsl", "axes"])

@@ -15,7 +15,7 @@ from gsvis.color.epsilon import MetricObserver, calibrate_epsilon
 from gsvis.color.fit import FitConfig
 from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors
 from gsvis.prepare.colors import ColorConfig, prepare_colors
-from gsvis.prepare.fitted_colors import FittedColors, rounded
+from gsvis.prepare.fitted_colors import FittedColors, round_colors
 from gsvis.report import Subject
 from gsvis.report.color_document import color_document, write_color_report
 from gsvis.report.color_spheres import fit_spheres
@@ -65,7 +65,7 @@ def made(scene: OccluderScene, max_terms: int = 3) -> FittedColors:
     g = scene.gaussians
     config = ColorConfig(FitConfig(max_terms=max_terms, mean_terms=1.0), ViewSampling(3, 48, 36), rays_per_face=0)
     found = prepare_colors(g, scene.navigable, config)
-    colors = rounded(found.fit.colors, "wire")
+    colors = round_colors(found.fit.colors, "wire")
     views = ViewSampling(3, 48, 36, stream=1).cameras(g, scene.navigable)
     asked = ColorQualityConfig(counts=(1, 2), epsilons=(0.01, 0.1), flip=False)
     quality = measure_colors(g, colors, views, asked)

@@ -112,7 +112,7 @@ def test_the_pictures_come_back_without_loss_and_equal_ones_are_stored_once(outl
     assert same["approximations"] == [[index] * len(RULE.rungs) for index in same["reference"]]
 
 
-def test_the_page_tells_how_far_to_sit(outline: Outline) -> None:
+def test_the_page_states_how_far_to_sit(outline: Outline) -> None:
     text = " ".join("".join(outline.words).split())
     degrees = 16 / 67.0
     assert f"{0.5 / math.tan(math.radians(0.5 * degrees)):.2g} picture widths" in text

@@ -149,7 +149,7 @@ class TestProblems:
             (scene(cloud()), "up axis is uncertain"),
         ],
     )
-    def test_what_looks_wrong_is_said(self, g: Gaussians, words: str) -> None:
+    def test_what_looks_wrong_is_reported(self, g: Gaussians, words: str) -> None:
         assert any(words in problem for problem in inspect_scene(g).problems)
 
 

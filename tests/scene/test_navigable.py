@@ -288,7 +288,7 @@ def test_cameras_at_given_eyes_stand_there_and_are_those_that_are_sampled() -> N
     assert np.array_equal(sampled.viewmats, cameras.viewmats)
 
 
-def test_the_hash_of_a_space_tells_its_free_voxels_apart() -> None:
+def test_the_hash_of_a_space_depends_on_its_free_voxels() -> None:
     space = NavigableSpace.from_box((0, 0, 0), (3, 2, 2), 12)
     free = space.free.copy()
     free[0, 0, 0] = False

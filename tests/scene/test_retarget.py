@@ -160,17 +160,17 @@ def test_seeds_are_places_and_the_same_seed_the_same_place() -> None:
     assert len({tuple(place) for place in found}) == 3
 
 
-def test_what_is_outside_is_told_and_moved_on_request() -> None:
+def test_what_is_outside_is_reported_and_moved_on_request() -> None:
     space = hall()
     path = stroll(meters=None)
-    text = checked(retarget(path, space, RetargetConfig(scale=3.0)), path, space)
-    assert 0.3 < text.inside < 0.99
-    assert text.moved == 0
+    placed = checked(retarget(path, space, RetargetConfig(scale=3.0)), path, space)
+    assert 0.3 < placed.inside < 0.99
+    assert placed.moved == 0
     moved = checked(retarget(path, space, RetargetConfig(scale=3.0, project=True)), path, space)
     assert space.contains(moved.path.positions).all()
-    assert moved.moved == round((1.0 - text.inside) * len(path))
-    assert np.array_equal(moved.similarity.translation, text.similarity.translation)
-    steps = np.linalg.norm(moved.path.positions - text.path.positions, axis=1)
+    assert moved.moved == round((1.0 - placed.inside) * len(path))
+    assert np.array_equal(moved.similarity.translation, placed.similarity.translation)
+    steps = np.linalg.norm(moved.path.positions - placed.path.positions, axis=1)
     assert np.count_nonzero(steps) == moved.moved
     assert moved.farthest_move == pytest.approx(steps.max())
     assert "nearest navigable voxel" in moved.rule

@@ -352,7 +352,7 @@ def test_a_scene_found_damaged_while_it_is_served_is_refused(
         assert any("sets.pvs: cell 3" in record.getMessage() for record in caplog.records)
 
 
-def test_a_fault_of_the_server_is_told_to_nobody_but_the_log(
+def test_a_fault_of_the_server_appears_only_in_the_log(
     plain: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     def broken(*_: object) -> None:

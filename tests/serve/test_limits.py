@@ -54,7 +54,7 @@ class Silent:
         self.gave_way = True
 
 
-def test_half_of_the_seats_are_for_one_address_unless_told_otherwise() -> None:
+def test_half_of_the_seats_are_for_one_address_by_default() -> None:
     assert [Limits(connections=count).most_per_address for count in (100, 30, 3)] == [50, 15, 8]
     assert Limits(connections=100, per_address=7).most_per_address == 7
 

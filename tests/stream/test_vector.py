@@ -52,8 +52,8 @@ def recorded() -> dict[str, Any]:
         session, receiver = Session(scene, view, config), Receiver(scene.header)
         steps: list[dict[str, Any]] = []
 
-        def said(side: str, data: bytes, **text: Any) -> None:
-            steps.append({"from": side, **text, "bytes": data.hex()})
+        def said(side: str, data: bytes, **facts: Any) -> None:
+            steps.append({"from": side, **facts, "bytes": data.hex()})
 
         said("client", Hello(view).to_bytes())
         said("server", session.welcome(0.0).data)

@@ -52,7 +52,7 @@ def outcome(path: Path, data: bytes, trainer: Trainer) -> bool:
     return False
 
 
-def test_damage_is_told_and_never_loaded(trainer: Trainer, tmp_path: Path) -> None:
+def test_damage_is_reported_and_never_loaded(trainer: Trainer, tmp_path: Path) -> None:
     path = tmp_path / "run.ckpt"
     save_checkpoint(path, trainer)
     whole = path.read_bytes()
@@ -64,7 +64,7 @@ def test_damage_is_told_and_never_loaded(trainer: Trainer, tmp_path: Path) -> No
     assert sum(noticed) > 0.9 * len(noticed)  # bits of the mark itself do no harm
 
 
-def test_damage_of_a_checkpoint_without_checksum_is_told(trainer: Trainer, tmp_path: Path) -> None:
+def test_damage_of_a_checkpoint_without_checksum_is_reported(trainer: Trainer, tmp_path: Path) -> None:
     path = tmp_path / "run.ckpt"
     save_checkpoint(path, trainer)
     with zipfile.ZipFile(path, "a") as archive:

@@ -91,7 +91,7 @@ def test_an_orbit_gets_points_about_its_middle() -> None:
     assert np.abs(points.means - (1.0, 2.0, 3.0)).max() < 6.0
 
 
-def test_cameras_that_see_nothing_are_told() -> None:
+def test_cameras_that_see_nothing_are_refused() -> None:
     fine = Cameras.look_at([[0.0, 0.0, 0.0]], (1.0, 0.0, 0.0), width=4, height=4)
     narrow = Cameras(fine.viewmats, fine.Ks * [[1e9], [1e9], [1.0]], 4, 4)
     with pytest.raises(SceneError, match="check their poses"):

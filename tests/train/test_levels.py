@@ -177,8 +177,8 @@ def test_colors_without_bands_stay_so(views: PosedImages) -> None:
 
 
 def stopping(stage: str, at: int) -> Callable[[str, int, int], None]:
-    def stop(message: str, done: int, total: int) -> None:
-        if message == stage and done == at:
+    def stop(name: str, done: int, total: int) -> None:
+        if name == stage and done == at:
             raise KeyboardInterrupt
 
     return stop
@@ -198,7 +198,7 @@ def test_a_stopped_run_goes_on_to_the_same_bits(
     again = train_levels(scene, views, BRIEF, work=tmp_path, progress=lambda *call: calls.append(call[:2]))
     assert equal(again.levels, brief)
     if stage != "prune":
-        assert "prune" not in {call for call, _ in calls}
+        assert "prune" not in {name for name, _ in calls}
         assert next(done for call, done in calls if call == stage) == at
 
 
@@ -260,7 +260,7 @@ def damaged(path: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["cut", "other", "empty", "flipped", "shape", "type", "sizes", "none"])
-def test_damaged_subsets_are_told(scene: Gaussians, views: PosedImages, tmp_path: Path, how: str) -> None:
+def test_damaged_subsets_are_refused(scene: Gaussians, views: PosedImages, tmp_path: Path, how: str) -> None:
     with pytest.raises(KeyboardInterrupt):
         train_levels(scene, views, BRIEF, work=tmp_path, progress=stopping("train low", 0))
     damaged(tmp_path / "subsets.npz", how)

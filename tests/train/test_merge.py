@@ -130,7 +130,7 @@ def test_voxels_far_away_do_not_overflow() -> None:
     assert cells[0] == cells[3]
 
 
-def test_centers_that_coincide_cannot_be_told_apart() -> None:
+def test_centers_that_coincide_cannot_be_separated() -> None:
     same = Gaussians(np.zeros((3, 3)), [[1, 0, 0, 0]] * 3, np.ones((3, 3)), [0.5] * 3, np.zeros((3, 1, 3)))
     assert len(merge_gaussians(same, 1)) == 1
     with pytest.raises(ValueError, match="count: expected at most 1 of 3"):

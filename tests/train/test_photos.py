@@ -1,4 +1,4 @@
-"""Photographs come with the cameras that took them, whatever size they are brought to; faults are told first."""
+"""Photographs come with the cameras that took them, whatever size they are brought to; faults are reported first."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_other_sizes_are_named(tmp_path: Path) -> None:
         load_photos(tmp_path)
 
 
-def test_damaged_images_are_told(tmp_path: Path) -> None:
+def test_damaged_images_are_refused_by_name(tmp_path: Path) -> None:
     write_photos(tmp_path)
     file = tmp_path / "images" / "photo_004.png"
     whole = file.read_bytes()
@@ -254,7 +254,7 @@ def test_what_would_not_fit_into_memory_is_refused(tmp_path: Path, monkeypatch: 
     assert len(load_photos(tmp_path, downscale=2).views) == 10
 
 
-def test_progress_is_told_and_may_stop_the_work(tmp_path: Path) -> None:
+def test_progress_is_called_and_may_stop_the_work(tmp_path: Path) -> None:
     write_photos(tmp_path)
     lines = []
     load_photos(tmp_path, progress=lambda *words: lines.append(words))

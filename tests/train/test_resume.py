@@ -1,4 +1,4 @@
-"""A run that dies goes on from its last checkpoint, whatever it was doing; what is half done is never kept."""
+"""A run that dies is resumed from its last checkpoint, whatever it was doing; an incomplete step is never kept."""
 
 from __future__ import annotations
 

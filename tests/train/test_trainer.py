@@ -90,7 +90,7 @@ def test_rates_of_centers_fall_from_first_to_last(views: PosedImages, start: Gau
 
 
 @pytest.mark.parametrize("stop_at", [1, 23, 40])
-def test_a_run_stopped_and_gone_on_with_takes_the_same_course(
+def test_a_run_stopped_and_resumed_takes_the_same_course(
     views: PosedImages, start: Gaussians, tmp_path: Path, stop_at: int
 ) -> None:
     whole = train(views, start, CONFIG)
@@ -121,7 +121,7 @@ def test_a_checkpoint_of_another_run_is_refused(views: PosedImages, start: Gauss
 
 
 @pytest.mark.parametrize("damage", ["cut", "other", "empty", "array"])
-def test_a_damaged_checkpoint_is_told(views: PosedImages, start: Gaussians, tmp_path: Path, damage: str) -> None:
+def test_a_damaged_checkpoint_is_refused(views: PosedImages, start: Gaussians, tmp_path: Path, damage: str) -> None:
     path = tmp_path / "run.ckpt"
     brief = replace(CONFIG, iterations=2)
     train(views, start, brief, checkpoint=path)
