@@ -22,7 +22,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,15 +88,7 @@ class KeptWork:
             ValueError: If another process works there.
             OSError: If the folder cannot be written.
         """
-        with output_errors(self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            lock = (self.folder / self.lock_name).open("a+", encoding="utf-8")
-        with lock:
-            if not lock_file(lock):
-                raise ValueError(
-                    f"{self._argument}: expected work that no other process is busy with, got one that is, in"
-                    f" {self.folder}; wait for it or stop it"
-                )
+        with self._lock():
             try:
                 remove_all_partials(self.folder)  # leftovers of a killed run
                 if not (self.folder / PLAN).exists():
@@ -106,6 +98,28 @@ class KeptWork:
             finally:
                 if not self.names():
                     self.remove()
+
+    def _lock(self) -> IO[str]:
+        """Return the lock file, open and locked. Its folder may just have been removed by the process that held it."""
+        path = self.folder / self.lock_name
+        while True:
+            with output_errors(self.folder):
+                try:
+                    self.folder.mkdir(parents=True, exist_ok=True)
+                    lock = path.open("a+", encoding="utf-8")
+                except FileNotFoundError:
+                    if self.folder.parent.is_dir():
+                        continue
+                    raise
+            if not lock_file(lock):
+                lock.close()
+                raise ValueError(
+                    f"{self._argument}: expected work that no other process is busy with, got one that is, in"
+                    f" {self.folder}; wait for it or stop it"
+                )
+            if path.exists() and os.path.samestat(os.fstat(lock.fileno()), path.stat()):
+                return lock
+            lock.close()
 
     def names(self) -> set[str]:
         """Return the names of all entries, also of damaged ones; hidden files do not count."""

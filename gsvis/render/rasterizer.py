@@ -126,7 +126,7 @@ def rasterize(
         BackendError: If the backend cannot run here; the message says what to install.
     """
     _check.one_of("backend", backend, BACKENDS)
-    of_tensors = _check.is_tensor(getattr(gaussians, "means", None))
+    of_tensors = _is_gaussian_tensors(gaussians)
     if not isinstance(gaussians, Gaussians) and not of_tensors:
         raise ValueError(f"gaussians: expected Gaussians or GaussianTensors, got {type(gaussians).__name__}")
     if np.abs(cameras.Ks[:, 0, 1]).max(initial=0.0) > 0.0:
@@ -152,6 +152,15 @@ def rasterize(
     if of_tensors or _are_tensors(colors):
         return drawn
     return Rendering(*(_check.plain(part) for part in (drawn.images, drawn.alphas, drawn.depths, drawn.median_depths)))
+
+
+def _is_gaussian_tensors(gaussians: Any) -> bool:
+    """Return whether this is `GaussianTensors`; import torch only for what holds tensors."""
+    if not _check.is_tensor(getattr(gaussians, "means", None)):
+        return False
+    from gsvis.render.tensors import GaussianTensors
+
+    return isinstance(gaussians, GaussianTensors)
 
 
 _Draw = Callable[..., tuple[F32, F32, F32, F32]]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -80,6 +82,28 @@ def test_work_of_two_runs_does_not_meet(kind: str, tmp_path: Path) -> None:
         pass
     with theirs.opened():
         pass
+
+
+def test_a_lock_on_a_folder_that_was_just_removed_is_taken_again(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def lock(file: IO[str]) -> bool:  # the process before removes its finished work between opening and locking
+        calls.append(file.name)
+        if len(calls) == 1:
+            shutil.rmtree(Path(file.name).parent)
+            Path(file.name).parent.mkdir()  # where there are no locks, a mark is written beside the file
+        return lock_file(file)
+
+    monkeypatch.setattr("gsvis.files.resume.lock_file", lock)
+    first, second = KeptWork(tmp_path / "work", {}), KeptWork(tmp_path / "work", {})
+    with first.opened():
+        assert len(calls) == 2
+        with pytest.raises(ValueError, match="no other process"), second.opened():
+            pass
+        first.keep("a", b"1")
+        assert first.read("a") == b"1"
 
 
 def test_a_lock_is_no_kept_entry_and_stays_until_the_work_ends(kind: str, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -235,6 +236,8 @@ def test_refusals_name_the_argument() -> None:
         rasterize(g, camera(), colors=np.full((1, 3), np.inf))
     with pytest.raises(ValueError, match=r"^gaussians: expected Gaussians or GaussianTensors, got dict"):
         rasterize({}, camera())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^gaussians: expected Gaussians or GaussianTensors, got SimpleNamespace"):
+        rasterize(SimpleNamespace(means=torch.zeros(1, 3)), camera())  # type: ignore[call-overload]
     with pytest.raises(ValueError, match=r"^cameras: expected Ks without skew"):
         rasterize(g, Cameras(np.eye(4)[None], [[[20, 1, 10], [0, 20, 10], [0, 0, 1]]], 20, 20))
     broken = GaussianTensors.from_gaussians(scene("blobs"))
