@@ -27,13 +27,14 @@ def pass_row(typing_context, light, offset, c, slope, a, spent, most):
 
     Args:
         typing_context: The typing context of numba, unused.
-        light: float32 array, C-contiguous; the transmittance of the pixels, changed in place.
+        light: float32 array, C-contiguous; the transmittance of the pixels, changed in place where it is not spent.
         offset: Index of the first pixel in it.
         c: log2 alpha at the first pixel.
         slope: Linear term of log2 alpha.
         a: Quadratic term.
         spent: Transmittance below which a pixel is spent.
-        most: (32,) float32, changed in place: largest weight and largest light, lane by lane.
+        most: (32,) float32, changed in place: largest weight and largest light, lane by lane. Spent pixels do not
+            count.
 
     Returns:
         int64, bit k set if pixel k became spent.
@@ -49,7 +50,8 @@ def pass_row(typing_context, light, offset, c, slope, a, spent, most):
         k = lanes.counting()
         p = lanes.splat(args[4]).times_plus(k, lanes.splat(args[3])).times_plus(k, lanes.splat(args[2]))
         before = lanes.load(pixels, args[1])
-        seen = p.compare(">=", -_LOG2_255)
+        limit = lanes.splat(args[5])
+        seen = p.compare(">=", -_LOG2_255) & before.compare(">=", limit)
         weight = seen.where(p.exp2().least(0.999), 0.0) * before
         after = before - weight
         lanes.store(after, pixels, args[1])
@@ -57,8 +59,7 @@ def pass_row(typing_context, light, offset, c, slope, a, spent, most):
         for vector, first in ((weight, 0), (lit, LANES)):
             place = ir.Constant(_I64, first)
             lanes.store(lanes.load(found, place).most(vector), found, place)
-        limit = lanes.splat(args[5])
-        return (after.compare("<", limit) & before.compare(">=", limit)).bits()
+        return (seen & after.compare("<", limit)).bits()
 
     return signature, generate
 
