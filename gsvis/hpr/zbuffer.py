@@ -39,6 +39,7 @@ class Splats:
         covars: (M, 6) float32, upper triangle of the covariance.
         bounds: (B, 8) float32: of each cluster of 64 neighboring rows, least and largest mean, largest product of scale
             and reach, largest reach.
+        columns: (B, 5, 64) float32: of the rows of each cluster, x, y and z of the mean, scale times reach, reach.
         total: N, all Gaussians of the scene.
     """
 
@@ -46,6 +47,7 @@ class Splats:
     near: F32
     covars: F32
     bounds: F32
+    columns: F32
     total: int
 
     @classmethod
@@ -61,14 +63,15 @@ class Splats:
         for start in range(0, len(ids), step):
             full = g[ids[start : start + step]].covars()
             covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        bounds = np.empty((-(-len(ids) // clusters.CLUSTER), 8), np.float32)
-        clusters.bound_clusters(near, bounds)
-        return cls(ids, near, covars, bounds, len(g))
+        count = -(-len(ids) // clusters.CLUSTER)
+        bounds, columns = np.empty((count, 8), np.float32), np.empty((count, 5, clusters.CLUSTER), np.float32)
+        clusters.bound_clusters(near, bounds, columns)
+        return cls(ids, near, covars, bounds, columns, len(g))
 
     @property
     def nbytes(self) -> int:
         """Bytes held."""
-        return self.ids.nbytes + self.near.nbytes + self.covars.nbytes + self.bounds.nbytes
+        return sum(a.nbytes for a in (self.ids, self.near, self.covars, self.bounds, self.columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +179,8 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     light, depths = np.empty((6, size, size), np.float32), np.empty((6, size, size), np.float32)
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
-        get_num_threads(), splats.near, splats.covars, splats.ids, at, size, np.float32(spent), nearest, rectangles,
-        lists, counts, np.zeros(1, np.int64), best, light, depths,
+        get_num_threads(), (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent),
+        nearest, rectangles, lists, counts, np.zeros(1, np.int64), best, light, depths,
     )  # fmt: skip
     ids, (weights, clear) = kernels.take_found(best)
     return Seen(ids, weights, clear, ZBuffer(eye, spent, depths, light))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gsvis.hpr import Splats
-from gsvis.hpr._kernels.clusters import CLUSTER, list_clusters, place_clusters
+from gsvis.hpr._kernels.clusters import list_clusters, place_clusters
+from gsvis.hpr._kernels.reach import CLUSTER
 from gsvis.scene.gaussians import Gaussians
 
 NEAR, CLAMP, DILATION = 0.01, 1.3, 0.3

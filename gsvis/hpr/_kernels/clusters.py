@@ -11,20 +11,22 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from gsvis.hpr._kernels.reach import CLUSTER
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION, NEAR
 
-CLUSTER = 64
 _CHUNK = 256
 _MARGIN = 1.0  # pixels; members are placed in float32
 _SKEW = math.sqrt(1.0 + 2.0 * CLAMP * CLAMP)
 
 
 @njit(cache=True, nogil=True)
-def bound_clusters(near, out):
-    """Write the bounds of each run of CLUSTER rows into out (B, 8) float32.
+def bound_clusters(near, out, columns):
+    """Write the bounds of each run of CLUSTER rows into out (B, 8) float32, and its rows as columns.
 
-    They are the least and the largest mean, the largest product of scale and reach, and the largest reach.
+    Bounds are the least and the largest mean, the largest product of scale and reach, and the largest reach. `columns`
+    is (B, 5, CLUSTER) float32: x, y and z of the mean, scale times reach, reach; NaN after the last row.
     """
+    columns[:] = np.nan
     for b in range(len(out)):
         for k in range(3):
             out[b, k], out[b, 3 + k] = np.inf, -np.inf
@@ -33,6 +35,8 @@ def bound_clusters(near, out):
             for k in range(3):
                 out[b, k] = min(out[b, k], near[i, k])
                 out[b, 3 + k] = max(out[b, 3 + k], near[i, k])
+                columns[b, k, i - b * CLUSTER] = near[i, k]
+            columns[b, 3, i - b * CLUSTER], columns[b, 4, i - b * CLUSTER] = near[i, 3] * near[i, 4], near[i, 4]
             out[b, 6] = max(out[b, 6], near[i, 3] * near[i, 4])
             out[b, 7] = max(out[b, 7], near[i, 4])
 

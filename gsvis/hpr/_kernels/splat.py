@@ -13,19 +13,18 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from gsvis._kernels.bits import bits_of, lowest, ones
+from gsvis._kernels.bits import bits_of, lowest
 from gsvis._kernels.shared import raise_to, take_next
-from gsvis.hpr._kernels.clusters import CLUSTER
-from gsvis.hpr._kernels.row import LANES, largest_of, pass_row
-from gsvis.hpr._kernels.sphere import CLAMP, DILATION, NEAR
+from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
+from gsvis.hpr._kernels.reach import CLUSTER, who_reaches
+from gsvis.hpr._kernels.sphere import CLAMP, DILATION
 
 SQUARE = 64
-_STRIDE = SQUARE + LANES
 _ROUND = 256  # Gaussians that join a square before what is near enough is splatted
 _RUN = 12  # keys sorted by insertion
 _LOG2_E = 1.4426950408889634
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
-_NONE, _ALL, _FIRST, _LANES_BITS = np.uint64(0), np.uint64(2**64 - 1), np.uint64(1), np.uint64(2**LANES - 1)
+_NONE, _ALL = np.uint64(0), np.uint64(2**64 - 1)
 _LOW = np.uint64(2**32 - 1)
 _UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance among the six that are kept
 
@@ -90,35 +89,52 @@ def _grown(keys, count):
 
 
 @njit(cache=True)
-def _meet(near, eye, face, corner, extent, half, c, lit, keys, held):
+def _frame_box(lit, extent, corner):
+    """Return the first and last column, and the first and last row, with light in the square, as pixels of the face."""
+    found, y0, y1 = _NONE, np.int64(extent[1]), np.int64(-1)
+    for y in range(extent[1]):
+        if lit[y] != _NONE:
+            found |= lit[y]
+            y0, y1 = min(y0, y), y
+    x0, x1 = np.int64(lowest(found)), extent[0] - 1
+    while (found >> np.uint64(x1)) & np.uint64(1) == _NONE:
+        x1 -= 1
+    column, row = corner[0] + _HALF, corner[1] + _HALF
+    return column + np.float32(x0), column + np.float32(x1), row + np.float32(y0), row + np.float32(y1)
+
+
+@njit(cache=True)
+def _meet(near, columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return how many there are.
 
-    A key holds the bits of the squared distance, then the row.
+    A key holds the bits of the squared distance, then the row. No lit pixel lies outside `box`.
     """
     axis = face >> 1
     au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     sign, clamp = np.float32(1.0 - 2.0 * (face & 1)), np.float32(CLAMP)
-    for i in range(c * CLUSTER, min((c + 1) * CLUSTER, len(near))):
-        z = sign * (near[i, axis] - eye[axis])
-        if z <= NEAR:
-            continue
-        inverse = _ONE / z
-        tu, tv = (near[i, au] - eye[au]) * inverse, (near[i, av] - eye[av]) * inverse
-        cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
-        wide = near[i, 3] * half * inverse
-        radius = near[i, 4] * math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + np.float32(DILATION))
-        x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
-        y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
-        if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
-            continue
-        dx, dy, dz = near[i, 0] - eye[0], near[i, 1] - eye[1], near[i, 2] - eye[2]
-        keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(i)
-        held += 1
+    axes, toward = (axis, au, av), (sign, eye[axis], eye[au], eye[av])
+    for first in range(0, CLUSTER, LANES):
+        reaching = who_reaches(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
+        while reaching != _NONE:
+            i = c * CLUSTER + first + np.int64(lowest(reaching))
+            reaching &= reaching - np.uint64(1)
+            inverse = _ONE / (sign * (near[i, axis] - eye[axis]))
+            tu, tv = (near[i, au] - eye[au]) * inverse, (near[i, av] - eye[av]) * inverse
+            cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
+            wide = near[i, 3] * half * inverse
+            radius = near[i, 4] * math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + np.float32(DILATION))
+            x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
+            y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
+            if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
+                continue
+            dx, dy, dz = near[i, 0] - eye[0], near[i, 1] - eye[1], near[i, 2] - eye[2]
+            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(i)
+            held += 1
     return held
 
 
 @njit(cache=True)
-def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, tile, lit, most, best, depths):
+def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best):
     """Splat Gaussian i onto a square; return how many pixels it leaves without light."""
     axis = face >> 1
     au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
@@ -146,39 +162,21 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, tile, l
     if x0 > x1 or y0 > y1:
         return 0
     qa, qb, qc = -0.5 * _LOG2_E * a, -_LOG2_E * b, -0.5 * _LOG2_E * c
-    top, narrow, columns = np.float64(near[i, 6]), x1 - x0 < LANES, _columns(x0, x1)
-    darkened, far = 0, np.float32(math.sqrt(du * du + dv * dv + z * z))
-    for y in range(y0, y1 + 1):
-        if lit[y] & columns == _NONE:
-            continue
+    top, darkened, far = np.float64(near[i, 6]), 0, np.float32(math.sqrt(du * du + dv * dv + z * z))
+    for y in range(y0, y1 + 1, LANES):
         dy = y + 0.5 - np.float64(py)
-        if not narrow:
-            inside = level - dy * dy / syy
-            if inside < 0.0:
-                continue
-            x0, x1 = _pixels(px - b * dy / a, math.sqrt(inside / a), extent[0])
         for x in range(x0, x1 + 1, LANES):
-            if (lit[y] >> np.uint64(x)) & _LANES_BITS == _NONE:
-                continue
             dx = x + 0.5 - np.float64(px)
-            crossed = np.uint64(
-                pass_row(
-                    tile,
-                    y * _STRIDE + x,
-                    np.float32((qa * dx + qb * dy) * dx + qc * dy * dy + top),
-                    np.float32(2.0 * qa * dx + qb * dy),
-                    np.float32(qa),
-                    spent,
-                    most,
-                )
+            form = (
+                np.float32((qa * dx + qb * dy) * dx + qc * dy * dy + top),
+                np.float32(2.0 * qa * dx + qb * dy),
+                np.float32(2.0 * qc * dy + qb * dx),
+                np.float32(qa),
+                np.float32(qb),
+                np.float32(qc),
             )
-            if crossed != _NONE:
-                lit[y] &= ~(crossed << np.uint64(x))
-                darkened += np.int64(ones(crossed))
-                while crossed != _NONE:
-                    depths[y, x + np.int64(lowest(crossed))] = far
-                    crossed &= crossed - _FIRST
-    weight, clear = largest_of(most, 0), largest_of(most, 1)
+            darkened += blend_block(square, lit, form, spent, far, x, y, min(y1 + 1 - y, LANES), most)
+    weight, clear = take_largest(most, 0), take_largest(most, 1)
     if clear >= spent:
         raise_to(best, 2 * ids[i], weight)
         raise_to(best, 2 * ids[i] + 1, clear)
@@ -186,37 +184,35 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, tile, l
 
 
 @njit(cache=True)
-def _open(tile, lit, extent, depths):
+def _open(square, lit, extent):
     """Give light to the pixels of a square, none to those around it; return how many there are."""
     for y in range(SQUARE):
         lit[y] = _columns(0, extent[0] - 1) if y < extent[1] else _NONE
-        for x in range(_STRIDE):
-            tile[y, x] = _ONE if x < extent[0] and y < extent[1] else np.float32(0.0)
-    for y in range(extent[1]):
-        for x in range(extent[0]):
-            depths[y, x] = np.inf
+        for x in range(STRIDE):
+            square[0, y, x] = _ONE if x < extent[0] and y < extent[1] else np.float32(0.0)
+            square[1, y, x] = np.inf
     return extent[0] * extent[1]
 
 
 @njit(cache=True)
 def _fill(
-    near, covars, ids, eye, face, corner, extent, half, spent, nearest, rectangles, order, tile, lit, most, room, best,
-    depths,
+    scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
 ):  # fmt: skip
     """Splat the clusters in `order` onto one square until no light is left. Returns the working arrays, perhaps grown.
 
     `room` is (waiting, ready, spare): keys of Gaussians that farther ones may still precede, and arrays to sort in.
     """
+    near, covars, columns, ids = scene
     waiting, ready, spare = room
-    left, held, at = _open(tile, lit, extent, depths), np.int64(0), np.int64(0)  # literals would compile `_meet` twice
+    left, held, at = _open(square, lit, extent), np.int64(0), np.int64(0)  # literals would compile `_meet` twice
     column, line = np.int64(corner[0]), np.int64(corner[1])
     while left > 0 and (at < len(order) or held > 0):
-        horizon, first = _ALL, held
+        horizon, first, box = _ALL, held, _frame_box(lit, extent, corner)
         while at < len(order):
             c = order[at]
-            box = rectangles[c]
-            x0, x1 = max(box[0] - column, 0), min(box[1] - column, extent[0] - 1)
-            y0, y1 = max(box[2] - line, 0), min(box[3] - line, extent[1] - 1)
+            place = rectangles[c]
+            x0, x1 = max(place[0] - column, 0), min(place[1] - column, extent[0] - 1)
+            y0, y1 = max(place[2] - line, 0), min(place[3] - line, extent[1] - 1)
             if x0 > x1 or y0 > y1:
                 at += 1
                 continue
@@ -227,7 +223,7 @@ def _fill(
             if _any_lit(lit, x0, x1, y0, y1):
                 if held + CLUSTER > len(waiting):
                     waiting = _grown(waiting, held)
-                held = _meet(near, eye, face, corner, extent, half, c, lit, waiting, held)
+                held = _meet(near, columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
         while len(ready) < held:
             ready, spare = _grown(ready, held), _grown(spare, held)
         kept, chosen = np.int64(0), np.int64(0)
@@ -242,50 +238,46 @@ def _fill(
         ready, spare = _sort(ready, spare, chosen)
         for k in range(chosen):
             i = np.int64(ready[k] & _LOW)
-            left -= _splat(
-                near, covars, ids, eye, face, corner, extent, half, spent, i, tile, lit, most, best, depths
-            )  # fmt: skip
+            left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best)
             if left == 0:
                 break
     return waiting, ready, spare
 
 
 @njit(cache=True)
-def _work(near, covars, ids, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths):
+def _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths):
     """Take squares until none is left."""
-    tile, lit = np.empty((SQUARE, _STRIDE), np.float32), np.empty(SQUARE, np.uint64)
+    square, lit = np.empty((2, SQUARE, STRIDE), np.float32), np.zeros(SQUARE + LANES, np.uint64)
     room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64)
     most = np.zeros(2 * LANES, np.float32)
     corner, extent = np.empty(2, np.float32), np.empty(2, np.int64)
     side = (size + SQUARE - 1) // SQUARE
     while True:
-        square = take_next(taken)
-        if square >= 6 * side * side:
+        turn = take_next(taken)
+        if turn >= 6 * side * side:
             return
-        face, x, y = square // (side * side), square % side * SQUARE, square // side % side * SQUARE
+        face, x, y = turn // (side * side), turn % side * SQUARE, turn // side % side * SQUARE
         corner[0], corner[1] = x, y
         extent[0], extent[1] = min(size - x, SQUARE), min(size - y, SQUARE)
-        view = depths[face, y : y + extent[1], x : x + extent[0]]
         room = _fill(
-            near, covars, ids, eye, face, corner, extent, np.float32(0.5 * size), spent, nearest, rectangles[face],
-            lists[face, : counts[face]], tile, lit, most, room, best, view,
+            scene, eye, face, corner, extent, np.float32(0.5 * size), spent, nearest, rectangles[face],
+            lists[face, : counts[face]], square, lit, most, room, best,
         )  # fmt: skip
         for row in range(extent[1]):
             for column in range(extent[0]):
-                light[face, y + row, x + column] = tile[row, column]
+                light[face, y + row, x + column] = square[0, row, column]
+                depths[face, y + row, x + column] = square[1, row, column]
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def splat_squares(
-    workers, near, covars, ids, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths
+    workers, scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths
 ):  # fmt: skip
     """Splat what each face may see, front to back.
 
     Args:
         workers: Threads that take squares.
-        near: (M, 8) float32, see `Splats`.
-        covars: (M, 6) float32.
-        ids: (M,) int64, below N.
+        scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
         eye: (3,) float32.
         size: S.
         spent: float32.
@@ -300,7 +292,7 @@ def splat_squares(
         depths: (6, S, S) float32, receives the distance at which that happened, or inf.
     """
     for _ in prange(workers):
-        _work(near, covars, ids, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths)
+        _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths)
 
 
 @njit(cache=True, nogil=True)
