@@ -20,8 +20,8 @@ from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["hybrid"]
 
-_HULL_SIZE = 64
-"""Cells along a side of the faces of the hull; finer ones cost more than they gain."""
+_HULL_SIZE = 32
+"""Fewest cells along a side of the faces of the hull. Finer ones cost more and reject more that finer pixels show."""
 
 _DOUBT = 0.5
 """Share of tau above which a Gaussian is in doubt, if its peak would have weight tau in the light that reaches it.
