@@ -1,7 +1,8 @@
 """What threads of one kernel share: a counter that gives out work, and largest values.
 
-numba cuts a `prange` into one part a thread. Parts of unequal cost leave threads idle. Kernels instead start one
-worker a thread, and each worker takes the next unit of work from a counter. Results do not depend on who took what.
+numba cuts a `prange` into one part a thread. Parts of unequal cost leave threads idle, and so does a thread that other
+programs interrupt. Kernels instead run `prange(WORKERS)`, and each worker takes units of work from a counter until none
+is left: the first worker of each thread does the work. Results do not depend on who took what.
 """
 
 from __future__ import annotations
@@ -12,7 +13,10 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-__all__ = ["raise_to", "take_next"]
+__all__ = ["WORKERS", "raise_to", "take_next"]
+
+WORKERS = 256
+"""Most threads that share the work of a kernel."""
 
 _I64 = ir.IntType(64)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
@@ -179,8 +178,8 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     light, depths = np.empty((6, size, size), np.float32), np.empty((6, size, size), np.float32)
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
-        get_num_threads(), (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent),
-        nearest, rectangles, lists, counts, np.zeros(1, np.int64), best, light, depths,
+        (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent), nearest, rectangles,
+        lists, counts, np.zeros(1, np.int64), best, light, depths,
     )  # fmt: skip
     ids, (weights, clear) = kernels.take_found(best)
     return Seen(ids, weights, clear, ZBuffer(eye, spent, depths, light))

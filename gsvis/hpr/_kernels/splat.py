@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from gsvis._kernels.bits import bits_of, lowest
-from gsvis._kernels.shared import raise_to, take_next
+from gsvis._kernels.shared import WORKERS, raise_to, take_next
 from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
 from gsvis.hpr._kernels.reach import CLUSTER, who_reaches
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION
@@ -247,15 +247,15 @@ def _fill(
 @njit(cache=True)
 def _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths):
     """Take squares until none is left."""
+    side = (size + SQUARE - 1) // SQUARE
+    turn = take_next(taken)
+    if turn >= 6 * side * side:
+        return
     square, lit = np.empty((2, SQUARE, STRIDE), np.float32), np.zeros(SQUARE + LANES, np.uint64)
     room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64)
     most = np.zeros(2 * LANES, np.float32)
     corner, extent = np.empty(2, np.float32), np.empty(2, np.int64)
-    side = (size + SQUARE - 1) // SQUARE
-    while True:
-        turn = take_next(taken)
-        if turn >= 6 * side * side:
-            return
+    while turn < 6 * side * side:
         face, x, y = turn // (side * side), turn % side * SQUARE, turn // side % side * SQUARE
         corner[0], corner[1] = x, y
         extent[0], extent[1] = min(size - x, SQUARE), min(size - y, SQUARE)
@@ -267,16 +267,16 @@ def _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, be
             for column in range(extent[0]):
                 light[face, y + row, x + column] = square[0, row, column]
                 depths[face, y + row, x + column] = square[1, row, column]
+        turn = take_next(taken)
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def splat_squares(
-    workers, scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths
+    scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths
 ):  # fmt: skip
     """Splat what each face may see, front to back.
 
     Args:
-        workers: Threads that take squares.
         scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
         eye: (3,) float32.
         size: S.
@@ -291,7 +291,7 @@ def splat_squares(
         light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`.
         depths: (6, S, S) float32, receives the distance at which that happened, or inf.
     """
-    for _ in prange(workers):
+    for _worker in prange(WORKERS):
         _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths)
 
 
