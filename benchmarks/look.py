@@ -76,6 +76,41 @@ def in_turn(eyes: F64, ways: dict[str, Callable[[F64], object]], repeats: int) -
     return {name: np.asarray(seconds) for name, seconds in taken.items()}
 
 
+def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, float]:
+    """How many times faster squares are done by some threads that each take the next as they come free.
+
+    From the processor time of each square with one thread, so that the load of the machine does not count.
+    """
+    set_num_threads(1)
+    at, count, shape = eye.astype(np.float32), len(splats.bounds), (6, SIZE, SIZE)
+    nearest, boxes = np.empty(count, np.float32), np.empty((6, count, 4), np.int16)
+    clusters.place_clusters(splats.bounds, at, SIZE, nearest, boxes)
+    lists, counts = np.empty((6, count), np.int64), np.empty(6, np.int64)
+    clusters.list_clusters(np.argsort(nearest, kind="stable"), boxes, lists, counts)
+    light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    scene, best = (splats.near, splats.covars, splats.columns, splats.ids), np.zeros(2 * splats.total, np.float32)
+    squares = 6 * (-(-SIZE // kernels.SQUARE)) ** 2
+
+    def seconds_from(first: int) -> float:
+        taken = np.full(1, first, np.int64)
+        began = time.thread_time()
+        kernels.splat_squares(
+            scene, at, SIZE, np.float32(SPENT), nearest, boxes, lists, counts, taken, best, light, depths
+        )
+        return time.thread_time() - began
+
+    rest = [min(seconds_from(first) for _ in range(2)) for first in range(squares + 1)]
+    costs = -np.diff(np.minimum.accumulate(rest))
+    set_num_threads(2)
+    faster = {}
+    for many in threads:
+        busy = np.zeros(many)
+        for cost in costs:
+            busy[busy.argmin()] += cost
+        faster[many] = float(costs.sum() / busy.max())
+    return faster
+
+
 def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
     """Median milliseconds of processor time of the parts of a look, with one thread."""
     taken: dict[str, list[float]] = {}
@@ -169,6 +204,10 @@ def main() -> None:
     for name in ("look, 1", "look, 2", "hybrid, 2", "cubemap, 2"):
         threads = "one thread" if name.endswith("1") else "two threads"
         figure(f"{name[:-3]}, {threads}", 1e3 * float(np.median(seconds[name])), "ms")
+    for threads, faster in share_out(splats, eyes[0], (2, 4, 8)).items():
+        figure(
+            f"squares shared out among {threads} threads, simulated from their costs", faster, "times", None, "higher"
+        )
     for name, taken in parts.items():
         figure(f"part of a look: {name}", taken, "ms")
     figure("found by one of the two codes alone", agreement["found_by_one_alone"] / agreement["found_before"], "share")
