@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.hpr._kernels import clusters
 from gsvis.hpr._kernels import splat as kernels
+from gsvis.hpr._kernels.reach import CLUSTER
 from gsvis.hpr._kernels.sphere import hidden_behind
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
@@ -62,8 +63,8 @@ class Splats:
         for start in range(0, len(ids), step):
             full = g[ids[start : start + step]].covars()
             covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        count = -(-len(ids) // clusters.CLUSTER)
-        bounds, columns = np.empty((count, 8), np.float32), np.empty((count, 5, clusters.CLUSTER), np.float32)
+        count = -(-len(ids) // CLUSTER)
+        bounds, columns = np.empty((count, 8), np.float32), np.empty((count, 5, CLUSTER), np.float32)
         clusters.bound_clusters(near, bounds, columns)
         return cls(ids, near, covars, bounds, columns, len(g))
 
