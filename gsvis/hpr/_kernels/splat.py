@@ -104,7 +104,7 @@ def _frame_box(lit, extent, corner):
 
 
 @njit(cache=True)
-def _meet(near, columns, eye, face, corner, extent, half, c, lit, box, keys, held):
+def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return how many there are.
 
     A key holds the bits of the squared distance, then the row. No lit pixel lies outside `box`.
@@ -112,23 +112,23 @@ def _meet(near, columns, eye, face, corner, extent, half, c, lit, box, keys, hel
     axis = face >> 1
     au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     sign, clamp = np.float32(1.0 - 2.0 * (face & 1)), np.float32(CLAMP)
-    axes, toward = (axis, au, av), (sign, eye[axis], eye[au], eye[av])
+    own, axes, toward = columns[c], (axis, au, av), (sign, eye[axis], eye[au], eye[av])
     for first in range(0, CLUSTER, LANES):
         reaching = who_reaches(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
         while reaching != _NONE:
-            i = c * CLUSTER + first + np.int64(lowest(reaching))
+            k = first + np.int64(lowest(reaching))
             reaching &= reaching - np.uint64(1)
-            inverse = _ONE / (sign * (near[i, axis] - eye[axis]))
-            tu, tv = (near[i, au] - eye[au]) * inverse, (near[i, av] - eye[av]) * inverse
+            inverse = _ONE / (sign * (own[axis, k] - eye[axis]))
+            tu, tv = (own[au, k] - eye[au]) * inverse, (own[av, k] - eye[av]) * inverse
             cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
-            wide = near[i, 3] * half * inverse
-            radius = near[i, 4] * math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + np.float32(DILATION))
+            wide, sigmas = own[3, k] * half * inverse, own[4, k]
+            radius = math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + sigmas * sigmas * np.float32(DILATION))
             x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
             y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
             if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
                 continue
-            dx, dy, dz = near[i, 0] - eye[0], near[i, 1] - eye[1], near[i, 2] - eye[2]
-            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(i)
+            dx, dy, dz = own[0, k] - eye[0], own[1, k] - eye[1], own[2, k] - eye[2]
+            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(c * CLUSTER + k)
             held += 1
     return held
 
@@ -223,7 +223,7 @@ def _fill(
             if _any_lit(lit, x0, x1, y0, y1):
                 if held + CLUSTER > len(waiting):
                     waiting = _grown(waiting, held)
-                held = _meet(near, columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
+                held = _meet(columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
         while len(ready) < held:
             ready, spare = _grown(ready, held), _grown(spare, held)
         kept, chosen = np.int64(0), np.int64(0)
