@@ -274,7 +274,7 @@ SECTIONS = (
                 ours="{0:.2f} of its time with one thread, {1:.2f} with two",
             ),
             Row(
-                "How much faster is a look on two threads, beside a load of 8?",
+                "How much faster is a look on two threads, where other work has both cores?",
                 (
                     "look: a look: one thread over two",
                     "look: squares shared out among 2 threads, simulated from their costs",
