@@ -10,7 +10,17 @@ from numba import njit
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["count", "lowest", "ones"]
+__all__ = ["bits_of", "count", "lowest", "ones"]
+
+
+@intrinsic
+def bits_of(typing_context: Any, number: Any) -> Any:
+    """Bits of a float32 as a uint64; not negative, they are ordered like the numbers."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.zext(builder.bitcast(args[0], ir.IntType(32)), ir.IntType(64))
+
+    return types.uint64(types.float32), build
 
 
 @intrinsic

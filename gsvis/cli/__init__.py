@@ -51,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments or os.environ.get("GSVIS_DEBUG", "") not in ("", "0")
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # threads that spin take cores from those that work
     before = _stop_politely()
     try:
         if arguments[:1] == ["--version"]:

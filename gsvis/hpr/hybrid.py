@@ -20,11 +20,14 @@ from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["hybrid"]
 
-_HULL_SIZE = 64
-"""Cells along a side of the faces of the hull; finer ones cost more than they gain."""
+_HULL_SIZE = 32
+"""Fewest cells along a side of the faces of the hull. Finer ones cost more and reject more that finer pixels show."""
 
 _DOUBT = 0.5
-"""Share of tau above which a Gaussian is in doubt, if its peak would have weight tau in the light that reaches it."""
+"""Share of tau above which a Gaussian is in doubt, if its peak would have weight tau in the light that reaches it.
+
+Light counts as spent below the same share, so that weights in doubt are found like all others.
+"""
 
 
 def hybrid(
@@ -52,7 +55,7 @@ def hybrid(
         )
     if not 0.0 < tau < 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1), got {tau!r}")
-    seen = look_around(splats, viewpoint, size=_check.positive_int("size", size, at_least=4), spent=tau)
+    seen = look_around(splats, viewpoint, size=_check.positive_int("size", size, at_least=4), spent=_DOUBT * tau)
     weights, limit = seen.weights, np.float32(tau)
     peak = seen.light * g.opacities[seen.ids]
     doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit) & (peak >= limit))

@@ -1,9 +1,8 @@
 """A hierarchical z-buffer for Gaussians: how deep an eye sees in every direction, and which Gaussians it sees.
 
 Gaussians are splatted front to back onto a cube around the eye (EWA, as in the rasterizer, but ordered by distance, so
-that no direction is special). A Gaussian behind spent light costs one test against a bound over its footprint. The
-depth is recorded where light is spent. Pyramids of least and largest depths test anything else. World frame, scene
-units.
+that no direction is special). Gaussians behind spent light are skipped a cluster at a time. The depth is recorded where
+light is spent. Pyramids of least and largest depths test anything else. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -14,8 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.hpr._kernels import sphere as kernels
-from gsvis.hpr._kernels.row import LANES
+from gsvis.hpr._kernels import clusters
+from gsvis.hpr._kernels import splat as kernels
+from gsvis.hpr._kernels.reach import CLUSTER
+from gsvis.hpr._kernels.sphere import hidden_behind
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 
@@ -34,14 +35,19 @@ class Splats:
 
     Attributes:
         ids: (M,) int64, the Gaussian of each row.
-        near: (M, 8) float32: mean, largest scale, reach in standard deviations, opacity, two unused.
+        near: (M, 8) float32: mean, largest scale, reach in standard deviations, opacity, its log2, one unused.
         covars: (M, 6) float32, upper triangle of the covariance.
+        bounds: (B, 8) float32: of each cluster of 64 neighboring rows, least and largest mean, largest product of scale
+            and reach, largest reach.
+        columns: (B, 5, 64) float32: of the rows of each cluster, x, y and z of the mean, scale times reach, reach.
         total: N, all Gaussians of the scene.
     """
 
     ids: I64
     near: F32
     covars: F32
+    bounds: F32
+    columns: F32
     total: int
 
     @classmethod
@@ -51,17 +57,21 @@ class Splats:
         near = np.zeros((len(ids), 8), np.float32)
         near[:, :3], near[:, 3], near[:, 5] = g.means[ids], g.scales[ids].max(axis=1, initial=0.0), g.opacities[ids]
         near[:, 4] = np.sqrt(2.0 * np.log(np.maximum(near[:, 5].astype(np.float64) / MIN_ALPHA, 1.0)))
+        near[:, 6] = np.log2(near[:, 5])
         covars = np.empty((len(ids), 6), np.float32)
         step = 1 << 16
         for start in range(0, len(ids), step):
             full = g[ids[start : start + step]].covars()
             covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        return cls(ids, near, covars, len(g))
+        count = -(-len(ids) // CLUSTER)
+        bounds, columns = np.empty((count, 8), np.float32), np.empty((count, 5, CLUSTER), np.float32)
+        clusters.bound_clusters(near, bounds, columns)
+        return cls(ids, near, covars, bounds, columns, len(g))
 
     @property
     def nbytes(self) -> int:
         """Bytes held."""
-        return self.ids.nbytes + self.near.nbytes + self.covars.nbytes
+        return sum(a.nbytes for a in (self.ids, self.near, self.covars, self.bounds, self.columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +83,8 @@ class ZBuffer:
         spent: Transmittance below which light counts as spent.
         depths: (6, S, S) float32, distance from the eye; inf if light is left. Faces look along +x, -x, +y, -y, +z,
             -z; on each, columns run along the first and rows along the second of the other two axes.
-        light: (6, S, S) float32, transmittance behind everything splatted.
+        light: (6, S, S) float32, transmittance behind everything splatted; where light is spent, what was left when it
+            fell below `spent`.
     """
 
     viewpoint: NDArray[np.float64]
@@ -120,7 +131,7 @@ class ZBuffer:
         for start, level in zip(first, levels, strict=False):
             stacked[:, start : start + level.shape[1], : level.shape[2]] = level
         hidden = np.zeros(len(splats.near), bool)
-        kernels.hidden_behind(splats.near, self.viewpoint, stacked, first[:-1], self.size, hidden)
+        hidden_behind(splats.near, self.viewpoint, stacked, first[:-1], self.size, hidden)
         return hidden
 
 
@@ -130,7 +141,7 @@ class Seen:
 
     Attributes:
         ids: (K,) int64, ascending: the Gaussians that some light reaches.
-        weights: (K,) float32, largest weight of each over the pixel centers.
+        weights: (K,) float32, largest weight of each over the pixel centers where light is not spent in front.
         light: (K,) float32, largest transmittance in front of each, over the pixels it covers; opacity times this
             is the weight of its peak there.
         zbuffer: Where the light ends.
@@ -160,25 +171,19 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
         raise ValueError(f"size: expected 4 to {_MAX_SIZE} pixels, got {size}")
     if not 0.0 < spent < 1.0:
         raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
-    rows = len(splats.near)
-    masks, distances = np.empty(rows, np.uint8), np.empty(rows, np.float32)
     at = eye.astype(np.float32)
-    kernels.sort_out(splats.near, at, np.float32(size / 2), masks, distances)
-    light = np.ones((6, size, size + LANES), np.float32)
-    light[:, :, size:] = 0.0
-    depths = np.full((6, size, size), np.inf, np.float32)
-    ids, values, counts = np.empty((6, rows), np.int32), np.empty((6, rows, 2), np.float32), np.zeros(6, np.int64)
-    # Threads take neighbors of the six: each half gets full and empty faces.
-    crowd = np.argsort([-np.count_nonzero(masks & np.uint8(1 << face)) for face in range(6)], kind="stable")
-    work = crowd[[0, 3, 4, 1, 2, 5]], spent, light, depths, ids, values, counts
-    kernels.splat_faces(splats.near, splats.covars, at, size, masks, distances.view(np.uint32), *work)
-    joined, found = np.zeros((rows, 2), np.float32), np.empty(rows, np.int64)
-    found = found[: kernels.join_faces(ids, values, counts, joined, found)]
-    seen = splats.ids[found]
-    order = np.argsort(seen)
-    kept = joined[found[order]]
-    zbuffer = ZBuffer(eye, spent, depths, np.ascontiguousarray(light[:, :, :size]))
-    return Seen(seen[order], kept[:, 0].copy(), kept[:, 1].copy(), zbuffer)
+    nearest, rectangles = np.empty(len(splats.bounds), np.float32), np.empty((6, len(splats.bounds), 4), np.int16)
+    clusters.place_clusters(splats.bounds, at, size, nearest, rectangles)
+    lists, counts = np.empty((6, len(nearest)), np.int64), np.empty(6, np.int64)
+    clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, counts)
+    light, depths = np.empty((6, size, size), np.float32), np.empty((6, size, size), np.float32)
+    best = np.zeros(2 * splats.total, np.float32)
+    kernels.splat_squares(
+        (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent), nearest, rectangles,
+        lists, counts, np.zeros(1, np.int64), best, light, depths,
+    )  # fmt: skip
+    ids, (weights, clear) = kernels.take_found(best)
+    return Seen(ids, weights, clear, ZBuffer(eye, spent, depths, light))
 
 
 def _in_order(g: Gaussians, ids: I64) -> I64:

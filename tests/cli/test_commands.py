@@ -37,6 +37,16 @@ def ply(tmp_path: Path) -> Path:
     return tmp_path / "rooms.ply"
 
 
+def test_waiting_threads_sleep_unless_the_environment_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    for given, expected in ((None, "passive"), ("active", "active")):
+        if given is None:
+            monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+        else:
+            monkeypatch.setenv("OMP_WAIT_POLICY", given)
+        assert main(["--version"]) == 0
+        assert os.environ["OMP_WAIT_POLICY"] == expected
+
+
 def refused(capsys: Capture, *arguments: object) -> str:
     """The one line on stderr of a refusal; nothing on stdout."""
     assert main([str(word) for word in arguments]) == 2

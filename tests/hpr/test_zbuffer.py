@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numba import get_num_threads, set_num_threads
 
 from gsvis.hpr import Seen, Splats, hybrid, look_around
 from gsvis.hpr.reference import look_around_reference
@@ -35,8 +36,7 @@ def dense(seen: Seen, count: int) -> tuple[np.ndarray, np.ndarray]:
     return weights, light
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("size", [5, 19])
+@pytest.mark.parametrize(("seed", "size"), [*((seed, size) for seed in range(3) for size in (5, 19)), (3, 70)])
 def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
     g = around(150, seed)
     seen = look_around(Splats.from_gaussians(g), np.zeros(3), size=size, spent=1e-3)
@@ -112,6 +112,33 @@ def test_the_order_of_the_scene_changes_nothing(look: str) -> None:
     # Twins in all but their index share what they get, in either order.
     np.testing.assert_array_equal(np.sort(first), np.sort(second))
     np.testing.assert_allclose(results[0].zbuffer.light, results[1].zbuffer.light, atol=0)
+
+
+def test_the_number_of_threads_changes_nothing() -> None:
+    splats = Splats.from_gaussians(around(4000, 9))
+    before, results = get_num_threads(), []
+    try:
+        for threads in (1, before):
+            set_num_threads(threads)
+            results.append(look_around(splats, np.array([0.1, 0.2, -0.3]), size=150))
+    finally:
+        set_num_threads(before)
+    one, many = ([r.ids, r.weights, r.light, r.zbuffer.depths, r.zbuffer.light] for r in results)
+    assert [a.tobytes() for a in one] == [a.tobytes() for a in many]
+
+
+def test_rooms_behind_a_wall_change_nothing() -> None:
+    front = around(3000, 1, opaque=True)
+    rng = np.random.default_rng(2)
+    toward = rng.normal(size=(3000, 3))
+    means = toward / np.linalg.norm(toward, axis=1, keepdims=True) * rng.uniform(8.0, 40.0, (3000, 1))
+    behind = Gaussians(means, front.quats, 0.1 * front.scales, front.opacities, front.sh0)
+    alone = look_around(Splats.from_gaussians(front), np.zeros(3), size=100)
+    assert (alone.zbuffer.light < TAU).all()
+    both = look_around(Splats.from_gaussians(Gaussians.concatenate([front, behind])), np.zeros(3), size=100)
+    np.testing.assert_array_equal(both.ids, alone.ids)
+    np.testing.assert_array_equal(both.weights, alone.weights)
+    np.testing.assert_array_equal(both.zbuffer.light, alone.zbuffer.light)
 
 
 def test_more_in_front_never_shows_more_behind() -> None:

@@ -13,6 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis._kernels.shared import WORKERS, take_next
+
 NEAR = 0.01
 DILATION = 0.3
 LOG2E = 1.4426950408889634
@@ -97,39 +99,43 @@ def project(
 ):
     """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
     fx, fy, cx, cy = intrinsics
-    for block in prange(len(counts)):
+    taken = np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
         m, r = np.zeros((2, 3)), np.empty((3, 3))
-        at = block * _BLOCK
-        for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
-            if opacities[i] < np.float32(1.0 / 255.0):
-                continue
-            if _misses(means[i], scales[i], viewmat, intrinsics, width, height):
-                continue
-            x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
-            xx, xy, yy, det = _covariance(m)
-            full = det + DILATION * (xx + yy) + DILATION * DILATION
-            opacity = np.float64(opacities[i])
-            if antialiased:
-                opacity *= np.sqrt(det / full)
-            if opacity * 255.0 < 1.0 or not full < np.inf:
-                continue
-            reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
-            xx, yy = xx + DILATION, yy + DILATION
-            half_x, half_y = reach * np.sqrt(xx), reach * np.sqrt(yy)
-            u, v = fx * x / z + cx, fy * y / z + cy
-            if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
-                continue
-            ids[at] = i
-            splats[at, 0], splats[at, 1] = u, v
-            splats[at, 2], splats[at, 3], splats[at, 4] = (
-                -0.5 * LOG2E * yy / full,
-                LOG2E * xy / full,
-                -0.5 * LOG2E * xx / full,
-            )
-            splats[at, 5], splats[at, 6], splats[at, 7] = np.log2(opacity), half_x, half_y
-            depths[at] = z
-            at += 1
-        counts[block] = at - block * _BLOCK
+        block = take_next(taken)
+        while block < len(counts):
+            at = block * _BLOCK
+            for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
+                if opacities[i] < np.float32(1.0 / 255.0):
+                    continue
+                if _misses(means[i], scales[i], viewmat, intrinsics, width, height):
+                    continue
+                x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
+                xx, xy, yy, det = _covariance(m)
+                full = det + DILATION * (xx + yy) + DILATION * DILATION
+                opacity = np.float64(opacities[i])
+                if antialiased:
+                    opacity *= np.sqrt(det / full)
+                if opacity * 255.0 < 1.0 or not full < np.inf:
+                    continue
+                reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
+                xx, yy = xx + DILATION, yy + DILATION
+                half_x, half_y = reach * np.sqrt(xx), reach * np.sqrt(yy)
+                u, v = fx * x / z + cx, fy * y / z + cy
+                if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
+                    continue
+                ids[at] = i
+                splats[at, 0], splats[at, 1] = u, v
+                splats[at, 2], splats[at, 3], splats[at, 4] = (
+                    -0.5 * LOG2E * yy / full,
+                    LOG2E * xy / full,
+                    -0.5 * LOG2E * xx / full,
+                )
+                splats[at, 5], splats[at, 6], splats[at, 7] = np.log2(opacity), half_x, half_y
+                depths[at] = z
+                at += 1
+            counts[block] = at - block * _BLOCK
+            block = take_next(taken)
 
 
 @njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)

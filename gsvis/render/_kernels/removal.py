@@ -16,9 +16,10 @@ from numba import njit, prange, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from gsvis._kernels.shared import WORKERS, take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis.render._kernels.lanes import LANES, RECORD, STOP, T, _each_row, _load, _Record, _store
-from gsvis.render._kernels.tiles import _BATCH, _allocate, _open_tile, _prepare, _spread
+from gsvis.render._kernels.tiles import _BATCH, _allocate, _open_tile, _prepare
 
 __all__ = ["remove_tiles"]
 
@@ -159,27 +160,32 @@ def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, backgroun
     """
     height, width = residual.shape[:2]
     tiles = len(offsets) - 1
-    for i in prange(tiles):
-        tile = _spread(i, tiles)
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-        reached = 0
-        for start in range(0, total, _BATCH):
-            if lit[0] == 0:
-                break
-            reached = min(start + _BATCH, total)
-            _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
-            for j in range(reached - start):
-                _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
-        _turn(state, gates, residual, background, left, top, rows, columns)
-        for k in range(first + reached, first + total):
-            for e in range(4):
-                out[pair_of[k], e] = 0.0
-        for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
-            count = min(_BATCH, reached - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-            for j in range(count - 1, -1, -1):
-                _remove(state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j]))
+    taken = np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        tile = take_next(taken)
+        while tile < tiles:
+            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+            state, gates, rows, columns = _open_tile(left, top, width, height)
+            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+            lit = np.full(1, (1 << rows) - 1)
+            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+            reached = 0
+            for start in range(0, total, _BATCH):
+                if lit[0] == 0:
+                    break
+                reached = min(start + _BATCH, total)
+                _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
+                for j in range(reached - start):
+                    _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+            _turn(state, gates, residual, background, left, top, rows, columns)
+            for k in range(first + reached, first + total):
+                for e in range(4):
+                    out[pair_of[k], e] = 0.0
+            for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
+                count = min(_BATCH, reached - start)
+                _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+                for j in range(count - 1, -1, -1):
+                    _remove(
+                        state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j])
+                    )
+            tile = take_next(taken)

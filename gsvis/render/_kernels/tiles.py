@@ -1,7 +1,7 @@
 """Kernels that sort projected Gaussians into tiles and blend the tiles, forward and backward.
 
 A tile is 16 x 16 pixels; its list holds the splats that reach alpha 1/255 at one of its pixel centers, front to back.
-Lists, images and gradients do not depend on the number of threads.
+Threads take tiles as they come free. Lists, images and gradients do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis._kernels.shared import WORKERS, take_next
 from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh
 
 TILE = LANES
@@ -203,52 +204,39 @@ def _prepare(splats, features, members, first, place, count, left, top, gates, r
         todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
 
 
-@njit(cache=True)
-def _spread(i, count):
-    """A permutation of range(count) that gives every thread tiles from all over the image."""
-    stride = max(1, int(count * 0.6180339887))
-    while _gcd(stride, count) != 1:
-        stride += 1
-    return (i * stride) % count
-
-
-@njit(cache=True)
-def _gcd(a, b):
-    while b:
-        a, b = b, a % b
-    return a
-
-
 @njit(cache=True, parallel=True, nogil=True)
 def blend_tiles(splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, stop_at):
     """Render all tiles. `features` is (M, 4) float32: color and depth. Outputs are (H, W, ...)."""
     height, width = transmittance.shape
     tiles = len(offsets) - 1
-    for i in prange(tiles):
-        tile = _spread(i, tiles)
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-        for start in range(0, total, _BATCH):
-            if lit[0] == 0:
-                break
-            count = min(_BATCH, total - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-            for j in range(count):
-                blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
-        for r in range(rows):
-            for k in range(columns):
-                left_over = abs(state[r, 0, k])
-                y, x = top + r, left + k
-                transmittance[y, x] = left_over
-                for c in range(3):
-                    image[y, x, c] = state[r, 1 + c, k] + left_over * background[c]
-                covered = np.float32(1.0) - left_over
-                depth[y, x] = state[r, 4, k] / covered if covered > 0.0 else np.float32(0.0)
-                median[y, x] = state[r, 5, k]
-                stop_at[y, x] = state[r, 6, k]
+    taken = np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        tile = take_next(taken)
+        while tile < tiles:
+            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+            state, gates, rows, columns = _open_tile(left, top, width, height)
+            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+            lit = np.full(1, (1 << rows) - 1)
+            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+            for start in range(0, total, _BATCH):
+                if lit[0] == 0:
+                    break
+                count = min(_BATCH, total - start)
+                _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+                for j in range(count):
+                    blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+            for r in range(rows):
+                for k in range(columns):
+                    left_over = abs(state[r, 0, k])
+                    y, x = top + r, left + k
+                    transmittance[y, x] = left_over
+                    for c in range(3):
+                        image[y, x, c] = state[r, 1 + c, k] + left_over * background[c]
+                    covered = np.float32(1.0) - left_over
+                    depth[y, x] = state[r, 4, k] / covered if covered > 0.0 else np.float32(0.0)
+                    median[y, x] = state[r, 5, k]
+                    stop_at[y, x] = state[r, 6, k]
+            tile = take_next(taken)
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -261,39 +249,42 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
     v_image, v_alpha, v_depth = gradients
     height, width = transmittance.shape
     tiles = len(offsets) - 1
-    for i in prange(tiles):
-        tile = _spread(i, tiles)
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-        gates[:rows] = -1.0
-        for r in range(rows):
-            for k in range(columns):
-                y, x = top + r, left + k
-                t = transmittance[y, x]
-                covered = np.float32(1.0) - t
-                state[r, 0, k] = t
-                by_t = -v_alpha[y, x]
-                for c in range(3):
-                    state[r, 1 + c, k] = v_image[y, x, c]
-                    by_t += v_image[y, x, c] * background[c]
-                if covered > 0.0:  # depth = sum(w z) / covered
-                    state[r, 4, k] = v_depth[y, x] / covered
-                    by_t += v_depth[y, x] * depth[y, x] / covered
-                state[r, 5, k] = t * by_t
-                state[r, 6, k] = stop_at[y, x]
-                gates[r] = max(gates[r], stop_at[y, x])
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-        reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
-        for k in range(first + reached, first + total):
-            for e in range(10):
-                out[pair_of[k], e] = 0.0
-        for stop in range(reached, 0, -_BATCH):
-            start = max(stop - _BATCH, 0)
-            _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
-            for j in range(stop - start - 1, -1, -1):
-                pair = np.int64(pair_of[first + start + j])
-                blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
+    taken = np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        tile = take_next(taken)
+        while tile < tiles:
+            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+            state, gates, rows, columns = _open_tile(left, top, width, height)
+            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+            gates[:rows] = -1.0
+            for r in range(rows):
+                for k in range(columns):
+                    y, x = top + r, left + k
+                    t = transmittance[y, x]
+                    covered = np.float32(1.0) - t
+                    state[r, 0, k] = t
+                    by_t = -v_alpha[y, x]
+                    for c in range(3):
+                        state[r, 1 + c, k] = v_image[y, x, c]
+                        by_t += v_image[y, x, c] * background[c]
+                    if covered > 0.0:  # depth = sum(w z) / covered
+                        state[r, 4, k] = v_depth[y, x] / covered
+                        by_t += v_depth[y, x] * depth[y, x] / covered
+                    state[r, 5, k] = t * by_t
+                    state[r, 6, k] = stop_at[y, x]
+                    gates[r] = max(gates[r], stop_at[y, x])
+            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+            reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
+            for k in range(first + reached, first + total):
+                for e in range(10):
+                    out[pair_of[k], e] = 0.0
+            for stop in range(reached, 0, -_BATCH):
+                start = max(stop - _BATCH, 0)
+                _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
+                for j in range(stop - start - 1, -1, -1):
+                    pair = np.int64(pair_of[first + start + j])
+                    blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
+            tile = take_next(taken)
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -312,22 +303,25 @@ def sum_pairs(order, first_pair, pairs, out):
 def weigh_tiles(splats, features, offsets, members, pair_of, tiles_x, width, height, out):
     """Largest and summed weight of every (tile, splat) pair into out (P, 2) float32."""
     tiles = len(offsets) - 1
-    for i in prange(tiles):
-        tile = _spread(i, tiles)
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state, gates, rows, _ = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-        for k in range(first, first + total):
-            out[pair_of[k], 0] = 0.0
-            out[pair_of[k], 1] = 0.0
-        for start in range(0, total, _BATCH):
-            if lit[0] == 0:
-                break
-            count = min(_BATCH, total - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-            for j in range(count):
-                largest, total_weight = weigh(state, records, j, todo[j] & lit[0], lit)
-                out[pair_of[first + start + j], 0] = largest
-                out[pair_of[first + start + j], 1] = total_weight
+    taken = np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        tile = take_next(taken)
+        while tile < tiles:
+            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+            state, gates, rows, _ = _open_tile(left, top, width, height)
+            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+            lit = np.full(1, (1 << rows) - 1)
+            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+            for k in range(first, first + total):
+                out[pair_of[k], 0] = 0.0
+                out[pair_of[k], 1] = 0.0
+            for start in range(0, total, _BATCH):
+                if lit[0] == 0:
+                    break
+                count = min(_BATCH, total - start)
+                _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+                for j in range(count):
+                    largest, total_weight = weigh(state, records, j, todo[j] & lit[0], lit)
+                    out[pair_of[first + start + j], 0] = largest
+                    out[pair_of[first + start + j], 1] = total_weight
+            tile = take_next(taken)

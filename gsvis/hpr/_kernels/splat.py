@@ -1,0 +1,311 @@
+"""Kernels that splat Gaussians front to back onto the six faces around an eye, one square of 64 x 64 pixels at a time.
+
+Squares are independent of one another, so threads take them as they come free. A square keeps one bit for each
+pixel that has light left. Clusters come to it nearest first, a round of them at a time; a cluster, a Gaussian or a row
+of pixels without light under it is skipped. So what lies behind spent light is not considered one by one, and nothing
+depends on what was skipped. Faces as in `sphere.py`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from gsvis._kernels.bits import bits_of, lowest
+from gsvis._kernels.shared import WORKERS, raise_to, take_next
+from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
+from gsvis.hpr._kernels.reach import CLUSTER, who_reaches
+from gsvis.hpr._kernels.sphere import CLAMP, DILATION
+
+SQUARE = 64
+_ROUND = 256  # Gaussians that join a square before what is near enough is splatted
+_RUN = 12  # keys sorted by insertion
+_LOG2_E = 1.4426950408889634
+_ONE, _HALF = np.float32(1.0), np.float32(0.5)
+_NONE, _ALL = np.uint64(0), np.uint64(2**64 - 1)
+_LOW = np.uint64(2**32 - 1)
+_UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance among the six that are kept
+
+
+@njit(cache=True)
+def _columns(first, last):
+    """Return the bits first..last."""
+    return (_ALL >> np.uint64(63 - (last - first))) << np.uint64(first)
+
+
+@njit(cache=True)
+def _any_lit(lit, x0, x1, y0, y1):
+    """Return whether a pixel of a rectangle has light left."""
+    found = _NONE
+    for y in range(y0, y1 + 1):
+        found |= lit[y]
+    return found & _columns(x0, x1) != _NONE
+
+
+@njit(cache=True)
+def _pixels(center, radius, count):
+    """Return the first and the last of `count` pixels with its center within the radius."""
+    low, high = center - radius - _HALF, center + radius - _HALF
+    first, last = math.ceil(min(max(low, -1.0), 1e4)), math.floor(min(max(high, -1.0), 1e4))
+    return max(first, 0), min(last, count - 1)
+
+
+@njit(cache=True)
+def _sort(keys, room, count):
+    """Sort the first keys ascending; return the array that holds them, and the other one."""
+    for start in range(0, count, _RUN):
+        for i in range(start + 1, min(start + _RUN, count)):
+            key, k = keys[i], i
+            while k > start and keys[k - 1] > key:
+                keys[k] = keys[k - 1]
+                k -= 1
+            keys[k] = key
+    width = _RUN
+    while width < count:
+        for left in range(0, count, 2 * width):
+            middle, right = min(left + width, count), min(left + 2 * width, count)
+            i, j = left, middle
+            for k in range(left, right):
+                if j >= right or (i < middle and keys[i] <= keys[j]):
+                    room[k] = keys[i]
+                    i += 1
+                else:
+                    room[k] = keys[j]
+                    j += 1
+        keys, room = room, keys
+        width *= 2
+    return keys, room
+
+
+@njit(cache=True)
+def _grown(keys, count):
+    """Return a copy of the first keys in an array of twice the length."""
+    out = np.empty(2 * len(keys), np.uint64)
+    for k in range(min(count, len(keys))):
+        out[k] = keys[k]
+    return out
+
+
+@njit(cache=True)
+def _frame_box(lit, extent, corner):
+    """Return the first and last column, and the first and last row, with light in the square, as pixels of the face."""
+    found, y0, y1 = _NONE, np.int64(extent[1]), np.int64(-1)
+    for y in range(extent[1]):
+        if lit[y] != _NONE:
+            found |= lit[y]
+            y0, y1 = min(y0, y), y
+    x0, x1 = np.int64(lowest(found)), extent[0] - 1
+    while (found >> np.uint64(x1)) & np.uint64(1) == _NONE:
+        x1 -= 1
+    column, row = corner[0] + _HALF, corner[1] + _HALF
+    return column + np.float32(x0), column + np.float32(x1), row + np.float32(y0), row + np.float32(y1)
+
+
+@njit(cache=True)
+def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
+    """Add the members of cluster c that may reach a lit pixel of the square to the keys; return how many there are.
+
+    A key holds the bits of the squared distance, then the row. No lit pixel lies outside `box`.
+    """
+    axis = face >> 1
+    au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+    sign, clamp = np.float32(1.0 - 2.0 * (face & 1)), np.float32(CLAMP)
+    own, axes, toward = columns[c], (axis, au, av), (sign, eye[axis], eye[au], eye[av])
+    for first in range(0, CLUSTER, LANES):
+        reaching = who_reaches(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
+        while reaching != _NONE:
+            k = first + np.int64(lowest(reaching))
+            reaching &= reaching - np.uint64(1)
+            inverse = _ONE / (sign * (own[axis, k] - eye[axis]))
+            tu, tv = (own[au, k] - eye[au]) * inverse, (own[av, k] - eye[av]) * inverse
+            cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
+            wide, sigmas = own[3, k] * half * inverse, own[4, k]
+            radius = math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + sigmas * sigmas * np.float32(DILATION))
+            x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
+            y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
+            if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
+                continue
+            dx, dy, dz = own[0, k] - eye[0], own[1, k] - eye[1], own[2, k] - eye[2]
+            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(c * CLUSTER + k)
+            held += 1
+    return held
+
+
+@njit(cache=True)
+def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best):
+    """Splat Gaussian i onto a square; return how many pixels it leaves without light."""
+    axis = face >> 1
+    au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+    sign, clamp = np.float32(1.0 - 2.0 * (face & 1)), np.float32(CLAMP)
+    du, dv = near[i, au] - eye[au], near[i, av] - eye[av]
+    z = sign * (near[i, axis] - eye[axis])
+    inverse = _ONE / z
+    tu, tv = du * inverse, dv * inverse
+    cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
+    scale = half * inverse
+    px, py = half * tu + half - corner[0], half * tv + half - corner[1]
+    row = covars[i]
+    ju, jv, jw = scale, -scale * cu * sign, -scale * cv * sign  # entries of the Jacobian, world axes
+    uu, vv, ww = row[_UPPER[au, au]], row[_UPPER[av, av]], row[_UPPER[axis, axis]]
+    uv, uw, vw = row[_UPPER[au, av]], row[_UPPER[au, axis]], row[_UPPER[av, axis]]
+    sxx = max(np.float64(ju * ju * uu + np.float32(2.0) * ju * jv * uw + jv * jv * ww), 0.0) + DILATION
+    sxy = np.float64(ju * ju * uv + ju * jw * uw + jv * ju * vw + jv * jw * ww)
+    syy = max(np.float64(ju * ju * vv + np.float32(2.0) * ju * jw * vw + jw * jw * ww), 0.0) + DILATION
+    level = np.float64(near[i, 4]) * near[i, 4]
+    # A thin splat far off the axis: rounding must not make its determinant 0.
+    det = max(sxx * syy - sxy * sxy, DILATION * DILATION)
+    a, b, c = syy / det, -sxy / det, sxx / det
+    x0, x1 = _pixels(px, math.sqrt(level * sxx), extent[0])
+    y0, y1 = _pixels(py, math.sqrt(level * syy), extent[1])
+    if x0 > x1 or y0 > y1:
+        return 0
+    qa, qb, qc = -0.5 * _LOG2_E * a, -_LOG2_E * b, -0.5 * _LOG2_E * c
+    top, darkened, far = np.float64(near[i, 6]), 0, np.float32(math.sqrt(du * du + dv * dv + z * z))
+    for y in range(y0, y1 + 1, LANES):
+        dy = y + 0.5 - np.float64(py)
+        for x in range(x0, x1 + 1, LANES):
+            dx = x + 0.5 - np.float64(px)
+            form = (
+                np.float32((qa * dx + qb * dy) * dx + qc * dy * dy + top),
+                np.float32(2.0 * qa * dx + qb * dy),
+                np.float32(2.0 * qc * dy + qb * dx),
+                np.float32(qa),
+                np.float32(qb),
+                np.float32(qc),
+            )
+            darkened += blend_block(square, lit, form, spent, far, x, y, min(y1 + 1 - y, LANES), most)
+    weight, clear = take_largest(most, 0), take_largest(most, 1)
+    if clear >= spent:
+        raise_to(best, 2 * ids[i], weight)
+        raise_to(best, 2 * ids[i] + 1, clear)
+    return darkened
+
+
+@njit(cache=True)
+def _open(square, lit, extent):
+    """Give light to the pixels of a square, none to those around it; return how many there are."""
+    for y in range(SQUARE):
+        lit[y] = _columns(0, extent[0] - 1) if y < extent[1] else _NONE
+        for x in range(STRIDE):
+            square[0, y, x] = _ONE if x < extent[0] and y < extent[1] else np.float32(0.0)
+            square[1, y, x] = np.inf
+    return extent[0] * extent[1]
+
+
+@njit(cache=True)
+def _fill(
+    scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
+):  # fmt: skip
+    """Splat the clusters in `order` onto one square until no light is left. Returns the working arrays, perhaps grown.
+
+    `room` is (waiting, ready, spare): keys of Gaussians that farther ones may still precede, and arrays to sort in.
+    """
+    near, covars, columns, ids = scene
+    waiting, ready, spare = room
+    left, held, at = _open(square, lit, extent), np.int64(0), np.int64(0)  # literals would compile `_meet` twice
+    column, line = np.int64(corner[0]), np.int64(corner[1])
+    while left > 0 and (at < len(order) or held > 0):
+        horizon, first, box = _ALL, held, _frame_box(lit, extent, corner)
+        while at < len(order):
+            c = order[at]
+            place = rectangles[c]
+            x0, x1 = max(place[0] - column, 0), min(place[1] - column, extent[0] - 1)
+            y0, y1 = max(place[2] - line, 0), min(place[3] - line, extent[1] - 1)
+            if x0 > x1 or y0 > y1:
+                at += 1
+                continue
+            if held - first >= _ROUND:
+                horizon = bits_of(nearest[c]) << np.uint64(32)
+                break
+            at += 1
+            if _any_lit(lit, x0, x1, y0, y1):
+                if held + CLUSTER > len(waiting):
+                    waiting = _grown(waiting, held)
+                held = _meet(columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
+        while len(ready) < held:
+            ready, spare = _grown(ready, held), _grown(spare, held)
+        kept, chosen = np.int64(0), np.int64(0)
+        for k in range(held):
+            if waiting[k] < horizon:
+                ready[chosen] = waiting[k]
+                chosen += 1
+            else:
+                waiting[kept] = waiting[k]
+                kept += 1
+        held = kept
+        ready, spare = _sort(ready, spare, chosen)
+        for k in range(chosen):
+            i = np.int64(ready[k] & _LOW)
+            left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best)
+            if left == 0:
+                break
+    return waiting, ready, spare
+
+
+@njit(cache=True)
+def _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths):
+    """Take squares until none is left."""
+    side = (size + SQUARE - 1) // SQUARE
+    turn = take_next(taken)
+    if turn >= 6 * side * side:
+        return
+    square, lit = np.empty((2, SQUARE, STRIDE), np.float32), np.zeros(SQUARE + LANES, np.uint64)
+    room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64)
+    most = np.zeros(2 * LANES, np.float32)
+    corner, extent = np.empty(2, np.float32), np.empty(2, np.int64)
+    while turn < 6 * side * side:
+        face, x, y = turn // (side * side), turn % side * SQUARE, turn // side % side * SQUARE
+        corner[0], corner[1] = x, y
+        extent[0], extent[1] = min(size - x, SQUARE), min(size - y, SQUARE)
+        room = _fill(
+            scene, eye, face, corner, extent, np.float32(0.5 * size), spent, nearest, rectangles[face],
+            lists[face, : counts[face]], square, lit, most, room, best,
+        )  # fmt: skip
+        for row in range(extent[1]):
+            for column in range(extent[0]):
+                light[face, y + row, x + column] = square[0, row, column]
+                depths[face, y + row, x + column] = square[1, row, column]
+        turn = take_next(taken)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def splat_squares(
+    scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths
+):  # fmt: skip
+    """Splat what each face may see, front to back.
+
+    Args:
+        scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
+        eye: (3,) float32.
+        size: S.
+        spent: float32.
+        nearest: (B,) float32, bound of the squared distance of each cluster.
+        rectangles: (6, B, 4) int16, where each cluster lies.
+        lists: (6, B) int64, the clusters of each face, nearest first.
+        counts: (6,) int64, how many.
+        taken: (1,) int64, 0.
+        best: (2 N,) float32, zeros; receives for each Gaussian its largest weight and the largest light in front, over
+            pixels that are not spent.
+        light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`.
+        depths: (6, S, S) float32, receives the distance at which that happened, or inf.
+    """
+    for _worker in prange(WORKERS):
+        _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths)
+
+
+@njit(cache=True, nogil=True)
+def take_found(best):
+    """Return the Gaussians with light (K,), ascending, and their values (2, K); fill `best` (2 N,) with 0 again."""
+    count = 0
+    for i in range(len(best) // 2):
+        count += best[2 * i + 1] > 0.0
+    ids, values = np.empty(count, np.int64), np.empty((2, count), np.float32)
+    at = 0
+    for i in range(len(best) // 2):
+        if best[2 * i + 1] > 0.0:
+            ids[at], values[0, at], values[1, at] = i, best[2 * i], best[2 * i + 1]
+            best[2 * i], best[2 * i + 1] = 0.0, 0.0
+            at += 1
+    return ids, values
