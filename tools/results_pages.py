@@ -58,6 +58,7 @@ PAGES = {
             "suite",
             "mutation",
             "lowest",
+            "compare",
         ),
     ),
     "install": Page("Installing and starting", ("install", "startup")),
