@@ -180,11 +180,12 @@ async def soak(
     viewers = [Viewer(link, k, checks) for k in range(count)]
     running = [asyncio.create_task(viewer.run(end)) for viewer in viewers]
     late = Lateness()
-    probing = asyncio.gather(probe.run(), late.run())
+    probing = [asyncio.create_task(each.run()) for each in (probe, late)]
     await asyncio.sleep(assault - time.monotonic())
     await asyncio.to_thread(hostile)
     await asyncio.gather(*running)
-    probing.cancel()
+    for task in probing:
+        task.cancel()
     await checks.finish()
 
     def between(of: str, low: float, high: float) -> list[float]:

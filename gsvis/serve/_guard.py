@@ -10,7 +10,8 @@ A connection is always in one phase. Each phase ends by progress, by a deadline,
     ENDING     closed by us, or refused; the rest is being sent       stall_s
 
 In every phase, a peer whose socket is full must read at a minimum rate. The guard reads the head of each request itself
-and hands over one complete request at a time; later bytes wait in the guard.
+and hands over one complete request at a time; later bytes wait in the guard. Bytes of a WebSocket go to its parser in
+slices, one in each turn of the event loop, so that a burst of small frames keeps no other viewer waiting.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ __all__ = ["Guard", "Means", "Phase", "Wire"]
 _AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
 _MOST_PENDING = 1 << 20  # most bytes that wait for a viewer, with answers to pings; or four batches, if more
 _PACE = 1 << 10  # least bytes that a peer must read in `stall_s`
+_SLICE = 1 << 12  # most bytes of a WebSocket that are parsed in one turn; 5,000 empty frames take 50 ms
 _LOOK_S = 1.0  # seconds between checks whether an answer has been sent
 
 _numbers = itertools.count()
@@ -102,6 +104,14 @@ class Wire:
         """Switch the connection to another protocol, behind the guard."""
         self.guard.upgrade(protocol)
 
+    def pause_reading(self) -> None:
+        """Pause reading until the protocol resumes it."""
+        self.guard.hold_reading(True)
+
+    def resume_reading(self) -> None:
+        """Resume reading, once everything read has been handed over."""
+        self.guard.hold_reading(False)
+
     def close(self) -> None:
         """Close after everything is sent, or when the guard's deadline expires."""
         self.guard.close()
@@ -144,7 +154,7 @@ class Guard(asyncio.Protocol):
         self._buffer, self._seen_bytes = bytearray(), 0
         self._deadline: Timer | None = None
         self._room: Timer | None = None
-        self._is_over = self._is_upgraded = False
+        self._is_over = self._is_upgraded = self._is_feeding = self._is_held = False
         self._left = 0  # bytes that waited to be sent at the last check, while ending
         self._enter(Phase.ASKING, self._limits.handshake_s)
 
@@ -186,7 +196,7 @@ class Guard(asyncio.Protocol):
         if self.is_cut or (self.phase is Phase.ENDING and not self._is_upgraded):
             return
         if self._is_upgraded:
-            self._hand_over(data)
+            self._feed(data)
             return
         self._buffer += data
         if self.phase in (Phase.ASKING, Phase.IDLE):
@@ -241,6 +251,16 @@ class Guard(asyncio.Protocol):
         self._inner, self._is_upgraded = protocol, True
         if self.phase is Phase.ANSWERING:
             self._enter(Phase.GREETING)
+
+    def hold_reading(self, is_held: bool) -> None:
+        """Pause or resume reading for the protocol; slices that are on their way to it still arrive."""
+        self._is_held = is_held
+        if self._transport is None:
+            return
+        if is_held:
+            self._transport.pause_reading()
+        elif not self._is_feeding:
+            self._transport.resume_reading()
 
     def stream(self) -> None:
         """Mark the connection as a viewer, which does not make room for others."""
@@ -371,7 +391,33 @@ class Guard(asyncio.Protocol):
         if self._is_upgraded and self._buffer:
             data = bytes(self._buffer)
             self._buffer.clear()
+            self._feed(data)
+
+    def _feed(self, data: bytes) -> None:
+        """Hand over bytes of a WebSocket: at once if they are few, else in slices, while reading pauses."""
+        if not self._is_feeding and len(data) <= _SLICE:
             self._hand_over(data)
+            return
+        self._buffer += data
+        if not self._is_feeding:
+            self._is_feeding = True
+            self._transport.pause_reading()
+            asyncio.get_running_loop().call_soon(self._feed_slice)
+
+    def _feed_slice(self) -> None:
+        if self._is_over or self.is_cut:
+            return
+        data = bytes(self._buffer[:_SLICE])
+        del self._buffer[:_SLICE]
+        self._hand_over(data)
+        if self._is_over or self.is_cut:
+            return
+        if self._buffer:
+            asyncio.get_running_loop().call_soon(self._feed_slice)
+            return
+        self._is_feeding = False
+        if not self._is_held:
+            self._transport.resume_reading()
 
     def _hand_over(self, data: bytes) -> None:
         inner = self._inner

@@ -9,6 +9,7 @@ of messages.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import time
 from collections.abc import Callable
@@ -29,6 +30,7 @@ from gsvis.stream.wire import FAULTS, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 
+_IN_A_ROW = 16  # messages of a client that are taken before others run
 _MOST_HEARD = 256  # most poses and acknowledgements that wait in the list
 _ROUND = 1.0  # seconds after which a client is checked even if nothing happens
 _FAREWELL = 1.0  # most seconds to send the last message
@@ -211,7 +213,9 @@ class Connection:
     async def _listen(self) -> None:
         """Read messages of the client until it leaves."""
         clock, metrics = self._setting.clock, self._setting.metrics
-        while True:
+        for turn in itertools.count(1):
+            if turn % _IN_A_ROW == 0:
+                await asyncio.sleep(0)  # `receive` does not let others run while messages wait
             data = await self._peer.receive()
             now = self._alive = clock.now()
             if not self._messages.take(now):

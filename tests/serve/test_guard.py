@@ -193,6 +193,96 @@ def test_nothing_waits_once_tls_has_lost_its_transport() -> None:
     run(test)
 
 
+class Recording(Silent):
+    """Keeps what it is given, and what else ran in between."""
+
+    def __init__(self) -> None:
+        self.given: list[bytes] = []
+        self.turns: list[int] = []
+
+
+class Flowing(FakeTransport):
+    """A transport that tells whether it reads."""
+
+    is_reading = True
+
+    def pause_reading(self) -> None:
+        self.is_reading = False
+
+    def resume_reading(self) -> None:
+        self.is_reading = True
+
+
+def upgraded() -> tuple[Guard, Recording, Flowing]:
+    """A guard of a WebSocket, whose protocol counts the turns of the loop."""
+    door, means = house(Limits())
+    guard, _ = guard_of(door, means, "10.0.0.1", Phase.STREAMING)
+    inner, transport, turn = Recording(), Flowing(), [0]
+
+    def count() -> None:
+        turn[0] += 1
+        asyncio.get_running_loop().call_soon(count)
+
+    def take(data: bytes) -> None:
+        inner.given.append(data)
+        inner.turns.append(turn[0])
+
+    asyncio.get_running_loop().call_soon(count)
+    inner.data_received = take  # type: ignore[method-assign]
+    guard.connection_made(transport)
+    guard.upgrade(inner)
+    return guard, inner, transport
+
+
+def test_a_burst_of_frames_lets_others_run_and_arrives_in_order() -> None:
+    async def inside() -> None:
+        guard, inner, transport = upgraded()
+        burst = bytes(range(256)) * 400
+        guard.data_received(burst)
+        assert not transport.is_reading
+        guard.data_received(b"later")
+        while not transport.is_reading:
+            await asyncio.sleep(0)
+        assert b"".join(inner.given) == burst + b"later"
+        assert max(map(len, inner.given)) <= 4096
+        assert len(set(inner.turns)) == len(inner.turns) > 20  # one slice in each turn of the loop
+        guard.data_received(b"few")
+        assert inner.given[-1] == b"few"  # few bytes do not wait
+
+    asyncio.run(inside())
+
+
+def test_reading_resumes_when_slices_are_out_and_the_protocol_wants_more() -> None:
+    async def inside() -> None:
+        guard, inner, transport = upgraded()
+        guard.hold_reading(True)
+        guard.data_received(bytes(10_000))
+        guard.hold_reading(False)
+        assert not transport.is_reading  # slices are under way
+        guard.hold_reading(True)
+        while sum(map(len, inner.given)) < 10_000:
+            await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert not transport.is_reading  # the protocol wants no more yet
+        guard.hold_reading(False)
+        assert transport.is_reading
+
+    asyncio.run(inside())
+
+
+def test_nothing_arrives_after_a_cut() -> None:
+    async def inside() -> None:
+        guard, inner, _ = upgraded()
+        guard.data_received(bytes(100_000))
+        while len(inner.given) < 3:
+            await asyncio.sleep(0)
+        guard.cut("gives way to others")
+        await asyncio.sleep(0.01)
+        assert len(inner.given) == 3
+
+    asyncio.run(inside())
+
+
 def test_the_deadline_of_the_next_request_starts_when_the_answer_is_out() -> None:
     async def test() -> None:
         door, means = house(limits_of(keep_alive_s=5.0, stall_s=10.0))
