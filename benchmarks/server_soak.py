@@ -8,13 +8,13 @@ apart by the code of our client. Neither is what encodes messages. WELCOME is co
 docs/streaming.md, but for its identity, which only has to be the same in all visits.
 
 Given: 30 viewers behind links of 2 Mbit/s, each walking and beginning anew when the server has nothing more for it; the
-    numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack. The
-    checks have what time the others leave on all cores but the server's; where 60 visits wait for them, no other visit
-    begins.
+    numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack.
+    Attackers and checks yield to the viewers on the cores that the server does not use (nice 15 and 10), as on machines
+    of their own; where 60 visits wait for checks, no other visit begins.
 Measured: bytes that differ; visits that the server cut; the delay from the acknowledgement that makes room for a batch
     until it is there, with and without attackers in one run, which is what counts on a machine that is busy with other
-    things; memory and descriptors of the server each second; its exit code when it is stopped under attack. PSS
-    counts pages that several processes share in part: it rises when another process ends, without a byte more; USS is
+    things; how late the process of the viewers itself is in both phases; memory and descriptors of the server each
+    second; its exit code when it is stopped under attack. PSS counts pages that several processes share in part: it rises when another process ends, without a byte more; USS is
     what the server has alone. Memory: the largest of the last fifth of the samples less that of the first. Descriptors:
     medians of these, since as many attackers come and go in a second as the limits let in.
 Defaults chosen on: builtin:two_rooms, for viewers and rate, so that one core is not full without attackers.
