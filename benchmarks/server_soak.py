@@ -14,9 +14,10 @@ Given: 30 viewers behind links of 2 Mbit/s, each walking and beginning anew when
 Measured: bytes that differ; visits that the server cut; the delay from the acknowledgement that makes room for a batch
     until it is there, with and without attackers in one run, which is what counts on a machine that is busy with other
     things; how late the process of the viewers itself is in both phases; memory and descriptors of the server each
-    second; its exit code when it is stopped under attack. PSS counts pages that several processes share in part: it rises when another process ends, without a byte more; USS is
-    what the server has alone. Memory: the largest of the last fifth of the samples less that of the first. Descriptors:
-    medians of these, since as many attackers come and go in a second as the limits let in.
+    second; its exit code when it is stopped under attack. PSS counts pages that several processes share in part: it
+    rises when another process ends, without a byte more; USS is what the server has alone. Memory: the largest of the
+    last fifth of the samples less that of the first. Descriptors: medians of these, since as many attackers come and go
+    in a second as the limits let in.
 Defaults chosen on: builtin:two_rooms, for viewers and rate, so that one core is not full without attackers.
 """
 
