@@ -127,7 +127,7 @@ class Tracer:
     @cached_property
     def embree(self) -> Engine:
         """The engine's scene of all proxy triangles."""
-        return ENGINES[self.engine](*self.proxies.meshes())
+        return ENGINES[self.engine](*self.proxies.meshes(), bodies=len(self.proxies))
 
     @property
     def limits(self) -> tuple[float, float, float]:
