@@ -8,6 +8,7 @@ Scene frame and units.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -119,6 +120,24 @@ class Certificate:
         """Share of the rays that miss a weight of more than a hundredth."""
         return float(np.mean(self.missed_weights > HEAVY))
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures and the worst ray as plain numbers and lists for JSON."""
+        worst = None
+        if len(self.worst_o):
+            worst = {
+                "origin": self.worst_o[0].tolist(),
+                "direction": self.worst_d[0].tolist(),
+                "missed": float(self.worst_missed[0]),
+            }
+        return {
+            "rays": len(self),
+            "missed": self.missed,
+            "bound": self.bound,
+            "heavy_rays": self.heavy,
+            "missed_gaussians": len(self.ids),
+            "worst_ray": worst,
+        }
+
 
 @dataclass(frozen=True)
 class CrossCheck:
@@ -213,7 +232,7 @@ def cross_check(tracer: Tracer, rays_o: ArrayLike, rays_d: ArrayLike) -> CrossCh
     if tracer.engine != "open3d":
         return None
     try:
-        twin = tracer.contributions(rays_o, rays_d, search="faces")
+        twin = tracer.contributions_by_parts(rays_o, rays_d)
     except BackendError:
         return None
     return compare(tracer.contributions(rays_o, rays_d), twin, len(tracer.proxies.gaussians))

@@ -48,6 +48,15 @@ def test_discs_of_one_wall_are_all_found(search: str) -> None:
     assert_same(tracer_of(g).contributions(rays_o, rays_d, search=search), brute_force_contributions(g, rays_o, rays_d))
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("proxies", [7, 100, 1000])
+def test_parts_change_nothing(kind: str, proxies: int) -> None:
+    g = scene(kind)
+    rays_o, rays_d = rays(kind)
+    got = tracer_of(g).contributions_by_parts(rays_o, rays_d, proxies=proxies)
+    assert_same(got, brute_force_contributions(g, rays_o, rays_d))
+
+
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(KINDS), n=st.integers(2, 60))
 def test_contributions_equal_the_oracle_on_any_scene(seed: int, kind: str, n: int) -> None:
     g = scene(kind, seed, max(n, 10))
