@@ -37,6 +37,7 @@ Mask = NDArray[np.bool_]
 GUIDE = CertificateConfig(limit=0.0, rays=2048)
 JUDGE = CertificateConfig(limit=0.0, rays=32768, round_rays=8192)
 _JUDGED = 1000  # stage of the rays that judge; those of the steps are 1, 2, ...
+_CORNERS = tuple(itertools.product((0, 1), repeat=3))
 _INSIDE = 0.05  # voxels from the face of a voxel to a viewpoint
 
 
@@ -100,7 +101,7 @@ class Corners:
         """Return the viewpoints on the corners of a cell, by a key that cells share with the viewpoint."""
         some = self.viewpoints._candidates(cell) if self.rule == "own" else self._free
         found = {}
-        for offset in itertools.product((0, 1), repeat=3):
+        for offset in _CORNERS:
             corner = (self.viewpoints.grid.coords[cell] + np.array(offset)) * self._side
             name = (*corner.tolist(), cell if self.rule == "own" else -1)
             if name not in self._moved:
@@ -135,7 +136,9 @@ class Corners:
     def count(self) -> tuple[int, int]:
         """Return the number of corners, and of viewpoints, of all cells."""
         keys = {key for cell in range(len(self.viewpoints.grid)) for key in self.of_cell(cell)}
-        return len({key[:3] for key in keys}), len(keys)
+        coords = self.viewpoints.grid.coords
+        corners = {tuple((box + np.array(offset)).tolist()) for box in coords for offset in _CORNERS}
+        return len(corners), len(keys)
 
 
 def try_cell(
