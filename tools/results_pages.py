@@ -76,7 +76,19 @@ PAGES = {
         ),
     ),
     "rasterizer": Page("Rasterizer", ("render_garden", "render_large", "render_against_rays")),
-    "sets": Page("Visible sets", ("pvs_build", "look", "pvs_memory", "pvs_quality", "visibility_store", "hpr_hybrid")),
+    "sets": Page(
+        "Visible sets",
+        (
+            "pvs_build",
+            "look",
+            "pvs_memory",
+            "pvs_quality",
+            "certificate",
+            "shared_viewpoints",
+            "visibility_store",
+            "hpr_hybrid",
+        ),
+    ),
     "color": Page(
         "Color in pieces",
         (

@@ -287,6 +287,8 @@ class PvsReport:
     """Horizontal field of view of the images."""
     rays: Flag = False
     """Trace rays at the fresh viewpoints, too."""
+    certify: Annotated[int, WHOLE] = 8192
+    """Random rays in each cell that bound the light its set misses; 0 for none."""
     bytes_per_gaussian: Annotated[int | None, COUNTED, hint("32 bits for each attribute")] = None
     """What sending one Gaussian costs."""
     seed: Annotated[int, WHOLE] = 0

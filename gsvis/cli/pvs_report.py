@@ -19,7 +19,19 @@ from gsvis.scene.content import space_hash
 
 __all__ = ["run_pvs_report"]
 
-_OPTIONS = ("lod", "cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed")
+_OPTIONS = (
+    "lod",
+    "cells",
+    "viewpoints",
+    "dense",
+    "width",
+    "height",
+    "fov",
+    "rays",
+    "certify",
+    "bytes_per_gaussian",
+    "seed",
+)
 
 
 def run_pvs_report(command: PvsReport) -> None:
@@ -58,7 +70,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.pvs_document import write_pvs_report
 
-    names = ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed")
+    names = ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "certify", "bytes_per_gaussian", "seed")
     config = QualityConfig(**{name: getattr(command, name) for name in names})
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
     subject = Subject(
@@ -152,7 +164,11 @@ def _tables(document: dict[str, Any]) -> list[Any]:
 
 
 def _remarks(document: dict[str, Any]) -> list[str]:
+    from gsvis.report.pvs_page import describe_certificate
+
     remarks = [f" Fresh viewpoints were drawn {document['viewpoints_from']}."]
+    if document["quality"]["certificate"] is not None:
+        remarks.append(f" {describe_certificate(document['quality']['certificate'])}")
     left_out = document["quality"]["cells_left_out"]
     if left_out:
         remarks.append(f" {len(left_out):,} cells were left out: every viewpoint drawn lies in something solid.")

@@ -14,8 +14,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gsvis.pvs.bound import upper_bound
     from gsvis.pvs.build import Estimate, Workers, build_pvs, estimate_pvs
     from gsvis.pvs.cells import CellGrid
+    from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier, CrossCheck, cross_check
     from gsvis.pvs.cluster import connect
     from gsvis.pvs.config import PvsConfig
     from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
@@ -28,6 +30,10 @@ __all__ = [
     "CellGrid",
     "CellSet",
     "CellViewpoints",
+    "Certificate",
+    "CertificateConfig",
+    "Certifier",
+    "CrossCheck",
     "Estimate",
     "PvsConfig",
     "Quality",
@@ -40,13 +46,16 @@ __all__ = [
     "Workers",
     "build_pvs",
     "connect",
+    "cross_check",
     "estimate_pvs",
     "measure_quality",
     "measure_walk",
+    "upper_bound",
     "write_store",
 ]
 
 _HOMES = {
+    "bound": ("upper_bound",),
     "build": (
         "Estimate",
         "Workers",
@@ -54,6 +63,13 @@ _HOMES = {
         "estimate_pvs",
     ),
     "cells": ("CellGrid",),
+    "certificate": (
+        "Certificate",
+        "CertificateConfig",
+        "Certifier",
+        "CrossCheck",
+        "cross_check",
+    ),
     "cluster": ("connect",),
     "config": ("PvsConfig",),
     "quality": (

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.certificate import CertificateConfig, Certifier
+from gsvis.pvs.certified_cells import CertifiedCells, certify_cells
 from gsvis.pvs.quality_result import PSNR_CAP, TARGETS, Figure, Quality, QualityConfig, Trade
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
@@ -40,6 +42,7 @@ __all__ = [
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
 I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -75,7 +78,7 @@ def measure_quality(
     *,
     progress: Progress = silent,
 ) -> Quality:
-    """Measure how much of what fresh viewpoints see is in the sets of a store.
+    """Measure how much of what fresh viewpoints and random rays see is in the sets of a store.
 
     The result for a cell depends on the seed and the cell, not on the other cells measured.
 
@@ -85,7 +88,7 @@ def measure_quality(
             members of the sets that belong to it.
         viewpoints: The viewpoints of the store's cells.
         config: Options; None means `QualityConfig()`.
-        progress: Called with stage "quality".
+        progress: Called with stages "quality" and "certificate".
 
     Returns:
         The measurements.
@@ -102,7 +105,7 @@ def measure_quality(
     g, places = (levels.union if member.all() else levels.union[member]), np.where(member, member.cumsum() - 1, -1)
     if len(viewpoints.grid) != len(store) or not np.array_equal(viewpoints.grid.coords, store.grid.coords):
         raise ValueError("viewpoints: expected those of the store's cells, got others; make them from store.grid")
-    tracer = Tracer(EllipsoidProxies.from_scene(g)) if config.rays else None
+    tracer = Tracer(EllipsoidProxies.from_scene(g)) if config.rays or config.certify else None
     meter = _Meter(store, g, places, viewpoints, config, tracer)
     wanted = len(store) if config.cells is None else min(config.cells, len(store))
     each = config.viewpoints + config.dense
@@ -130,7 +133,7 @@ def measure_quality(
     stacked = {
         name: np.array([getattr(row, name) for row in rows])
         for name in _Measured.__dataclass_fields__
-        if (dense or not name.startswith("dense")) and (tracer is not None or name != "ray_recall")
+        if (dense or not name.startswith("dense")) and (config.rays or name != "ray_recall")
     }
     absent = {"ray_recall": None, "dense": None, "dense_shared": None, "dense_psnr": None}
     return Quality(
@@ -143,6 +146,7 @@ def measure_quality(
         centers=store.grid.centers[cells],
         left_out=tuple(sorted(left_out)),
         shown=None if member.all() else member,
+        light=meter.certify(cells, progress),
         **{**absent, **stacked},  # type: ignore[arg-type]
     )
 
@@ -207,12 +211,24 @@ class _Meter:
                 return found[:count]
         return None
 
+    def find_held(self, cell: int) -> tuple[I64, U8]:
+        """Return the ids (V,) in g of the set of a cell, and their classes (V,)."""
+        ids, classes = self.store.classes(cell)
+        there = self.places[ids] >= 0
+        return self.places[ids[there]], classes[there]
+
+    def certify(self, cells: I64, progress: Progress) -> CertifiedCells | None:
+        """Return the certificates of cells; None if there are none to make."""
+        if self.tracer is None or not self.config.certify:
+            return None
+        config = CertificateConfig(rays=self.config.certify, tau=self.store.tau, seed=self.config.seed)
+        sets = [(cell, self.find_held(cell)[0]) for cell in cells.tolist()]
+        return certify_cells(Certifier(self.tracer, self.viewpoints), sets, config, progress=progress)
+
     def measure(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
         """Return the measurements of one cell; progress counts viewpoints."""
         store, g, config = self.store, self.g, self.config
-        ids, classes = store.classes(cell)
-        ids, classes = self.places[ids], classes[self.places[ids] >= 0]
-        ids = ids[ids >= 0]
+        ids, classes = self.find_held(cell)
         subsets = [ids[classes >= k] for k in range(len(store.info.class_edges))]
         held = np.zeros(len(g), bool)
         held[ids] = True
@@ -235,7 +251,7 @@ class _Meter:
             weighted[v] = [_share(summed[subset].sum(), total) for subset in subsets]
             ever |= largest >= tau
             recall[v] = _recall(largest >= tau, held)
-            if self.tracer is not None:
+            if self.config.rays and self.tracer is not None:
                 by_rays[v] = _recall(visible_from(self.tracer, eyes[v][None], size=config.size)[0] >= tau, held)
             shown = np.flatnonzero(view_weights(g, cameras[v]).largest[0] >= tau)
             exact[v] = len(shown)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.pvs.certified_cells import CertifiedCells
 from gsvis.scene.cameras import Cameras, intrinsics
 
 __all__ = ["PSNR_CAP", "TARGETS", "Figure", "Quality", "QualityConfig", "Trade"]
@@ -24,7 +25,14 @@ I64 = NDArray[np.int64]
 PSNR_CAP = 100.0
 """PSNR of equal images, dB, in place of infinity."""
 
-TARGETS = MappingProxyType({"weighted_recall": (0.999, 0.995), "psnr": (45.0, 40.0), "size_over_dense": (1.3, None)})
+TARGETS = MappingProxyType(
+    {
+        "weighted_recall": (0.999, 0.995),
+        "psnr": (45.0, 40.0),
+        "size_over_dense": (1.3, None),
+        "missed_light": (0.0005, 0.0015),
+    }
+)
 """Targets of a good store: for the mean, and for the worst case."""
 
 
@@ -41,6 +49,7 @@ class QualityConfig:
         height: Height of the images, pixels.
         fov: Horizontal field of view of the images, degrees.
         rays: Also find by ray casting which Gaussians the fresh viewpoints see.
+        certify: Random rays in each cell that bound the light its set misses; 0 for none.
         bytes_per_gaussian: Bytes to send one Gaussian; None takes its 32-bit attributes in an uncompressed 3DGS file.
         seed: Random seed of the cells, the viewpoints and the directions of the images.
     """
@@ -53,13 +62,14 @@ class QualityConfig:
     height: int = 360
     fov: float = 70.0
     rays: bool = False
+    certify: int = 8192
     bytes_per_gaussian: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("viewpoints", "size", "width", "height"):
             _check.positive_int(name, getattr(self, name))
-        for name in ("dense", "seed"):
+        for name in ("dense", "certify", "seed"):
             _check.positive_int(name, getattr(self, name), at_least=0)
         for name in ("cells", "bytes_per_gaussian"):
             if getattr(self, name) is not None:
@@ -160,6 +170,8 @@ class Quality:
         dense_psnr: (M, V) PSNR of the image drawn from the dense union; None without a dense union.
         shown: (U,) bool, for a union of U Gaussians: the N Gaussians of its highest level, which were measured. None
             if all Gaussians were measured.
+        light: The certificates of the measured cells; None without `config.certify`, or where too little of a cell lies
+            outside everything solid.
     """
 
     config: QualityConfig
@@ -184,6 +196,7 @@ class Quality:
     dense_shared: I64 | None
     dense_psnr: F64 | None
     shown: NDArray[np.bool_] | None = None
+    light: CertifiedCells | None = None
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -210,6 +223,7 @@ class Quality:
         whole, images = self.weighted_recall[..., 0], self.psnr[..., 0]
         cell, eye = whole.mean(axis=1), "viewpoint"
         found = [
+            *self._light_figures(),
             _figure("weighted_recall", "light that the set keeps", cell, "cell", "higher", "share"),
             _figure("weighted_recall_viewpoint", "the same, viewpoint by viewpoint", whole, eye, "higher", "share"),
             _figure("psnr", "image from the set", images, "image", "higher", "dB"),
@@ -235,6 +249,21 @@ class Quality:
             Figure("visible_share", "set over the whole scene", _mean(shares), None, "", (None, None), "", "share")
         )
         return tuple(found)
+
+    def _light_figures(self) -> list[Figure]:
+        """Return the figures of the certificates; the means are over the rays of all cells."""
+        if self.light is None:
+            return []
+        missed, bound = self.light.missed_by_cell, self.light.bound_by_cell
+        key, percent = "missed_light", f"{1.0 - self.light.error:.0%}"
+        shown = (
+            (key, "light missed on random rays", self.light.missed, float(missed.max())),
+            (f"{key}_bound", f"{percent} upper bound of it", self.light.bound, float(bound.max())),
+        )
+        return [
+            Figure(name, label, mean, worst, "cell", TARGETS.get(name, (None, None)), "lower", "share")
+            for name, label, mean, worst in shown
+        ]
 
     def worst(self, count: int = 5) -> I64:
         """Return the rows of the `count` measured cells that keep the least light, worst first."""
@@ -285,6 +314,7 @@ class Quality:
                 for each in self.figures()
             },
             "classes": [{**asdict(each), "lost_per_megabyte": each.lost_per_megabyte} for each in self.trades()],
+            "certificate": None if self.light is None else self.light.as_dict(),
             "worst_cells": self.cells[self.worst(10)].tolist(),
             "cells": [self._row(m) for m in range(len(self))],
         }
@@ -307,6 +337,7 @@ class Quality:
         for name in ("ray_recall", "dense", "dense_shared", "dense_psnr"):
             values = getattr(self, name)
             row[name] = None if values is None else values[m].tolist()
+        row["certificate"] = None if self.light is None else self.light.certificates[m].as_dict()
         return row
 
 

@@ -5,6 +5,7 @@ Both trace the same float32 triangles. Distances are in scene units along unit d
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +22,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
+_GEOMETRIES = 1024  # geometries to which Open3D's engine deals out the bodies
+
+
 class Engine(Protocol):
     """Interface between a tracer and an engine."""
 
@@ -34,9 +38,18 @@ class Engine(Protocol):
 
 
 class Open3dEngine:
-    """Use Embree through Open3D's RaycastingScene, on all cores."""
+    """Use Embree through Open3D's RaycastingScene, on all cores.
 
-    def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
+    Open3D 0.20 lists no hit that has the distance of the hit before it in the same geometry. So bodies that touch, such
+    as discs of one wall, are dealt out to many geometries.
+
+    Args:
+        vertices: (M * V, 3) vertices of M bodies.
+        faces: (M * F, 3) their triangles; the faces of a body have only vertices of that body.
+        bodies: M.
+    """
+
+    def __init__(self, vertices: F32, faces: NDArray[np.uint32], bodies: int = 1) -> None:
         get_num_threads()  # starts numba's threads before open3d brings a TBB that numba finds too old, and says so
         require("engine 'open3d'", "open3d")
         try:
@@ -47,26 +60,49 @@ class Open3dEngine:
                 " links (Debian: libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1), or use engine='embreex'"
             ) from error
         self._scene = o3d.t.geometry.RaycastingScene()
-        if len(faces):
-            self._scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces))
-            self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
+        if len(faces) == 0:
+            return
+        self._faces_per_body = len(faces) // bodies
+        corners, triangles = vertices.reshape(bodies, -1, 3), faces.reshape(bodies, -1, 3)
+        dealt = np.random.default_rng(0).integers(_GEOMETRIES, size=bodies)
+        self._bodies = np.argsort(dealt, kind="stable")  # by geometry
+        counts = np.bincount(dealt, minlength=_GEOMETRIES)
+        counts = counts[counts > 0]
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        for start, stop in pairwise(self._starts):
+            some = self._bodies[start:stop]
+            shift = np.arange(len(some)) * corners.shape[1] - some * corners.shape[1]
+            moved = (triangles[some].astype(np.int64) + shift[:, None, None]).astype(np.uint32)
+            self._scene.add_triangles(
+                o3d.core.Tensor(corners[some].reshape(-1, 3)), o3d.core.Tensor(moved.reshape(-1, 3))
+            )
+        self.first_face(np.zeros((1, 3)), np.ones((1, 3)))  # the first query builds the tree
 
     def first_face(self, rays_o: F64, rays_d: F64) -> tuple[F64, I64]:
         """Return first hits; see `Engine`."""
         answer = self._scene.cast_rays(_rays32(rays_o, rays_d))
-        faces = answer["primitive_ids"].numpy()
-        return _hits(answer["t_hit"].numpy(), np.where(faces == self._scene.INVALID_ID, -1, faces.astype(np.int64)))
+        return _hits(answer["t_hit"].numpy(), self._faces(answer))
 
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
         """Return all hits; see `Engine`."""
         answer = self._scene.list_intersections(_rays32(rays_o, rays_d))
-        return answer["ray_ids"].numpy().astype(np.int64), answer["primitive_ids"].numpy().astype(np.int64)
+        return answer["ray_ids"].numpy().astype(np.int64), self._faces(answer)
+
+    def _faces(self, answer: Any) -> I64:
+        """Return the face of each hit, as numbered by the caller; -1 for a miss."""
+        geometries, inner = (answer[name].numpy().astype(np.int64) for name in ("geometry_ids", "primitive_ids"))
+        hit = inner != self._scene.INVALID_ID
+        faces = np.full(inner.shape, -1, np.int64)
+        if hit.any():
+            body = self._bodies[self._starts[geometries[hit]] + inner[hit] // self._faces_per_body]
+            faces[hit] = body * self._faces_per_body + inner[hit] % self._faces_per_body
+        return faces
 
 
 class EmbreexEngine:
     """Use Embree through embreex: one core, first hits only."""
 
-    def __init__(self, vertices: F32, faces: NDArray[np.uint32]) -> None:
+    def __init__(self, vertices: F32, faces: NDArray[np.uint32], bodies: int = 1) -> None:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 

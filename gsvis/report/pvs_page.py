@@ -11,7 +11,7 @@ from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
 from gsvis.report.html import Figure, describe_run, figure, fill_template, table, tiles
 
-__all__ = ["format_target", "format_value", "pvs_page"]
+__all__ = ["describe_certificate", "format_target", "format_value", "pvs_page"]
 
 _WORST = 8  # number of listed cells
 
@@ -40,17 +40,38 @@ def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
 
 
 def format_value(value: float | None, unit: str) -> str:
-    """Format a figure with its unit; shares in percent get more digits near 100%."""
+    """Format a figure with its unit; shares in percent get more digits near 0 and near 100%."""
     if value is None:
         return ""
     if unit == "share":
-        return f"{value:.3%}" if value > 0.99 else f"{value:.1%}"
+        return f"{value:.3%}" if value > 0.99 or 0.0 < value < 0.01 else f"{value:.1%}"
     return f"{value:.1f} dB" if unit == "dB" else f"{value:.2f}"
 
 
 def format_target(target: float, unit: str) -> str:
     """Format a target with its unit, in as few digits as it has."""
-    return f"{target:.1%}" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
+    return f"{100.0 * target:g}%" if unit == "share" else f"{target:g}" + (" dB" if unit == "dB" else "")
+
+
+def describe_certificate(found: dict[str, Any]) -> str:
+    """Return sentences on the certificates of the measured cells: the rays, the bound, and the second tracer.
+
+    Args:
+        found: Entry "certificate" of "quality" in `report.json`.
+    """
+    text = (
+        f"{found['rays']:,} random rays from free points of the measured cells, in all directions, miss"
+        f" {found['missed']:.3%} of the light; with {1.0 - found['error']:.0%} confidence the sets miss at most"
+        f" {found['bound']:.3%}. {found['heavy_rays']:.2%} of the rays miss a weight of more than a hundredth."
+    )
+    twice = found["rays_traced_twice"]
+    if not twice:
+        return f"{text} No ray was traced a second time, because Open3D is not installed or cannot be loaded."
+    text += f" {twice:,} of the rays were traced a second time, through proxy meshes by Open3D's Embree:"
+    if found["rays_agreeing"] == twice:
+        return f"{text} both tracers agree on all of them."
+    differing = twice - found["rays_agreeing"]
+    return f"{text} the tracers differ on {differing:,}, by at most {found['largest_difference']:.3g} of a weight."
 
 
 def _target(measure: Measure, which: int) -> str:
@@ -142,6 +163,12 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
             " small Gaussians that show only in finer images."
         )
     text += "</p>"
+    found = document["quality"]["certificate"]
+    if found is not None:
+        text += (
+            f"<p>{describe_certificate(found)} Rays are finer than pixels: they find what falls between the pixels of"
+            " the faces above. The bound of a single cell holds for that cell alone.</p>"
+        )
     if quality.left_out:
         text += f"<p>{len(quality.left_out):,} cells were left out: all viewpoints drawn lie in something solid.</p>"
     return text

@@ -23,7 +23,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
 Capture = pytest.CaptureFixture[str]
-QUICK = ["--cells", "2", "--viewpoints", "1", "--dense", "2", "--width", "24", "--height", "18"]
+QUICK = ["--cells", "2", "--viewpoints", "1", "--dense", "2", "--width", "24", "--height", "18", "--certify", "200"]
 FEW = PvsConfig(method="raster", size=16, min_viewpoints=2, max_viewpoints=2)
 
 
@@ -60,6 +60,7 @@ def test_it_writes_a_report_and_prints_tables(
     assert "99.9%; 99.5%" in text
     assert "in the navigable space that the store was built in" in " ".join(text.split())
     assert "rooms" in text
+    assert "400 random rays from free points" in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 80
     assert json.loads(Path("new/report/report.json").read_text())["quality"]["cells_measured"] == 2
 

@@ -34,7 +34,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import OccluderScene, two_rooms
 
 TAU = 1.0 / 255.0
-QUICK = QualityConfig(cells=3, viewpoints=2, size=24, dense=3, width=32, height=24)
+QUICK = QualityConfig(cells=3, viewpoints=2, size=24, dense=3, width=32, height=24, certify=200)
 Maker = Callable[[int], CellSet]
 
 
@@ -116,6 +116,41 @@ def test_recall_and_precision_are_what_the_weights_say(tmp_path: Path) -> None:
             assert found.recall[m, v] == pytest.approx(seen[ids].sum() / seen.sum())
         assert found.confirmed[m] >= ever[ids].mean()
         assert found.kept[m].tolist() == [np.count_nonzero(ids % 3 >= k) for k in range(3)]
+
+
+def test_random_rays_bound_the_light_that_sets_miss(tmp_path: Path) -> None:
+    found, light = measured(tmp_path, half), measured(tmp_path, half).light
+    assert light is not None
+    assert light.rays == 3 * 200
+    figures = {each.key: each for each in found.figures()}
+    assert figures["missed_light"].mean == light.missed
+    assert figures["missed_light"].worst == light.missed_by_cell.max()
+    assert figures["missed_light_bound"].worst == light.bound_by_cell.max()
+    assert light.missed < figures["missed_light_bound"].mean < light.bound_by_cell.max()
+    assert figures["missed_light"].met(1) is False
+    # Every second Gaussian is about half of the light, on rays as on faces of pixels.
+    assert light.missed == pytest.approx(1.0 - found.weighted_recall[..., 0].mean(), abs=0.1)
+    for each, cell in zip(light.certificates, found.cells.tolist(), strict=True):
+        assert each.cell == cell
+        assert not np.isin(each.ids, np.asarray(half(cell).ids)).any()
+    row = found.as_dict()["cells"][0]["certificate"]
+    assert row["rays"] == 200
+    assert row["worst_ray"]["missed"] == light.certificates[0].missed_weights.max()
+    document = found.as_dict()["certificate"]
+    assert document["rays_traced_twice"] in (3 * 64, 0)  # 0 without Open3D
+    assert document["rays_agreeing"] == document["rays_traced_twice"]
+
+
+def test_sets_of_everything_and_of_nothing_are_certified(tmp_path: Path) -> None:
+    whole, none = measured(tmp_path, everything()).light, measured(tmp_path, nothing).light
+    assert whole is not None
+    assert none is not None
+    assert (whole.missed, none.missed) == (0.0, 1.0)
+    assert whole.bound < 0.02 < none.bound
+    assert none.heavy > 0.99
+    off = QualityConfig(**{**vars(QUICK), "certify": 0})
+    assert measured(tmp_path, half, off).light is None
+    assert measured(tmp_path, half, off).as_dict()["certificate"] is None
 
 
 def test_leaving_out_classes_never_brings_light_back(tmp_path: Path) -> None:
@@ -239,7 +274,15 @@ def test_a_store_of_another_scene_or_other_cells_is_refused(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("viewpoints", 0), ("cells", 0), ("dense", -1), ("fov", 180.0), ("seed", -1), ("bytes_per_gaussian", 0)],
+    [
+        ("viewpoints", 0),
+        ("cells", 0),
+        ("dense", -1),
+        ("certify", -1),
+        ("fov", 180.0),
+        ("seed", -1),
+        ("bytes_per_gaussian", 0),
+    ],
 )
 def test_settings_out_of_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
@@ -251,6 +294,9 @@ def test_progress_rises_to_its_total(tmp_path: Path) -> None:
     scene, _, viewpoints = rooms()
     with stored(tmp_path, half) as store:
         measure_quality(store, scene.gaussians, viewpoints, QUICK, progress=lambda *step: calls.append(step))
-    assert calls[0] == ("quality", 0, 15)
-    assert calls[-1] == ("quality", 15, 15)
-    assert [done for _, done, _ in calls] == sorted(done for _, done, _ in calls)
+    for stage, total in (("quality", 15), ("certificate", 4)):
+        some = [step for step in calls if step[0] == stage]
+        assert some[0] == (stage, 0, total)
+        assert some[-1] == (stage, total, total)
+        assert [done for _, done, _ in some] == sorted(done for _, done, _ in some)
+    assert calls[-1] == ("certificate", 4, 4)

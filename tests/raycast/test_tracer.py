@@ -35,6 +35,28 @@ def test_contributions_equal_the_oracle(kind: str, search: str) -> None:
     assert_same(got, brute_force_contributions(g, rays_o, rays_d))
 
 
+@pytest.mark.parametrize("search", ["hierarchy", "faces"])
+def test_discs_of_one_wall_are_all_found(search: str) -> None:
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 12), np.linspace(-1.0, 1.0, 12))
+    n = x.size
+    means = np.stack([x.ravel(), y.ravel(), np.zeros(n)], axis=1)
+    scales = np.tile([0.2, 0.2, 0.004], (n, 1))
+    g = Gaussians(means, np.tile([1.0, 0, 0, 0], (n, 1)), scales, np.full(n, 0.2), np.zeros((n, 1, 3)))
+    rng = np.random.default_rng(0)
+    rays_o = rng.uniform(-1.0, 1.0, (300, 3)) + np.array([0.0, 0.0, 2.0])
+    rays_d = rng.uniform(-1.0, 1.0, (300, 3)) * [1.0, 1.0, 0.0] - rays_o
+    assert_same(tracer_of(g).contributions(rays_o, rays_d, search=search), brute_force_contributions(g, rays_o, rays_d))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("proxies", [7, 100, 1000])
+def test_parts_change_nothing(kind: str, proxies: int) -> None:
+    g = scene(kind)
+    rays_o, rays_d = rays(kind)
+    got = tracer_of(g).contributions_by_parts(rays_o, rays_d, proxies=proxies)
+    assert_same(got, brute_force_contributions(g, rays_o, rays_d))
+
+
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(KINDS), n=st.integers(2, 60))
 def test_contributions_equal_the_oracle_on_any_scene(seed: int, kind: str, n: int) -> None:
     g = scene(kind, seed, max(n, 10))

@@ -19,6 +19,7 @@ from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.report import Subject
 from gsvis.report.maps import CellMap
 from gsvis.report.pvs_document import pvs_document, still_growing, write_pvs_report
+from gsvis.report.pvs_page import describe_certificate
 from gsvis.scene.content import scene_hash
 from gsvis.scene.procedural import two_rooms
 
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
 PICTURES = {"map_visible", "visible", "viewpoints", "growth", "missing", "map_missing", "classes"}
 PICTURES |= {"worst_full", "worst_set", "worst_difference"}
-QUICK = QualityConfig(cells=3, viewpoints=2, size=16, dense=2, width=24, height=18)
+QUICK = QualityConfig(cells=3, viewpoints=2, size=16, dense=2, width=24, height=18, certify=100)
 
 
 class Outline(HTMLParser):
@@ -148,6 +149,9 @@ def test_figures_stand_beside_their_targets_and_worst_cells_have_places(
     assert f"cell {worst}{x:.2f}, {y:.2f}, {z:.2f}" in text
     assert "92 bytes a Gaussian" in text
     assert "16 x 16 pixels" in text
+    assert "300 random rays" in text
+    assert "at most 0.05%" in text
+    assert "at most 0.15%" in text
 
 
 def test_a_report_is_the_same_every_time(kept: tuple[VisibilityStore, Quality, Path], tmp_path: Path) -> None:
@@ -165,6 +169,18 @@ def test_one_cell_without_a_dense_union_and_without_a_known_build_still_makes_a_
     text = "".join(Outline((tmp_path / "out" / "report.html").read_text(encoding="utf-8")).words)
     assert "dense union" not in text
     assert "image from the set" in text
+
+
+def test_the_second_tracer_is_named_with_what_it_found() -> None:
+    found = {"rays": 16384, "error": 0.05, "missed": 0.0012, "bound": 0.0015, "heavy_rays": 0.02}
+    assert "miss 0.120% of the light; with 95% confidence the sets miss at most 0.150%" in describe_certificate(
+        {**found, "rays_traced_twice": 0}
+    )
+    assert "Open3D is not installed" in describe_certificate({**found, "rays_traced_twice": 0})
+    agreed = {**found, "rays_traced_twice": 128, "rays_agreeing": 128, "largest_difference": 0.0}
+    assert "agree on all of them" in describe_certificate(agreed)
+    differing = {**agreed, "rays_agreeing": 125, "largest_difference": 0.25}
+    assert "the tracers differ on 3, by at most 0.25 of a weight" in describe_certificate(differing)
 
 
 def test_nothing_is_written_when_writing_is_interrupted(

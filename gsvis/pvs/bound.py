@@ -1,0 +1,90 @@
+"""An upper confidence bound of a small share, from independent samples, valid at any time.
+
+The bound is found by betting. A player bets against the claim that the share is r. If the claim holds, the capital of
+the player is a martingale that starts at 1, so it ever reaches 1 / error with a probability of at most `error` (Ville's
+inequality). The bound is the least share at which the player has become that rich. This module knows no rays.
+
+References:
+    I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random variables by betting", Journal of the Royal
+    Statistical Society B 86 (2024), section 4; there for means, here for the ratio of two means.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+
+__all__ = ["STAKES", "upper_bound"]
+
+F64 = NDArray[np.float64]
+
+STAKES = ((0.95, 0.65), (0.5, 0.17), (0.2, 0.1), (0.07, 0.05), (0.02, 0.03))
+"""Stakes of the players, as a share of the largest possible stake, and the part of the first capital each gets.
+
+The largest stake is below 1, because a stake of 1 loses everything to one sample of 1."""
+
+_PRECISION = 1e-7  # of the bound, relative; it is rounded up
+
+
+def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float = 0.05) -> float:
+    """Return an upper confidence bound of the mean of `part` over the mean of `whole`.
+
+    Samples may be added, and the bound computed again, as often as wanted: the probability that any of these bounds
+    lies below the true ratio is at most `error`. The order of the samples does not matter.
+
+    For a claimed ratio r and a stake s in [0, 1], one sample multiplies the capital by
+    1 - s (part - r whole) / (1 - r). This is never negative, because part <= whole <= 1, and its mean is at most 1 if
+    the true ratio is r or more. The capital is the weighted mean over the players of `STAKES`. It grows with r.
+
+    Independent samples with different means are allowed if their number was fixed in advance. The bound is then that
+    of the ratio of the sums of the means, because a product of means with a sum of 0 in the logarithm is largest where
+    all are equal.
+
+    Args:
+        part: (n,) samples in [0, whole].
+        whole: (n,) samples in [0, 1] of the same draws; None means 1 for each, and bounds the mean of `part`.
+        error: Probability in (0, 1) that the bound is too low.
+
+    Returns:
+        The bound in [0, 1], never below the ratio of the sums. 1 without samples, or where `whole` is 0 everywhere.
+
+    Raises:
+        ValueError: If a value is out of range, or the lengths differ.
+
+    References:
+        Waudby-Smith and Ramdas, section 4. They choose each stake from the samples before it. Here several players
+        keep constant stakes, so the order of the samples does not matter.
+    """
+    parts = _check.floats("part", part, ("n",), np.float64)
+    wholes = np.ones(len(parts)) if whole is None else _check.floats("whole", whole, ("n",), np.float64)
+    _check.same_length(part=parts, whole=wholes)
+    if not 0.0 < error < 1.0:
+        raise ValueError(f"error: expected a probability in (0, 1), got {error!r}")
+    if len(parts) and (parts.min() < 0.0 or wholes.max() > 1.0 or (parts > wholes).any()):
+        raise ValueError("part: expected values in [0, whole] and whole in [0, 1], got others; clip them")
+    if not wholes.any():
+        return 1.0
+    wanted = -math.log(error)
+    low, high = float(min(1.0, parts.sum() / wholes.sum())), 1.0
+    step = 2.0 * wanted / float(wholes.sum())
+    while low + step < 1.0 and _log_capital(parts, wholes, low + step) < wanted:
+        low, step = low + step, 2.0 * step
+    high = min(1.0, low + step)
+    while high - low > _PRECISION * high:
+        middle = 0.5 * (low + high)
+        if _log_capital(parts, wholes, middle) < wanted:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _log_capital(parts: F64, wholes: F64, ratio: float) -> float:
+    """Return the logarithm of the capital of all players who bet that the true ratio is below `ratio`, in [0, 1)."""
+    gains = (parts - ratio * wholes) / (1.0 - ratio)
+    logs = [math.log(share) + float(np.log1p(-stake * gains).sum()) for stake, share in STAKES]
+    return float(np.logaddexp.reduce(logs))

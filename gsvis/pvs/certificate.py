@@ -1,0 +1,317 @@
+"""Certify a visible set by rays: bound the share of light that it misses, from rays that its build never used.
+
+Rays start at free points of a cell that lie in nothing solid, drawn afresh, and run in uniform directions. The missed
+light is the weight of Gaussians outside the set over the weight of all Gaussians, both in the mean over such rays.
+Scene frame and units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import BackendError
+from gsvis.pvs.bound import upper_bound
+from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.raycast import TAU, Contributions, Tracer
+from gsvis.scene.solid import Solid
+
+__all__ = ["HEAVY", "Certificate", "CertificateConfig", "Certifier", "CrossCheck", "compare", "cross_check"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+HEAVY = 0.01
+"""Weight from which a ray counts as one that misses much."""
+
+_RAYS = 3  # random stream of a cell; see `quality.py` for the others
+_TRIES = 32  # draws of origins until enough lie outside everything solid
+_SAME = 1e-5  # largest difference of a weight between two tracers that agree
+_DIRECTION_BITS = 3  # bits of each coordinate of a direction in the order of tracing
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateConfig:
+    """Options of a certificate.
+
+    Attributes:
+        limit: Rounds end when the bound is at most this share. 0 uses all rays.
+        rays: Most rays of a cell.
+        round_rays: Rays of a round.
+        error: Probability in (0, 1) that the bound is too low.
+        checked: Rays of a cell that `cross_check` traces a second time; 0 for none.
+        worst: Number of rays that are kept because they miss most.
+        tau: Weight from which a missed Gaussian is listed.
+        seed: Random seed of the rays.
+    """
+
+    limit: float = 0.0015
+    rays: int = 8192
+    round_rays: int = 2048
+    error: float = 0.05
+    checked: int = 64
+    worst: int = 16
+    tau: float = TAU
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("rays", "round_rays"):
+            _check.positive_int(name, getattr(self, name))
+        for name in ("checked", "worst", "seed"):
+            _check.positive_int(name, getattr(self, name), at_least=0)
+        for name, low, high in (("limit", 0.0, 1.0), ("error", 1e-12, 0.5), ("tau", 1e-6, 0.5)):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name}: expected a value in [{low:g}, {high:g}], got {getattr(self, name)!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """The light that the set of one cell misses, by R random rays.
+
+    Attributes:
+        cell: Number of the cell.
+        error: Probability that the bound is too low.
+        rounds: Rounds of rays.
+        bound: Upper confidence bound of the missed light; see `upper_bound`.
+        missed_weights: (R,) weight that the set misses on each ray.
+        weights: (R,) weight of all Gaussians on each ray.
+        worst_o: (W, 3) origins of the rays that miss most, most first; rays that miss nothing are left out.
+        worst_d: (W, 3) unit directions of these rays.
+        worst_missed: (W,) weight that the set misses on them.
+        ids: (M,) missed Gaussians that have a weight of at least tau on some ray, ascending.
+        id_weights: (M,) their largest weights.
+        checked_o: (K, 3) origins of the rays for `cross_check`.
+        checked_d: (K, 3) their unit directions.
+    """
+
+    cell: int
+    error: float
+    rounds: int
+    bound: float
+    missed_weights: F64
+    weights: F64
+    worst_o: F64
+    worst_d: F64
+    worst_missed: F64
+    ids: I64
+    id_weights: F32
+    checked_o: F64
+    checked_d: F64
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def __repr__(self) -> str:
+        return f"Certificate(cell {self.cell}: {self.missed:.4%} missed, at most {self.bound:.4%}, {len(self):,} rays)"
+
+    @property
+    def missed(self) -> float:
+        """Estimated share of the light that the set misses; 0 where no ray meets anything."""
+        whole = float(self.weights.sum())
+        return float(self.missed_weights.sum()) / whole if whole else 0.0
+
+    @property
+    def heavy(self) -> float:
+        """Share of the rays that miss a weight of more than a hundredth."""
+        return float(np.mean(self.missed_weights > HEAVY))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures and the worst ray as plain numbers and lists for JSON."""
+        worst = None
+        if len(self.worst_o):
+            worst = {
+                "origin": self.worst_o[0].tolist(),
+                "direction": self.worst_d[0].tolist(),
+                "missed": float(self.worst_missed[0]),
+            }
+        return {
+            "rays": len(self),
+            "missed": self.missed,
+            "bound": self.bound,
+            "heavy_rays": self.heavy,
+            "missed_gaussians": len(self.ids),
+            "worst_ray": worst,
+        }
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """Rays traced by two tracers.
+
+    Attributes:
+        rays: Number of rays compared.
+        agreeing: Rays on which both tracers list the same Gaussians in the same order, with equal weights.
+        largest_difference: Largest difference of the weight of one Gaussian on one ray.
+    """
+
+    rays: int
+    agreeing: int
+    largest_difference: float
+
+
+class Certifier:
+    """A scene prepared for certificates.
+
+    Args:
+        tracer: The scene, N Gaussians.
+        viewpoints: Where eyes may be in the cells.
+    """
+
+    def __init__(self, tracer: Tracer, viewpoints: CellViewpoints) -> None:
+        self.tracer, self.viewpoints = tracer, viewpoints
+        self._solid = Solid.from_scene(tracer.proxies.gaussians)
+
+    def certify(
+        self, cell: int, ids: ArrayLike, config: CertificateConfig | None = None, *, stage: int = 0
+    ) -> Certificate | None:
+        """Bound the light that the set of a cell misses, by rounds of fresh rays.
+
+        The rays depend on the seed, the cell, the stage and the round, on nothing else. The bound holds for a set that
+        was chosen without these rays. So a set to which a certificate's findings were added needs another stage.
+
+        Args:
+            cell: Number of the cell.
+            ids: (V,) Gaussians of the set.
+            config: Options; None means `CertificateConfig()`.
+            stage: Names the rays: another stage draws other rays.
+
+        Returns:
+            The certificate; None if too few points of the cell lie outside everything solid.
+
+        Raises:
+            ValueError: If there is no such cell, or an id is out of range.
+        """
+        config = config or CertificateConfig()
+        missing = np.ones(len(self.tracer.proxies.gaussians), bool)
+        missing[self.tracer.check_ids(ids)] = False
+        cell = self.viewpoints.grid.checked(cell)
+        rounds: list[_Round] = []
+        drawn, bound = 0, 1.0
+        while drawn < config.rays and (not rounds or bound > config.limit):
+            count = min(config.round_rays, config.rays - drawn)
+            rng = np.random.default_rng([config.seed, cell, _RAYS, stage, len(rounds)])
+            origins = self._origins(cell, count, rng)
+            if origins is None:
+                return None
+            rounds.append(_trace_round(self.tracer, missing, origins, _directions(count, rng)))
+            drawn += count
+            missed = np.concatenate([each.missed for each in rounds])
+            weights = np.concatenate([each.weights for each in rounds])
+            bound = upper_bound(missed, weights, error=config.error)
+        return _summarize(rounds, cell, bound, config)
+
+    def _origins(self, cell: int, count: int, rng: np.random.Generator) -> F64 | None:
+        """Return (count, 3) free points of a cell outside everything solid; None if too few are found."""
+        found = np.zeros((0, 3))
+        for _ in range(_TRIES):
+            points = self.viewpoints.draw(cell, count, rng)
+            found = np.concatenate([found, points[~self._solid.buries(points)]])
+            if len(found) >= count:
+                return found[:count]
+        return None
+
+
+def cross_check(tracer: Tracer, rays_o: ArrayLike, rays_d: ArrayLike) -> CrossCheck | None:
+    """Trace rays a second time, through the proxy meshes by Open3D's Embree, and compare.
+
+    The search for Gaussians is another program on other shapes. The alpha of those found is computed by the same code.
+
+    Args:
+        tracer: The scene.
+        rays_o: (R, 3) origins.
+        rays_d: (R, 3) directions.
+
+    Returns:
+        How many rays agree; None if the engine of the tracer is not Open3D, or Open3D cannot be loaded.
+    """
+    if tracer.engine != "open3d":
+        return None
+    try:
+        twin = tracer.contributions_by_parts(rays_o, rays_d)
+    except BackendError:
+        return None
+    return compare(tracer.contributions(rays_o, rays_d), twin, len(tracer.proxies.gaussians))
+
+
+def compare(one: Contributions, other: Contributions, gaussians: int) -> CrossCheck:
+    """Compare what two tracers found on the same R rays of a scene of N Gaussians."""
+    keys = [each.ray_ids * gaussians + each.gaussian_ids for each in (one, other)]
+    together, place = np.unique(np.concatenate(keys), return_inverse=True)
+    values = np.zeros((2, len(together)))
+    values[0, place[: len(keys[0])]] = one.weights
+    values[1, place[len(keys[0]) :]] = other.weights
+    apart = np.abs(values[0] - values[1])
+    differs = np.zeros(len(one), bool)
+    differs[together[apart > _SAME] // gaussians] = True
+    counts = np.diff(one.ray_offsets), np.diff(other.ray_offsets)
+    differs |= counts[0] != counts[1]
+    # Where all counts are equal up to a ray, the rows line up; compare the order of those rays alone.
+    same = ~differs
+    rows = [np.repeat(same, count) for count in counts]
+    unequal = keys[0][rows[0]] != keys[1][rows[1]]
+    differs[keys[0][rows[0]][unequal] // gaussians] = True
+    return CrossCheck(len(one), int(np.count_nonzero(~differs)), float(apart.max(initial=0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """R rays of one round, with the K hits of Gaussians that the set misses."""
+
+    origins: F64
+    directions: F64
+    missed: F64  # (R,)
+    weights: F64  # (R,)
+    hit_ids: I64  # (K,)
+    hit_weights: F32  # (K,)
+
+
+def _directions(count: int, rng: np.random.Generator) -> F64:
+    """Return (count, 3) unit vectors, uniform over the sphere."""
+    vectors = rng.normal(size=(count, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _trace_round(tracer: Tracer, missing: NDArray[np.bool_], origins: F64, directions: F64) -> _Round:
+    """Trace rays; `missing` (N,) names the Gaussians outside the set."""
+    count = len(origins)
+    coarse = ((directions + 1.0) * 2 ** (_DIRECTION_BITS - 1)).astype(np.int64)
+    order = np.lexsort(coarse.T)  # neighbors in sequence look the same way: their paths share memory
+    hits = tracer.contributions(origins[order], directions[order])
+    lost = missing[hits.gaussian_ids]
+    rows = order[hits.ray_ids]
+    weights = np.minimum(np.bincount(rows, hits.weights, count), 1.0)
+    missed = np.minimum(np.bincount(rows[lost], hits.weights[lost], count), weights)
+    return _Round(origins, directions, missed, weights, hits.gaussian_ids[lost], hits.weights[lost])
+
+
+def _summarize(rounds: list[_Round], cell: int, bound: float, config: CertificateConfig) -> Certificate:
+    origins, directions, missed, weights, hit_ids, hit_weights = (
+        np.concatenate([getattr(each, name) for each in rounds]) for name in _Round.__dataclass_fields__
+    )
+    worst = np.argsort(-missed, kind="stable")[: config.worst]
+    worst = worst[missed[worst] > 0.0]
+    ids, place = np.unique(hit_ids, return_inverse=True)
+    largest = np.zeros(len(ids), np.float32)
+    np.maximum.at(largest, place, hit_weights)
+    listed = largest >= np.float32(config.tau)
+    checked = slice(0, config.checked)
+    return Certificate(
+        cell=cell,
+        error=config.error,
+        rounds=len(rounds),
+        bound=bound,
+        missed_weights=missed,
+        weights=weights,
+        worst_o=origins[worst],
+        worst_d=directions[worst],
+        worst_missed=missed[worst],
+        ids=ids[listed],
+        id_weights=largest[listed],
+        checked_o=origins[checked],
+        checked_d=directions[checked],
+    )
