@@ -405,12 +405,12 @@ class Guard(asyncio.Protocol):
             asyncio.get_running_loop().call_soon(self._feed_slice)
 
     def _feed_slice(self) -> None:
-        if self._is_over or self.is_cut:
+        if self._has_ended():
             return
         data = bytes(self._buffer[:_SLICE])
         del self._buffer[:_SLICE]
         self._hand_over(data)
-        if self._is_over or self.is_cut:
+        if self._has_ended():
             return
         if self._buffer:
             asyncio.get_running_loop().call_soon(self._feed_slice)
@@ -418,6 +418,9 @@ class Guard(asyncio.Protocol):
         self._is_feeding = False
         if not self._is_held:
             self._transport.resume_reading()
+
+    def _has_ended(self) -> bool:
+        return self._is_over or self.is_cut
 
     def _hand_over(self, data: bytes) -> None:
         inner = self._inner
