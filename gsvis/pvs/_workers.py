@@ -36,7 +36,7 @@ from gsvis.files.output import output_errors
 from gsvis.pvs._journal import pack_view
 from gsvis.pvs.cell_view import CellView, see_cell
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.levels import joined
+from gsvis.pvs.levels import join_levels
 from gsvis.pvs.look import Look
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels, level_scenes
@@ -123,7 +123,7 @@ class SceneArrays:
         """Return the view of a cell with these viewpoints (V, 3); each level is looked at alone."""
         looks = self.looks()
         views = [see_cell(look, viewpoints, self.config) for look, _ in looks]
-        return joined(views, [ids for _, ids in looks], 1 + max(int(ids[-1]) for _, ids in looks))
+        return join_levels(views, [ids for _, ids in looks], 1 + max(int(ids[-1]) for _, ids in looks))
 
 
 @dataclass(frozen=True, eq=False)

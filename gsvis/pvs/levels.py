@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from gsvis.pvs.cell_view import CellView
 from gsvis.raycast.directions import NUM_FACES
 
-__all__ = ["joined"]
+__all__ = ["join_levels"]
 
 I64 = NDArray[np.int64]
 
 
-def joined(views: Sequence[CellView], ids: Sequence[I64], count: int) -> CellView:
+def join_levels(views: Sequence[CellView], ids: Sequence[I64], count: int) -> CellView:
     """Return the view of a cell on the union of levels.
 
     Args:

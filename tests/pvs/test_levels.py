@@ -17,7 +17,7 @@ from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.levels import joined
+from gsvis.pvs.levels import join_levels
 from gsvis.pvs.store import VisibilityStore
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import trace_directions
@@ -209,10 +209,10 @@ def test_views_are_joined_by_the_larger_class() -> None:
     row[:, 0] = 1, 2
     one = CellView(np.array([0, 1], np.int32), np.array([2, 0], np.uint8), row, 6, 0.5)
     other = CellView(np.array([1, 2], np.int32), np.array([1, 3], np.uint8), row, 4, 0.9)
-    view = joined([one, other], [np.array([0, 3, 5]), np.array([1, 3, 4])], 6)
+    view = join_levels([one, other], [np.array([0, 3, 5]), np.array([1, 3, 4])], 6)
     assert view.ids.tolist() == [0, 3, 4]
     assert view.classes.tolist() == [2, 1, 3]
     assert view.directions[:, 0].tolist() == [1, 3, 2]
     assert (view.viewpoints, view.growth) == (6, 0.5)
-    assert joined([one], [np.arange(3)], 3) is one
+    assert join_levels([one], [np.arange(3)], 3) is one
     assert len(as_levels(setting()[0].union)) == 1
