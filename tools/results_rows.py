@@ -60,7 +60,7 @@ SECTIONS = (
             ),
             Row(
                 "How long does the suite take on two quiet cores?",
-                ours="14:56, cold, with the other two cores busy",
+                ours="8:03, 6,437 tests, kernels partly compiled",
                 target="≤ 6:00",
                 verdict="missed",
             ),
@@ -288,9 +288,9 @@ SECTIONS = (
             Row(
                 "How long does one look take, against the code of 0.2.0, and what does a second thread bring?",
                 ("look: a look over a look before, one thread", "look: a look: one thread over two"),
-                ours="{0:.2f} of its time; a second thread {1:.2f} times",
+                ours="{0:.2f} of its time; a second thread {1:.2f} times, 1.08 beside other work",
                 target="≥ 1.7 times with two threads",
-                verdict="missed",
+                verdict="reached on a quiet machine",
             ),
             Row(
                 "How small is the store?",
