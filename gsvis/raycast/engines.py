@@ -41,7 +41,8 @@ class Open3dEngine:
     """Use Embree through Open3D's RaycastingScene, on all cores.
 
     Open3D 0.20 lists no hit that has the distance of the hit before it in the same geometry. So bodies that touch, such
-    as discs of one wall, are dealt out to many geometries.
+    as discs of one wall, are dealt out to many geometries. Two that touch share one by chance, once in 1,024: on
+    `two_rooms` 1 of 20,000 rays still loses a hit, of weight 0.0005.
 
     Args:
         vertices: (M * V, 3) vertices of M bodies.

@@ -10,7 +10,7 @@ from gsvis._kernels.faces import face_of
 
 @njit(cache=True, nogil=True)
 def add_viewpoint(ids, weights, tau, means, viewpoint, centers, planes, best, sets):
-    """Add what one viewpoint sees to best (N,) and to the direction sets (N, 10); return how many Gaussians are new."""
+    """Add the Gaussians that a viewpoint sees to best (N,) and the direction sets (N, 10); return how many are new."""
     new = 0
     for k in range(len(ids)):
         weight = weights[k]
