@@ -239,14 +239,16 @@ class Pvs:
     """Axis that points upwards in the scene, such as -y."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], PLAIN] = "hybrid"
     """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
-    size: Annotated[int | None, FACE_PIXELS, hint("320")] = None
+    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
     """Pixels or rays along a side of the six faces around a viewpoint."""
     tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""
-    growth: Annotated[float | None, SHARE, hint("0.01")] = None
-    """A cell is finished when two viewpoints in a row grow its set by at most this share."""
-    max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
-    """Largest number of viewpoints in a cell."""
+    limit: Annotated[float | None, SHARE, hint("0.0015")] = None
+    """A cell is finished when rays prove that its set misses at most this share of the light."""
+    rays: Annotated[int | None, COUNTED, hint("8192")] = None
+    """Largest number of rays in one certificate of a cell."""
+    max_inner: Annotated[int | None, COUNTED, hint("16")] = None
+    """Largest number of times that a set is mended and certified again."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
     """Number of processes; fewer if --max-memory requires it."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None

@@ -19,6 +19,7 @@ from gsvis.cli.readers import (
     NAMES,
     PLAIN,
     SH_DEGREE,
+    SHARE,
     SHARES,
     SHARES_OR_NONE,
     SIZE,
@@ -64,10 +65,12 @@ class Prepare:
     """Side of a cell, scene units."""
     box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
     """Restrict viewpoints to this box, in the frame of SCENE."""
-    face_size: Annotated[int | None, FACE_PIXELS, hint("320")] = None
+    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
     """Pixels along a side of the six faces around a viewpoint of a cell."""
-    max_viewpoints: Annotated[int | None, COUNTED, hint("24")] = None
-    """Largest number of viewpoints in a cell."""
+    limit: Annotated[float | None, SHARE, hint("0.0015")] = None
+    """The set of a cell is finished when rays prove that it misses at most this share of the light."""
+    max_inner: Annotated[int | None, COUNTED, hint("16")] = None
+    """Largest number of times that a set is mended and certified again."""
     variant: Annotated[Literal["rgb", "hsl"], PLAIN] = "rgb"
     """How colors are split. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("8")] = None

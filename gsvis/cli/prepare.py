@@ -118,7 +118,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         level_size=command.size,
         cells=command.cells or PrepareConfig.cells,
         cell_size=command.cell_size,
-        sets=sets_config(command.face_size, command.max_viewpoints),
+        sets=sets_config(size=command.face_size, limit=command.limit, max_inner=command.max_inner),
         colors=ColorConfig(fit_config(command), ViewSampling(seed=command.seed)),
         epsilon=command.epsilon or PrepareConfig.epsilon,
         epsilon_from="given" if command.epsilon else PrepareConfig.epsilon_from,

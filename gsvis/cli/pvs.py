@@ -28,16 +28,19 @@ from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import open_regular
 from gsvis.io.poses import load_path
-from gsvis.pvs.build import Estimate, Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.estimate import Estimate, estimate_pvs
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.stored_certificates import StoredCertificates
+from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash
 from gsvis.scene.corridor import corridor
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
-__all__ = ["local_workers", "run_pvs", "sets_config"]
+__all__ = ["local_workers", "run_pvs", "sets_config", "spell_certificates"]
 
 _CELLS = 512
 
@@ -100,17 +103,13 @@ def _check_arguments(command: Pvs) -> PvsConfig:
         from gsvis.pvs.cluster import check_address
 
         check_address(command.scheduler)
-    more = {} if command.growth is None else {"growth": command.growth}
-    return sets_config(command.size, command.max_viewpoints, method=command.method, tau=command.tau, **more)
+    names = ("method", "tau", "size", "limit", "rays", "max_inner")
+    return sets_config(**{name: getattr(command, name) for name in names})
 
 
-def sets_config(size: int | None, max_viewpoints: int | None, **more: Any) -> PvsConfig:
+def sets_config(**given: Any) -> PvsConfig:
     """Return how to find visible sets; an argument of None takes its default."""
-    chosen: dict[str, Any] = {
-        name: n for name, n in (("size", size), ("max_viewpoints", max_viewpoints)) if n is not None
-    }
-    least = min(PvsConfig.min_viewpoints, max_viewpoints or PvsConfig.min_viewpoints)
-    return PvsConfig(min_viewpoints=least, **chosen, **more)
+    return PvsConfig(**{name: value for name, value in given.items() if value is not None})
 
 
 def _check_target(command: Pvs) -> None:
@@ -198,23 +197,22 @@ def _space(command: Pvs, source: Source, walk: HeadPath | None) -> tuple[Navigab
 
 
 def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> VisibilityStore:
-    kept = 0
+    kept: dict[str, tuple[int, int]] = {}
 
     def progress(stage: str, done: int, total: int) -> None:
-        nonlocal kept
-        kept = done if stage == "cells" else kept
+        if stage in ("viewpoints", "cells"):
+            kept[stage] = done, total
         status(stage, done, total)
 
     g, report = plan.source.whole, progress
     try:
         return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=report)
     except KeyboardInterrupt:
-        if not kept:
+        if not any(done for done, _ in kept.values()):
             raise
         folder = journal_of(g, plan.grid, plan.space, command.out, plan.config)
-        raise KeyboardInterrupt(
-            f"{kept:,} of {len(plan.grid):,} cells are kept in {folder.name}; run the same command to resume"
-        ) from None
+        held = " and ".join(f"{done:,} of {total:,} {stage}" for stage, (done, total) in kept.items())
+        raise KeyboardInterrupt(f"{held} are kept in {folder.name}; run the same command to resume") from None
 
 
 def _about(plan: _Plan) -> dict[str, Any]:
@@ -243,9 +241,9 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
 
 def _tell_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
     if command.json:
-        print_json({"format": "gsvis-pvs-estimate", "version": 1, **_about(plan), "estimate": asdict(estimate)})
+        print_json({"format": "gsvis-pvs-estimate", "version": 2, **_about(plan), "estimate": asdict(estimate)})
         return
-    rows = [*_rows(plan), ("workers", f"{estimate.workers:,}")]
+    rows = [*_rows(plan), ("shared viewpoints", f"{estimate.viewpoints:,}"), ("workers", f"{estimate.workers:,}")]
     if estimate.finished:
         rows.append(("found earlier", f"{estimate.finished:,} cells of an interrupted build, which would resume"))
     rows += [
@@ -256,11 +254,29 @@ def _tell_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
     show(facts(f"{plan.source.name}: what it would cost", rows), *plan.remarks, " Nothing was written.")
 
 
+def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[str, str]]:
+    """Return rows on what the sets of a store miss, and on the rays that two tracers agree on."""
+    known = certified.known
+    if not known.any():
+        return [("light missed", "not certified: the store is of an older version")]
+    missed, bound = certified.missed[known], certified.bound[known]
+    rows = [
+        ("light missed", f"{missed.mean():.3%} on average, {missed.max():.3%} in the worst cell, by fresh rays"),
+        ("proven to miss", f"at most {bound.max():.3%} in any cell, with 95% confidence each"),
+        ("rays", f"{int(certified.rays.sum()):,} certified the sets"),
+    ]
+    agree = "not compared: Open3D is not installed"
+    if isinstance(twice, dict):
+        agree = f"on {twice['agreeing']:,} of {twice['rays']:,} rays, ids and weights"
+    return [*rows, ("two tracers agree", agree)]
+
+
 def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
     n, cells, sizes = store.gaussians, len(store), store.sizes()
-    shares, viewpoints = store.visible_counts / n, store.viewpoints
+    shares, viewpoints, certified = store.visible_counts / n, store.viewpoints, store.certificates
     blind = int(np.count_nonzero(viewpoints == 0))
-    unfinished = int(np.count_nonzero((viewpoints >= plan.config.max_viewpoints) & (store.growth > plan.config.growth)))
+    above = int(np.count_nonzero(certified.bound > plan.config.limit))
+    twice = store.info.config.get("traced_twice")
     ever = len(store.ever_visible()) / n
     if command.json:
         spread = {"mean": float(shares.mean()), "min": float(shares.min()), "max": float(shares.max())}
@@ -268,14 +284,16 @@ def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: flo
         print_json(
             {
                 "format": "gsvis-pvs",
-                "version": 1,
+                "version": 2,
                 **_about(plan),
                 "out": command.out,
                 "cells": cells,
                 "visible_share": spread,
                 "ever_visible_share": ever,
                 "viewpoints": {**looked, "total": int(viewpoints.sum())},
-                "cells_still_growing": unfinished,
+                "certificates": certified.as_dict(),
+                "cells_above_limit": above,
+                "traced_twice": twice,
                 "cells_without_a_free_viewpoint": blind,
                 "bytes": sizes["file"],
                 "bits_per_visible": sizes["bits_per_pair"],
@@ -289,6 +307,7 @@ def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: flo
         ("visible from a cell", f"{shares.mean():.1%} of all; {shares.min():.1%} to {shares.max():.1%}"),
         ("visible from any cell", f"{ever:.1%}"),
         ("viewpoints a cell", f"{viewpoints.mean():.1f} on average; {viewpoints.min()} to {viewpoints.max()}"),
+        *spell_certificates(certified, twice),
         (
             "bits a visible Gaussian",
             f"{sizes['bits_per_pair']:.2f}, and {sizes['class_bits_per_pair']:.2f} for its weight class",
@@ -297,10 +316,10 @@ def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: flo
         ("time", clock(seconds)),
     ]
     remarks = list(plan.remarks)
-    if unfinished:
+    if above:
         remarks.append(
-            f" {unfinished:,} of {cells:,} cells were still growing by more than {plan.config.growth:.1%} at their last"
-            " viewpoint: smaller cells or a larger --max-viewpoints find more."
+            f" {above:,} of {cells:,} cells are not proven to miss at most {plan.config.limit:.2%} of the light: a"
+            " larger --max-inner, --rays or --size finds more."
         )
     if blind:
         remarks.append(f" {blind:,} cells have no viewpoint outside something solid; their sets are empty.")

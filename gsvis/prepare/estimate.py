@@ -21,8 +21,9 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import stages_of
 from gsvis.prepare.stages import Stages
 from gsvis.progress import Progress, silent
-from gsvis.pvs.build import Workers, estimate_pvs
+from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.workers import Workers
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

@@ -25,8 +25,8 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
-from gsvis.pvs.build import Workers
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.workers import Workers
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

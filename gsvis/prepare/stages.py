@@ -36,9 +36,10 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
-from gsvis.pvs.build import Workers, build_pvs
+from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

@@ -14,17 +14,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gsvis.pvs.bound import upper_bound
-    from gsvis.pvs.build import Estimate, Workers, build_pvs, estimate_pvs
+    from gsvis.pvs.bound import staged_bound, upper_bound
+    from gsvis.pvs.build import build_pvs
     from gsvis.pvs.cells import CellGrid
     from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier, CrossCheck, cross_check
     from gsvis.pvs.cluster import connect
     from gsvis.pvs.config import PvsConfig
+    from gsvis.pvs.estimate import Estimate, estimate_pvs
     from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
     from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
-    from gsvis.pvs.viewpoints import CellViewpoints
+    from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels, SharedViewpoints
     from gsvis.pvs.walk import WalkConfig, WalkVisibility, measure_walk
     from gsvis.pvs.why import Why
+    from gsvis.pvs.workers import Workers
 
 __all__ = [
     "CellGrid",
@@ -35,9 +37,11 @@ __all__ = [
     "Certifier",
     "CrossCheck",
     "Estimate",
+    "FreeVoxels",
     "PvsConfig",
     "Quality",
     "QualityConfig",
+    "SharedViewpoints",
     "StoreInfo",
     "VisibilityStore",
     "WalkConfig",
@@ -50,18 +54,17 @@ __all__ = [
     "estimate_pvs",
     "measure_quality",
     "measure_walk",
+    "staged_bound",
     "upper_bound",
     "write_store",
 ]
 
 _HOMES = {
-    "bound": ("upper_bound",),
-    "build": (
-        "Estimate",
-        "Workers",
-        "build_pvs",
-        "estimate_pvs",
+    "bound": (
+        "staged_bound",
+        "upper_bound",
     ),
+    "build": ("build_pvs",),
     "cells": ("CellGrid",),
     "certificate": (
         "Certificate",
@@ -72,6 +75,10 @@ _HOMES = {
     ),
     "cluster": ("connect",),
     "config": ("PvsConfig",),
+    "estimate": (
+        "Estimate",
+        "estimate_pvs",
+    ),
     "quality": (
         "Quality",
         "QualityConfig",
@@ -83,13 +90,18 @@ _HOMES = {
         "VisibilityStore",
         "write_store",
     ),
-    "viewpoints": ("CellViewpoints",),
+    "viewpoints": (
+        "CellViewpoints",
+        "FreeVoxels",
+        "SharedViewpoints",
+    ),
     "walk": (
         "WalkConfig",
         "WalkVisibility",
         "measure_walk",
     ),
     "why": ("Why",),
+    "workers": ("Workers",),
 }
 
 

@@ -1,7 +1,7 @@
-"""Workers that find the sets of cells: this process, processes of this machine, or any executor (a Dask cluster).
+"""Workers that look from viewpoints and find sets: this process, processes of this machine, or any executor (Dask).
 
-A task is a few numbers; its result is packed bytes. The scene is sent once to each worker. If a worker dies, its tasks
-are submitted again. The result of a task does not depend on the worker or on the time.
+A task is a viewpoint, or a cell with what its viewpoints see; its result is packed bytes. The scene is sent once to
+each worker. If a worker dies, its tasks are submitted again. A result does not depend on the worker or on the time.
 """
 
 from __future__ import annotations
@@ -33,37 +33,35 @@ from numpy.typing import NDArray
 from gsvis.errors import GsvisError
 from gsvis.files.cache import Cache
 from gsvis.files.output import output_errors
-from gsvis.pvs._journal import pack_view
-from gsvis.pvs.cell_view import CellView, see_cell
+from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
+from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.levels import join_levels
-from gsvis.pvs.look import Look
+from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.levels import Levels, level_scenes
+from gsvis.scene.levels import Levels
 
 __all__ = [
+    "CellTask",
     "SceneArrays",
     "Task",
+    "ViewpointTask",
     "forget_scene",
+    "perform",
     "run_here",
     "run_in_processes",
     "run_on",
-    "see",
     "use_threads",
 ]
 
 Result = tuple[int, bytes]
-"""A cell and its packed view."""
-
-Looks = list[tuple[Look, NDArray[np.int64]]]
-"""For each level of a scene: a prepared `Look`, and the ids of its Gaussians in the union."""
+"""The number of a task and its packed result."""
 
 # shN does not change what is visible.
 _SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
 _MEMBERSHIP = ("first", "last")  # first and last level of each Gaussian
-_RESTARTS = 3  # consecutive restarts without a finished cell
+_RESTARTS = 3  # consecutive restarts without a finished task
 
-_ready: Cache[Looks] = Cache(max_items=1)  # the last scene and configuration of this process
+_ready: Cache[Finder] = Cache(max_items=1)  # the last scene and configuration of this process
 _one_at_a_time = threading.Lock()  # kernels must not run from two threads under numba's default threading layer
 _threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 
@@ -104,34 +102,62 @@ class SceneArrays:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def looks(self) -> Looks:
+    def finder(self) -> Finder:
         """Return the prepared levels; cached until another scene or configuration is asked for."""
-        looks = _ready.find(self.key)
-        if looks is None:
+        finder = _ready.find(self.key)
+        if finder is None:
             _ready.clear()
-            source, config = self.source, self.config
+            source = self.source
             if isinstance(source, Path):
                 source = _map(source)
             first, last = (source[name] for name in _MEMBERSHIP)
             union = Gaussians(**{name: source[name] for name in _SHAPES})
             levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
-            looks = [(Look(g, config.method, config.size, config.tau), ids) for g, ids in level_scenes(levels)]
-            _ready.keep(self.key, looks)
-        return looks
-
-    def view(self, viewpoints: NDArray[np.float64]) -> CellView:
-        """Return the view of a cell with these viewpoints (V, 3); each level is looked at alone."""
-        looks = self.looks()
-        views = [see_cell(look, viewpoints, self.config) for look, _ in looks]
-        return join_levels(views, [ids for _, ids in looks], 1 + max(int(ids[-1]) for _, ids in looks))
+            finder = Finder(levels, self.config)
+            _ready.keep(self.key, finder)
+        return finder
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """One cell to look from: its number and its viewpoints (V, 3)."""
+class ViewpointTask:
+    """A viewpoint (3,) to look from, and its number."""
 
-    cell: int
-    viewpoints: Any
+    number: int
+    viewpoint: Any
+
+    def perform(self, finder: Finder) -> bytes:
+        """Return the packed sighting."""
+        return pack_sighting(finder.look(np.asarray(self.viewpoint)))
+
+
+@dataclass(frozen=True, eq=False)
+class CellTask:
+    """A cell whose set is to be found.
+
+    Attributes:
+        number: Number of the cell.
+        voxels: Its free voxels.
+        sightings: Packed sightings of its viewpoints; or a function that reads them when the task is given out.
+    """
+
+    number: int
+    voxels: FreeVoxels
+    sightings: list[bytes] | Callable[[], list[bytes]]
+
+    def filled(self) -> CellTask:
+        """Return the task with its sightings, so that it can be sent."""
+        if isinstance(self.sightings, list):
+            return self
+        return CellTask(self.number, self.voxels, self.sightings())
+
+    def perform(self, finder: Finder) -> bytes:
+        """Return the packed view of the cell."""
+        sightings = self.sightings if isinstance(self.sightings, list) else self.sightings()
+        found = [unpack_sighting(data, len(finder.levels.union)) for data in sightings]
+        return pack_view(finder.find_cell(self.voxels, [each for each in found if each is not None]))
+
+
+Task = ViewpointTask | CellTask
 
 
 def _map(folder: Path) -> dict[str, NDArray[Any]]:
@@ -140,12 +166,12 @@ def _map(folder: Path) -> dict[str, NDArray[Any]]:
     return {name: array.reshape(_SHAPES.get(name, (-1,))) for name, array in arrays.items()}
 
 
-def see(scene: SceneArrays, task: Task) -> bytes:
-    """Run one task and return its packed view; called in the worker."""
+def perform(scene: SceneArrays, task: Task) -> bytes:
+    """Run one task and return its packed result; called in the worker."""
     with _one_at_a_time:
         if _threads:
             set_num_threads(min(_threads[0], get_num_threads()))
-        return pack_view(scene.view(task.viewpoints))
+        return task.perform(scene.finder())
 
 
 def use_threads(count: int | None) -> None:
@@ -159,12 +185,9 @@ def forget_scene() -> None:
 
 
 def run_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
-    """Yield the results of the tasks, computed one by one in this process."""
-    try:
-        for task in tasks:
-            yield task.cell, see(scene, task)
-    finally:
-        forget_scene()
+    """Yield the results of the tasks, computed one by one in this process; `forget_scene` afterward."""
+    for task in tasks:
+        yield task.number, perform(scene, task)
 
 
 def run_on(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
@@ -203,14 +226,14 @@ def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Ite
 def _until_done(
     tasks: list[Task], attempt: Callable[[list[Task]], Iterator[Result]], lost: type[Exception], message: str
 ) -> Iterator[Result]:
-    missing = {task.cell: task for task in tasks}
+    missing = {task.number: task for task in tasks}
     failures = 0
     while missing:
         before = len(missing)
         try:
-            for cell, data in attempt(list(missing.values())):
-                del missing[cell]
-                yield cell, data
+            for number, data in attempt(list(missing.values())):
+                del missing[number]
+                yield number, data
         except lost as error:
             failures = 0 if len(missing) < before else failures + 1
             if failures > _RESTARTS:
@@ -223,7 +246,8 @@ def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: in
     try:
         while True:
             for task in left:
-                waiting[executor.submit(see, scene, task)] = task
+                sent = task.filled() if isinstance(task, CellTask) else task
+                waiting[executor.submit(perform, scene, sent)] = task
                 if len(waiting) >= in_flight:
                     break
             if not waiting:
@@ -231,7 +255,7 @@ def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: in
             # Yield finished tasks before lost ones: the set has no order, and a lost task ends this attempt.
             for future in sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=_is_lost):
                 task = waiting.pop(future)
-                yield task.cell, future.result()
+                yield task.number, future.result()
     finally:
         for future in waiting:
             future.cancel()

@@ -27,6 +27,7 @@ from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.stored_certificates import CERTIFIED_ROW
 
 __all__ = ["CELL_ROW", "FILE_KIND", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "beyond_free", "write_store"]
 
@@ -44,10 +45,10 @@ CELL_ROW = np.dtype(
         ("visible", "<u4"),
         ("parent", "<i4"),
         ("viewpoints", "<u4"),
-        ("growth", "<f4"),
+        ("unused", "<f4"),
     ]
 )
-"""The row of one cell in the file; its set and its classes are stored apart."""
+"""The row of one cell in the file; its set and its classes are stored apart. `unused` held a value in older stores."""
 
 FREE_BYTES = 1 << 30
 """Bytes of memory that a store of any file size may need: 67 million Gaussians at 16 bytes each."""
@@ -107,13 +108,21 @@ class CellSet:
         ids: (V,) visible Gaussians, ascending, each once.
         classes: (V,) uint8, class of the largest weight of each, below K.
         viewpoints: Number of viewpoints that the set was found from.
-        growth: Share by which the last viewpoint made the set grow.
+        inner: Those of them that a certificate asked for.
+        rays: Rays that certified it.
+        missed: Estimated share of light that it misses, in [0, 1]; NaN without a certificate.
+        bound: Upper 95% confidence bound of this share; NaN without a certificate.
+        tile: Most light that it misses in a tile of a picture; NaN without a certificate.
     """
 
     ids: ArrayLike
     classes: ArrayLike
     viewpoints: int = 0
-    growth: float = 0.0
+    inner: int = 0
+    rays: int = 0
+    missed: float = np.nan
+    bound: float = np.nan
+    tile: float = np.nan
 
 
 class StoreWriter:
@@ -132,6 +141,7 @@ class StoreWriter:
         self.path, self.grid, self.info = _check.path("path", path), grid, info
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._rows = np.zeros(len(grid), CELL_ROW)
+        self._certified = np.zeros(len(grid), CERTIFIED_ROW)
         self._spill = tempfile.TemporaryFile(dir=self.path.parent)  # noqa: SIM115  closed in __exit__
         self._places: list[tuple[int, int, int]] = []  # first byte, length of the set, length of the levels
         self._held: Cache[NDArray[np.uint64]] = Cache(max_items=_HELD)
@@ -164,10 +174,13 @@ class StoreWriter:
             raise ValueError(f"ids: expected rising ids in [0, {n}), each once; sort them with np.unique")
         if len(classes) and classes.max() >= len(self.info.class_edges):
             raise ValueError(f"classes: expected numbers below {len(self.info.class_edges)}, got {classes.max()}")
-        growth = float(_check.floats("growth", cell.growth, ()))
-        row = self._rows[number]
-        row["visible"], row["growth"] = len(ids), growth
+        row, certified = self._rows[number], self._certified[number]
+        row["visible"] = len(ids)
         row["viewpoints"] = _check.positive_int("viewpoints", cell.viewpoints, at_least=0)
+        for name in ("inner", "rays"):
+            certified[name] = _check.positive_int(name, getattr(cell, name), at_least=0)
+        for name in ("missed", "bound", "tile"):
+            certified[name] = _share(name, getattr(cell, name))
         packed = _codec.compress(_codec.pack(ids, n).tobytes(), level=1), _codec.compress(classes.tobytes(), level=1)
         start = self._spill.seek(0, 2)
         self._spill.write(packed[0] + packed[1])
@@ -243,6 +256,8 @@ class StoreWriter:
         container.close_section("coords")
         container.append(self._rows.tobytes())
         container.close_section("cells")
+        container.append(self._certified.tobytes())
+        container.close_section("certificates")
         least = -(-beyond_free(self.info.gaussians) // MAX_EXPANSION)  # least file size that the reader accepts
         if container.size < least:
             container.append(bytes(least - container.size))
@@ -287,6 +302,13 @@ class StoreWriter:
         levels = np.zeros(self.info.gaussians, np.uint8)
         levels[_codec.ids_of(self._set(cell))] = np.frombuffer(data, np.uint8) + 1
         return levels
+
+
+def _share(name: str, value: float) -> float:
+    """Return a share in [0, 1], or NaN."""
+    if not (np.isnan(value) or 0.0 <= value <= 1.0):
+        raise ValueError(f"{name}: expected a share in [0, 1], or NaN for none, got {value!r}")
+    return float(value)
 
 
 def write_store(

@@ -12,13 +12,14 @@ References:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 
-__all__ = ["STAKES", "upper_bound"]
+__all__ = ["STAKES", "staged_bound", "upper_bound"]
 
 F64 = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ STAKES = ((0.95, 0.65), (0.5, 0.17), (0.2, 0.1), (0.07, 0.05), (0.02, 0.03))
 
 The largest stake is below 1, because a stake of 1 loses everything to one sample of 1."""
 
+_OF_ALL = 0.8  # part of the error that the bound from all stages gets; the last stage alone gets the rest
 _PRECISION = 1e-7  # of the bound, relative; it is rounded up
 
 
@@ -81,6 +83,34 @@ def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float
         else:
             high = middle
     return high
+
+
+def staged_bound(stages: Sequence[tuple[ArrayLike, ArrayLike]], *, error: float = 0.05) -> float:
+    """Return an upper confidence bound of a ratio that never grew, from samples of several stages.
+
+    Between stages something is mended because of the samples, so that the ratio falls or stays. A sample bounds the
+    ratio of its own stage, and so every later one: the samples of all stages together are valid for the last. They hold
+    what was mended long ago. So the last stage is bounded alone too, with a share of the error that halves from stage
+    to stage, because there may be any number of them. The smaller bound is returned.
+
+    Args:
+        stages: (part, whole) of each stage, as for `upper_bound`; the samples of a stage are drawn after the mending.
+        error: Probability in (0, 1) that any bound of any stage is too low.
+
+    Returns:
+        The bound in [0, 1]; 1 without stages.
+
+    Raises:
+        ValueError: As `upper_bound`.
+    """
+    if not stages:
+        return 1.0
+    parts, wholes = (np.concatenate([np.asarray(stage[side], np.float64) for stage in stages]) for side in (0, 1))
+    bound = upper_bound(parts, wholes, error=_OF_ALL * error)
+    if len(stages) > 1:
+        rest = (1.0 - _OF_ALL) * error / 2.0 ** (len(stages) - 1)
+        bound = min(bound, upper_bound(*stages[-1], error=rest))
+    return bound
 
 
 def _log_capital(parts: F64, wholes: F64, ratio: float) -> float:

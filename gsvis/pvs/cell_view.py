@@ -1,27 +1,78 @@
-"""Find the visible set of one cell: the Gaussians that some viewpoint in it sees (paper, section 6.2).
+"""Find the visible set of a cell: join what its viewpoints see, certify it by rays, and mend it.
 
-Viewpoints are added, the rim of the cell first, until the set stops growing. The stopping rule decides how complete
-the set is. `build.py` does this for all cells. Scene frame and units.
+Shared viewpoints see most. Fresh rays from free points of the cell then say how much light the set misses. What they
+find missing is added, and where the worst ray began is looked from, until the bound is low enough. Levels of a scene
+are looked at and certified one by one: Gaussians of one level must not hide those of another. `build.py` does this for
+all cells. Scene frame and units; ids are those of the union of levels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.pvs._kernels import cell as kernels
+from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
+from gsvis.pvs.tiles import probe_tiles
+from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast.directions import NUM_FACES, face_planes
-from gsvis.scene.solid import buried
+from gsvis.scene.levels import Levels, level_scenes
+from gsvis.scene.solid import Solid
 
-__all__ = ["CellView", "see_cell"]
+__all__ = ["CellView", "Figures", "Finder", "Sighting"]
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+_TILES = 8  # worst rays whose tiles are traced
+_CHECKED = 8  # rays of a cell that a second tracer may trace again
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What one viewpoint sees.
+
+    Attributes:
+        viewpoint: (3,) the viewpoint.
+        looks: Levels that were looked at; those in which it lies inside something solid are not.
+        ids: (V,) int32, Gaussians of weight tau or more in some level, ascending.
+        classes: (V,) uint8, class of the largest weight of each.
+    """
+
+    viewpoint: F64
+    looks: int
+    ids: I32
+    classes: U8
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How the set of a cell was found, and what it misses; of levels the worst.
+
+    Attributes:
+        viewpoints: Viewpoints that the set was found from; 0 if all lie inside something solid.
+        inner: Those of them that were added where a certificate's worst ray began.
+        rays: Rays that certified it.
+        missed: Estimated share of light that it misses, by the last rays; NaN without a certificate.
+        bound: Upper 95% confidence bound of this share; NaN without a certificate.
+        tile: Most light missed in a tile of 16 x 16 pixels, before the last addition; NaN without a certificate.
+    """
+
+    viewpoints: int
+    inner: int
+    rays: int
+    missed: float
+    bound: float
+    tile: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,40 +83,152 @@ class CellView:
         ids: (V,) int32, visible Gaussians, ascending.
         classes: (V,) uint8, class of the largest weight found.
         directions: (V, 10) uint8, direction set of each Gaussian: toward the viewpoints that saw it.
-        viewpoints: Number of viewpoints used; 0 if all lay inside something solid.
-        growth: Share by which the last viewpoint made the set grow.
+        figures: How it was found, and what it misses.
+        checked: (K, 6) origins and directions of some rays of the highest level's certificate.
     """
 
     ids: I32
     classes: U8
     directions: U8
-    viewpoints: int
-    growth: float
+    figures: Figures
+    checked: F64
 
 
-def see_cell(look: Look, viewpoints: F64, config: PvsConfig) -> CellView:
-    """Return the view of one cell.
+class Finder:
+    """Levels of a scene, prepared to be looked at and certified. Looks and tracers are made when they are first needed.
 
     Args:
-        look: The prepared scene.
-        viewpoints: (V, 3) in the order in which they are added; viewpoints inside something solid are skipped.
-        config: The stopping rule, tau and the weight classes.
+        levels: The levels, N Gaussians in all.
+        config: How visible sets are found.
     """
-    g = look.gaussians
-    best = np.zeros(len(g), np.float32)
-    sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
-    tau = np.float32(config.tau)
-    planes = face_planes()
-    used, visible, calm, share = 0, 0, 0, 0.0
-    for viewpoint in viewpoints[~buried(g, viewpoints)][: config.max_viewpoints]:
-        ids, weights = look(viewpoint)
-        new = kernels.add_viewpoint(ids, weights, tau, g.means, viewpoint, *planes, best, sets)
-        used, visible = used + 1, visible + new
-        share = new / visible if visible else 0.0
-        calm = calm + 1 if share <= config.growth else 0
-        if used >= config.min_viewpoints and calm >= config.patience:
-            break
-    found = np.flatnonzero(best >= tau)
-    edges = config.class_edges.astype(np.float32)
-    classes = np.searchsorted(edges, best[found], side="right") - 1
-    return CellView(found.astype(np.int32), classes.astype(np.uint8), sets[found], used, float(share))
+
+    def __init__(self, levels: Levels, config: PvsConfig) -> None:
+        self.levels, self.config = levels, config
+        self._scenes = list(level_scenes(levels))
+        self._edges = config.class_edges.astype(np.float32)
+        self._planes = face_planes()
+
+    @cached_property
+    def _looks(self) -> list[Look]:
+        config = self.config
+        return [Look(g, config.method, config.size, config.tau) for g, _ in self._scenes]
+
+    @cached_property
+    def _solids(self) -> list[Solid]:
+        return [Solid.from_scene(g) for g, _ in self._scenes]
+
+    @cached_property
+    def _certifiers(self) -> list[Certifier]:
+        from gsvis.raycast import EllipsoidProxies, Tracer
+
+        return [Certifier(Tracer(EllipsoidProxies.from_scene(g))) for g, _ in self._scenes]
+
+    def warm(self) -> None:
+        """Make looks and tracers, and load their kernels, so that the first task takes no longer than others."""
+        eye = self.levels.union.means[0].astype(np.float64)
+        for level, certifier in enumerate(self._certifiers):
+            self._see(level, eye)
+            certifier.tracer.contributions(eye[None], [[1.0, 0.0, 0.0]])
+
+    def look(self, viewpoint: F64) -> Sighting:
+        """Return what a viewpoint (3,) sees, each level drawn alone."""
+        best = np.full(len(self.levels.union), -1, np.int8)
+        looks = 0
+        for level in range(len(self.levels)):
+            if not self._solids[level].buries(viewpoint[None])[0]:
+                ids, classes = self._see(level, viewpoint)
+                best[ids] = np.maximum(best[ids], classes)
+                looks += 1
+        found = np.flatnonzero(best >= 0)
+        return Sighting(viewpoint, looks, found.astype(np.int32), best[found].astype(np.uint8))
+
+    def find_cell(self, voxels: FreeVoxels, sightings: Sequence[Sighting]) -> CellView:
+        """Return the view of a cell.
+
+        Args:
+            voxels: Where eyes may be in the cell.
+            sightings: What its shared viewpoints see.
+        """
+        view = _Growing(self)
+        for sighting in sightings:
+            view.add(sighting.ids, sighting.classes.view(np.int8), sighting.viewpoint[None])
+        shared = sum(sighting.looks > 0 for sighting in sightings)
+        inner, rays, checked = 0, 0, np.zeros((0, 6))
+        missed, bound, tile = (np.full(len(self.levels), np.nan) for _ in range(3))
+        for level in reversed(range(len(self.levels))):
+            found = self._mend(level, voxels, view)
+            if not found.certificates:
+                continue
+            last = found.certificates[-1]
+            missed[level], bound[level], tile[level] = last.missed, last.bound, found.tile
+            inner += found.inner
+            rays += sum(map(len, found.certificates))
+            if level == len(self.levels) - 1:
+                checked = np.concatenate([last.checked_o, last.checked_d], axis=1)
+        worst = (float(np.nanmax(each)) if not np.isnan(each).all() else np.nan for each in (missed, bound, tile))
+        ids = np.flatnonzero(view.best >= 0)
+        figures = Figures(shared + inner, inner, rays, *worst)
+        return CellView(ids.astype(np.int32), view.best[ids].astype(np.uint8), view.sets[ids], figures, checked)
+
+    def _see(self, level: int, viewpoint: F64) -> tuple[I64, NDArray[np.int8]]:
+        """Return the union ids that a viewpoint sees in a level, and their classes."""
+        ids, weights = self._looks[level](viewpoint)
+        return self._scenes[level][1][ids], self._classify(weights)
+
+    def _classify(self, weights: F32) -> NDArray[np.int8]:
+        return (np.searchsorted(self._edges, weights, side="right") - 1).astype(np.int8)
+
+    def _mend(self, level: int, voxels: FreeVoxels, view: _Growing) -> _Mended:
+        """Certify a level of a cell and add what is missed, stage by stage."""
+        config, certifier, places = self.config, self._certifiers[level], self._scenes[level][1]
+        options = CertificateConfig(
+            limit=config.limit, rays=config.rays, checked=_CHECKED, worst=_TILES, tau=config.tau
+        )
+        certificates: list[Certificate] = []
+        inner, tile = 0, 0.0
+        while True:
+            held = view.best[places] >= 0
+            stage = 1 + len(certificates) + (level << 16)
+            found = certifier.certify(voxels, np.flatnonzero(held), options, stage=stage, earlier=certificates)
+            if found is None:
+                break
+            certificates.append(found)
+            tiles = probe_tiles(certifier.tracer, held, found.worst_o, found.worst_d, config.tau)
+            tile = float(tiles.missed.max(initial=0.0))
+            for each in (found, tiles):
+                view.add(places[each.ids], self._classify(each.id_weights), each.id_origins)
+            spent = len(certificates) > config.max_inner or not found.weights.any()
+            if spent or (found.bound <= config.limit and tile <= config.tile_limit):
+                break
+            if len(found.worst_o):
+                eye = found.worst_o[int(tiles.missed.argmax())]
+                view.add(*self._see(level, eye), eye[None])
+                inner += 1
+        return _Mended(certificates, inner, tile)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mended:
+    """The certificates of a level of a cell, oldest first, its inner viewpoints, and its worst tile."""
+
+    certificates: list[Certificate]
+    inner: int
+    tile: float
+
+
+class _Growing:
+    """A visible set while it grows.
+
+    Attributes:
+        best: (N,) int8, class of the largest weight so far; -1 if not in the set.
+        sets: (N, 10) uint8, direction sets.
+    """
+
+    def __init__(self, finder: Finder) -> None:
+        self._means, self._planes = finder.levels.union.means, finder._planes
+        self.best = np.full(len(self._means), -1, np.int8)
+        self.sets = np.zeros((len(self._means), NUM_FACES // 8), np.uint8)
+
+    def add(self, ids: I32 | I64, classes: NDArray[np.int8], viewpoints: F64) -> None:
+        """Add Gaussians (V,) with the classes of their weights, seen from viewpoints (V, 3), or all from one (1, 3)."""
+        kernels.add_seen(ids.astype(np.int64), classes, viewpoints, self._means, *self._planes, self.best, self.sets)

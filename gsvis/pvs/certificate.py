@@ -7,6 +7,7 @@ Scene frame and units.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +16,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import BackendError
-from gsvis.pvs.bound import upper_bound
-from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.pvs.bound import staged_bound
+from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast import TAU, Contributions, Tracer
 from gsvis.scene.solid import Solid
 
-__all__ = ["HEAVY", "Certificate", "CertificateConfig", "Certifier", "CrossCheck", "compare", "cross_check"]
+__all__ = [
+    "HEAVY",
+    "Certificate",
+    "CertificateConfig",
+    "Certifier",
+    "CrossCheck",
+    "compare",
+    "cross_check",
+    "heaviest_hits",
+]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -40,7 +50,7 @@ class CertificateConfig:
     """Options of a certificate.
 
     Attributes:
-        limit: Rounds end when the bound is at most this share. 0 uses all rays.
+        limit: Rounds end when the bound is at most this share, or the estimate is above it. 0 uses all rays.
         rays: Most rays of a cell.
         round_rays: Rays of a round.
         error: Probability in (0, 1) that the bound is too low.
@@ -85,6 +95,7 @@ class Certificate:
         worst_missed: (W,) weight that the set misses on them.
         ids: (M,) missed Gaussians that have a weight of at least tau on some ray, ascending.
         id_weights: (M,) their largest weights.
+        id_origins: (M, 3) origins of the rays with these weights.
         checked_o: (K, 3) origins of the rays for `cross_check`.
         checked_d: (K, 3) their unit directions.
     """
@@ -100,6 +111,7 @@ class Certificate:
     worst_missed: F64
     ids: I64
     id_weights: F32
+    id_origins: F64
     checked_o: F64
     checked_d: F64
 
@@ -159,15 +171,20 @@ class Certifier:
 
     Args:
         tracer: The scene, N Gaussians.
-        viewpoints: Where eyes may be in the cells.
     """
 
-    def __init__(self, tracer: Tracer, viewpoints: CellViewpoints) -> None:
-        self.tracer, self.viewpoints = tracer, viewpoints
+    def __init__(self, tracer: Tracer) -> None:
+        self.tracer = tracer
         self._solid = Solid.from_scene(tracer.proxies.gaussians)
 
     def certify(
-        self, cell: int, ids: ArrayLike, config: CertificateConfig | None = None, *, stage: int = 0
+        self,
+        voxels: FreeVoxels,
+        ids: ArrayLike,
+        config: CertificateConfig | None = None,
+        *,
+        stage: int = 0,
+        earlier: Sequence[Certificate] = (),
     ) -> Certificate | None:
         """Bound the light that the set of a cell misses, by rounds of fresh rays.
 
@@ -175,41 +192,45 @@ class Certifier:
         was chosen without these rays. So a set to which a certificate's findings were added needs another stage.
 
         Args:
-            cell: Number of the cell.
+            voxels: Where eyes may be in the cell: `CellViewpoints.voxels`.
             ids: (V,) Gaussians of the set.
             config: Options; None means `CertificateConfig()`.
             stage: Names the rays: another stage draws other rays.
+            earlier: Certificates of the set as it was before, with fewer Gaussians, oldest first; see `staged_bound`.
 
         Returns:
             The certificate; None if too few points of the cell lie outside everything solid.
 
         Raises:
-            ValueError: If there is no such cell, or an id is out of range.
+            ValueError: If an id is out of range.
         """
         config = config or CertificateConfig()
         missing = np.ones(len(self.tracer.proxies.gaussians), bool)
         missing[self.tracer.check_ids(ids)] = False
-        cell = self.viewpoints.grid.checked(cell)
+        before = [(each.missed_weights, each.weights) for each in earlier]
         rounds: list[_Round] = []
         drawn, bound = 0, 1.0
-        while drawn < config.rays and (not rounds or bound > config.limit):
+        while drawn < config.rays:
             count = min(config.round_rays, config.rays - drawn)
-            rng = np.random.default_rng([config.seed, cell, _RAYS, stage, len(rounds)])
-            origins = self._origins(cell, count, rng)
+            rng = np.random.default_rng([config.seed, voxels.cell, _RAYS, stage, len(rounds)])
+            origins = self._origins(voxels, count, rng)
             if origins is None:
                 return None
             rounds.append(_trace_round(self.tracer, missing, origins, _directions(count, rng)))
             drawn += count
             missed = np.concatenate([each.missed for each in rounds])
             weights = np.concatenate([each.weights for each in rounds])
-            bound = upper_bound(missed, weights, error=config.error)
-        return _summarize(rounds, cell, bound, config)
+            bound = staged_bound([*before, (missed, weights)], error=config.error)
+            hopeless = missed.sum() > config.limit * weights.sum()
+            if config.limit and (hopeless or bound <= config.limit):
+                break
+        return _summarize(rounds, voxels.cell, bound, config)
 
-    def _origins(self, cell: int, count: int, rng: np.random.Generator) -> F64 | None:
+    def _origins(self, voxels: FreeVoxels, count: int, rng: np.random.Generator) -> F64 | None:
         """Return (count, 3) free points of a cell outside everything solid; None if too few are found."""
         found = np.zeros((0, 3))
         for _ in range(_TRIES):
-            points = self.viewpoints.draw(cell, count, rng)
+            points = voxels.draw(count, rng)
             found = np.concatenate([found, points[~self._solid.buries(points)]])
             if len(found) >= count:
                 return found[:count]
@@ -268,6 +289,14 @@ class _Round:
     weights: F64  # (R,)
     hit_ids: I64  # (K,)
     hit_weights: F32  # (K,)
+    hit_origins: F64  # (K, 3)
+
+
+def heaviest_hits(ids: I64, weights: F32) -> tuple[I64, I64]:
+    """Return the distinct ids (M,) of some hits, ascending, and for each the number of its hit with most weight."""
+    order = np.lexsort((-weights, ids))
+    distinct, first = np.unique(ids[order], return_index=True)
+    return distinct, order[first]
 
 
 def _directions(count: int, rng: np.random.Generator) -> F64:
@@ -286,18 +315,18 @@ def _trace_round(tracer: Tracer, missing: NDArray[np.bool_], origins: F64, direc
     rows = order[hits.ray_ids]
     weights = np.minimum(np.bincount(rows, hits.weights, count), 1.0)
     missed = np.minimum(np.bincount(rows[lost], hits.weights[lost], count), weights)
-    return _Round(origins, directions, missed, weights, hits.gaussian_ids[lost], hits.weights[lost])
+    hit_ids, hit_weights = hits.gaussian_ids[lost], hits.weights[lost]
+    return _Round(origins, directions, missed, weights, hit_ids, hit_weights, origins[rows[lost]])
 
 
 def _summarize(rounds: list[_Round], cell: int, bound: float, config: CertificateConfig) -> Certificate:
-    origins, directions, missed, weights, hit_ids, hit_weights = (
+    origins, directions, missed, weights, hit_ids, hit_weights, hit_origins = (
         np.concatenate([getattr(each, name) for each in rounds]) for name in _Round.__dataclass_fields__
     )
     worst = np.argsort(-missed, kind="stable")[: config.worst]
     worst = worst[missed[worst] > 0.0]
-    ids, place = np.unique(hit_ids, return_inverse=True)
-    largest = np.zeros(len(ids), np.float32)
-    np.maximum.at(largest, place, hit_weights)
+    ids, heaviest = heaviest_hits(hit_ids, hit_weights)
+    largest = hit_weights[heaviest]
     listed = largest >= np.float32(config.tau)
     checked = slice(0, config.checked)
     return Certificate(
@@ -312,6 +341,7 @@ def _summarize(rounds: list[_Round], cell: int, bound: float, config: Certificat
         worst_missed=missed[worst],
         ids=ids[listed],
         id_weights=largest[listed],
+        id_origins=hit_origins[heaviest][listed],
         checked_o=origins[checked],
         checked_d=directions[checked],
     )

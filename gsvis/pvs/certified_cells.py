@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis.progress import Progress, silent
 from gsvis.pvs.bound import upper_bound
 from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier, CrossCheck, cross_check
+from gsvis.pvs.viewpoints import FreeVoxels
 
 __all__ = ["CertifiedCells", "certify_cells"]
 
@@ -91,7 +92,7 @@ class CertifiedCells:
 
 def certify_cells(
     certifier: Certifier,
-    sets: Sequence[tuple[int, ArrayLike]],
+    sets: Sequence[tuple[FreeVoxels, ArrayLike]],
     config: CertificateConfig,
     *,
     progress: Progress = silent,
@@ -100,7 +101,7 @@ def certify_cells(
 
     Args:
         certifier: The scene, N Gaussians.
-        sets: Cells, each with the Gaussians (V,) of its set.
+        sets: Free voxels of each cell, with the Gaussians (V,) of its set.
         config: Options; its `limit` is not used.
         progress: Called with stage "certificate".
 
@@ -111,8 +112,8 @@ def certify_cells(
     steps = len(sets) + 1
     progress("certificate", 0, steps)
     found = []
-    for done, (cell, ids) in enumerate(sets, 1):
-        certificate = certifier.certify(cell, ids, fixed)
+    for done, (voxels, ids) in enumerate(sets, 1):
+        certificate = certifier.certify(voxels, ids, fixed)
         if certificate is None:
             return None
         found.append(certificate)

@@ -15,7 +15,7 @@ from typing import Any
 from gsvis._extras import require
 from gsvis.errors import BackendError
 from gsvis.pvs import _workers
-from gsvis.pvs.build import Workers
+from gsvis.pvs.workers import Workers
 
 __all__ = ["check_address", "connect"]
 

@@ -1,4 +1,4 @@
-"""Options of a build of visible sets: how a viewpoint is evaluated, and when a cell is finished."""
+"""Options of a build of visible sets: how viewpoints are looked from, and when a cell is finished."""
 
 from __future__ import annotations
 
@@ -27,20 +27,22 @@ class PvsConfig:
         tau: Weight in (0, 1) from which a Gaussian is visible.
         size: Pixels or rays along a side of the six faces around a viewpoint. Coarse pixels close gaps through which
             finer pixels see. So do not make it much coarser than the images that a viewer shows.
-        growth: A cell is finished when each of the last `patience` viewpoints made its set grow by at most this share.
-        patience: Consecutive viewpoints with little growth that finish a cell.
-        min_viewpoints: Fewest viewpoints of a cell.
-        max_viewpoints: Most viewpoints of a cell.
+        limit: A cell is finished when the upper 95% confidence bound of the share of light that its set misses is at
+            most this.
+        tile_limit: And when no tile of 16 x 16 pixels around the worst rays misses more light than this.
+        rays: Most rays of a certificate.
+        max_inner: Most times that a set is mended and certified again. A set that is still above the limits is kept,
+            with its bound.
         class_ratio: Lowest weight of a class over that of the class below. The lowest class begins at tau.
     """
 
     method: str = "hybrid"
     tau: float = TAU
-    size: int = 320
-    growth: float = 0.01
-    patience: int = 2
-    min_viewpoints: int = 6
-    max_viewpoints: int = 24
+    size: int = 512
+    limit: float = 0.0015
+    tile_limit: float = 0.05
+    rays: int = 8192
+    max_inner: int = 16
     class_ratio: float = 4.0
 
     def __post_init__(self) -> None:
@@ -48,17 +50,14 @@ class PvsConfig:
         for name, value, low, high in (
             ("tau", self.tau, 1e-6, 0.5),
             ("size", self.size, 4, 4096),
-            ("growth", self.growth, 0.0, 1.0),
+            ("limit", self.limit, 1e-6, 1.0),
+            ("tile_limit", self.tile_limit, 1e-6, 1.0),
             ("class_ratio", self.class_ratio, 1.25, 1e6),
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}: expected a value in [{low:g}, {high:g}], got {value!r}")
-        for name in ("size", "patience", "min_viewpoints", "max_viewpoints"):
-            _check.positive_int(name, getattr(self, name))
-        if self.max_viewpoints < self.min_viewpoints:
-            raise ValueError(
-                f"max_viewpoints: expected at least min_viewpoints, {self.min_viewpoints}, got {self.max_viewpoints}"
-            )
+        for name, least in (("size", 1), ("rays", 1), ("max_inner", 0)):
+            _check.positive_int(name, getattr(self, name), at_least=least)
 
     @property
     def class_edges(self) -> F64:

@@ -222,8 +222,8 @@ class _Meter:
         if self.tracer is None or not self.config.certify:
             return None
         config = CertificateConfig(rays=self.config.certify, tau=self.store.tau, seed=self.config.seed)
-        sets = [(cell, self.find_held(cell)[0]) for cell in cells.tolist()]
-        return certify_cells(Certifier(self.tracer, self.viewpoints), sets, config, progress=progress)
+        sets = [(self.viewpoints.voxels(cell), self.find_held(cell)[0]) for cell in cells.tolist()]
+        return certify_cells(Certifier(self.tracer), sets, config, progress=progress)
 
     def measure(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
         """Return the measurements of one cell; progress counts viewpoints."""

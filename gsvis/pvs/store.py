@@ -27,8 +27,18 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
-from gsvis.pvs._writer import CELL_ROW, FILE_KIND, FORMAT, CellSet, StoreInfo, StoreWriter, beyond_free, write_store
+from gsvis.pvs._writer import (
+    CELL_ROW,
+    FILE_KIND,
+    FORMAT,
+    CellSet,
+    StoreInfo,
+    StoreWriter,
+    beyond_free,
+    write_store,
+)
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.stored_certificates import CERTIFIED_ROW, StoredCertificates
 from gsvis.pvs.why import Why, why
 from gsvis.raycast.tracer import Tracer
 from gsvis.scene.content import scene_hash
@@ -48,6 +58,7 @@ class VisibilityStore:
         path: The file.
         grid: The C cells.
         info: Number of Gaussians, scene, tau, classes, and how the store was built.
+        certificates: How each set was found and certified, and what it misses.
         cache: Cache of decoded cells; assign another `Cache` to share it.
     """
 
@@ -60,6 +71,7 @@ class VisibilityStore:
         try:
             self.info, self.grid = self._read_header()
             self._rows = self._read_rows()
+            self.certificates = self._read_certificates()
         except BaseException:
             self._file.close()
             raise
@@ -130,11 +142,6 @@ class VisibilityStore:
     def viewpoints(self) -> NDArray[np.int64]:
         """(C,) number of viewpoints that each set was found from."""
         return self._rows["viewpoints"].astype(np.int64)
-
-    @property
-    def growth(self) -> NDArray[np.float32]:
-        """(C,) share by which the last viewpoint made each set grow."""
-        return self._rows["growth"].astype(np.float32)
 
     def class_interval(self, level: int) -> tuple[float, float]:
         """Return the lowest weight of a class and the weight at which it ends.
@@ -462,6 +469,17 @@ class VisibilityStore:
         if len(at) or (len(rows) and rows["visible"].max() > self.gaussians):
             raise self._fault("section 'cells'", "short chains of parents and sets of the scene", "others")
         return rows
+
+    def _read_certificates(self) -> StoredCertificates:
+        if "certificates" not in self._file.sections:  # stores of older versions
+            return StoredCertificates.none(len(self.grid))
+        data = self._file.read("certificates")
+        if len(data) != len(self.grid) * CERTIFIED_ROW.itemsize:
+            raise self._fault("section 'certificates'", f"{len(self.grid)} rows", f"{len(data)} bytes")
+        try:
+            return StoredCertificates.from_rows(np.frombuffer(data, CERTIFIED_ROW))
+        except ValueError as error:
+            raise self._fault("section 'certificates'", "valid rows", str(error)) from error
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
         return FormatError(self.path, where, expected, got, DAMAGED)

@@ -1,22 +1,55 @@
-"""Viewpoints inside cells: spread ones for a build, random ones for tests. Scene frame and units.
+"""Viewpoints inside cells: those that a build looks from, spread ones and random ones. Scene frame and units.
 
-Both stay in the free voxels of the navigable space, so no viewpoint lies in a wall that crosses a cell.
+All stay in the free voxels of the navigable space, so no viewpoint lies in a wall that crosses a cell.
 """
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gsvis import _check
 from gsvis.pvs.cells import CellGrid
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["CellViewpoints"]
+__all__ = ["CellViewpoints", "FreeVoxels", "SharedViewpoints"]
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+MERGED = 1.8
+"""Voxels within which viewpoints are one: the diagonal of a voxel (docs/design/032)."""
 
 _OUTWARD = 0.45  # voxels from the center of a voxel to its viewpoint: reaches the rim of a cell
+_INSIDE = 0.05  # least distance of a shared viewpoint from the faces of its voxel, voxels
+_CORNERS = np.array(tuple(itertools.product((0, 1), repeat=3)))
+
+
+@dataclass(frozen=True, eq=False)
+class FreeVoxels:
+    """The free voxels of one cell.
+
+    Attributes:
+        cell: Number of the cell.
+        voxels: (V, 3) indices of its free voxels.
+        origin: (3,) lowest corner of the voxel grid.
+        voxel_size: Side of a voxel.
+    """
+
+    cell: int
+    voxels: I64
+    origin: F64
+    voxel_size: float
+
+    def draw(self, count: int, rng: np.random.Generator) -> F64:
+        """Return (count, 3) points uniform over the voxels."""
+        _check.positive_int("count", count, at_least=0)
+        some = self.voxels[rng.integers(len(self.voxels), size=count)]
+        return np.asarray(self.origin + self.voxel_size * (some + 0.001 + 0.998 * rng.random((count, 3))))
 
 
 class CellViewpoints:
@@ -46,8 +79,13 @@ class CellViewpoints:
 
     def free_voxels(self, cell: int) -> int:
         """Return the number of free voxels in a cell."""
+        return len(self.voxels(cell).voxels)
+
+    def voxels(self, cell: int) -> FreeVoxels:
+        """Return the free voxels of a cell."""
         cell = self.grid.checked(cell)
-        return int(self._starts[cell + 1] - self._starts[cell])
+        some = self._voxels[self._starts[cell] : self._starts[cell + 1]]
+        return FreeVoxels(cell, some, self.space.origin, self.space.voxel_size)
 
     def spread(self, cell: int, count: int) -> F64:
         """Return up to `count` viewpoints of a cell, each as far as possible from those before it, the rim first.
@@ -60,7 +98,7 @@ class CellViewpoints:
             (V, 3) viewpoints. The first k are the same for every `count` of at least k.
         """
         _check.positive_int("count", count)
-        voxels = self._candidates(cell)
+        voxels = self.voxels(cell).voxels
         middle = voxels.mean(axis=0)
         outward = voxels - middle
         length = np.linalg.norm(outward, axis=1, keepdims=True)
@@ -74,11 +112,62 @@ class CellViewpoints:
 
     def draw(self, cell: int, count: int, rng: np.random.Generator) -> F64:
         """Return (count, 3) viewpoints uniform over the free voxels of a cell; for measurements, not for builds."""
-        _check.positive_int("count", count, at_least=0)
-        voxels = self._candidates(cell)
-        some = voxels[rng.integers(len(voxels), size=count)]
-        return np.asarray(self.space.origin + self.space.voxel_size * (some + 0.001 + 0.998 * rng.random((count, 3))))
+        return self.voxels(cell).draw(count, rng)
 
-    def _candidates(self, cell: int) -> NDArray[np.int64]:
-        cell = self.grid.checked(cell)
-        return self._voxels[self._starts[cell] : self._starts[cell + 1]]
+
+class SharedViewpoints:
+    """The viewpoints of a build: near the corners of cells, each shared by the cells that it is near to.
+
+    Each cell takes the point nearest to each of its eight corners that lies in one of its own free voxels. In the order
+    of the cells, a point stands for all later ones within `merged` voxels of it.
+
+    Args:
+        viewpoints: The free voxels of all cells.
+        merged: Voxels within which points are one; 0 merges only equal points.
+
+    Attributes:
+        points: (P, 3) viewpoints, scene frame.
+    """
+
+    points: F64
+
+    def __init__(self, viewpoints: CellViewpoints, *, merged: float = MERGED) -> None:
+        space, cells = viewpoints.space, len(viewpoints.grid)
+        own = np.concatenate([_near_corners(viewpoints, cell) for cell in range(cells)])  # voxel units
+        stands_for = _merge(own, merged)
+        kept, numbers = np.unique(stands_for, return_inverse=True)
+        self.points = np.asarray(space.origin + space.voxel_size * own[kept])
+        self._of_cells = numbers.reshape(cells, len(_CORNERS))
+
+    def __len__(self) -> int:
+        """Number of viewpoints."""
+        return len(self.points)
+
+    def of_cell(self, cell: int) -> I64:
+        """Return the numbers of the viewpoints of a cell, ascending: one to eight."""
+        return np.unique(self._of_cells[cell])
+
+
+def _near_corners(viewpoints: CellViewpoints, cell: int) -> F64:
+    """Return (8, 3) the points in the free voxels of a cell that are nearest to its corners, voxel units."""
+    grid, space = viewpoints.grid, viewpoints.space
+    voxels = viewpoints.voxels(cell).voxels
+    corners = (grid.origin + grid.cell_size * (grid.coords[cell] + _CORNERS) - space.origin) / space.voxel_size
+    found = np.empty((len(corners), 3))
+    for k, corner in enumerate(corners):
+        near = np.clip(corner, voxels + _INSIDE, voxels + 1.0 - _INSIDE)
+        apart = np.sum((near - corner) ** 2, axis=1)
+        first = np.lexsort((*voxels.T[::-1], np.round(apart, 6)))[0]  # ties by voxel
+        found[k] = near[first]
+    return found
+
+
+def _merge(points: F64, near: float) -> I64:
+    """Return (M,) for each point the first point that stands for it, itself or one within the distance `near`."""
+    tree = cKDTree(points)
+    stands_for = np.full(len(points), -1)
+    for k in range(len(points)):
+        if stands_for[k] < 0:
+            some = np.asarray(tree.query_ball_point(points[k], near * (1.0 + 1e-9)))
+            stands_for[some[stands_for[some] < 0]] = k
+    return stands_for

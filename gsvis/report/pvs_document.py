@@ -23,7 +23,7 @@ from gsvis.report.pictures import png_of
 from gsvis.report.pvs_page import pvs_page
 from gsvis.report.pvs_plots import (
     LEAST_MISSING,
-    draw_growth,
+    draw_bounds,
     draw_missing,
     draw_shares,
     draw_trades,
@@ -47,7 +47,7 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
     """
     return {
         "format": "gsvis-pvs-report",
-        "version": 2,
+        "version": 3,
         "gsvis": subject.version,
         "command": subject.command,
         "parameters": subject.parameters,
@@ -61,7 +61,7 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
 def _describe_store(store: VisibilityStore) -> dict[str, Any]:
     """Return a description of the store, over all cells."""
     shares = store.visible_counts / max(store.gaussians, 1)
-    looked, growing = store.viewpoints, still_growing(store)
+    looked, certified = store.viewpoints, store.certificates
     return {
         "file": store.path.name,
         "gaussians": store.gaussians,
@@ -74,23 +74,28 @@ def _describe_store(store: VisibilityStore) -> dict[str, Any]:
         "visible_share": {"mean": float(shares.mean()), "min": float(shares.min()), "max": float(shares.max())},
         "ever_visible_share": len(store.ever_visible()) / max(store.gaussians, 1),
         "viewpoints": {"mean": float(looked.mean()), "min": int(looked.min()), "max": int(looked.max())},
-        "cells_still_growing": int(np.count_nonzero(growing)),
+        "certificates": certified.as_dict(),
+        "cells_above_limit": count_above_limit(store),
         "cells_without_a_free_viewpoint": int(np.count_nonzero(looked == 0)),
         "cells": {
             "centers": store.grid.centers.tolist(),
             "visible": store.visible_counts.tolist(),
             "viewpoints": looked.tolist(),
-            "growth": [float(share) for share in store.growth],
+            "inner_viewpoints": certified.inner.tolist(),
+            "bound": [None if np.isnan(share) else float(share) for share in certified.bound],
         },
     }
 
 
-def still_growing(store: VisibilityStore) -> NDArray[np.bool_]:
-    """Return (C,) cells that reached the largest number of viewpoints while their sets were still growing."""
-    most, limit = store.info.config.get("max_viewpoints"), store.info.config.get("growth")
-    if not isinstance(most, int) or not isinstance(limit, int | float):
-        return np.zeros(len(store), bool)
-    return np.asarray((store.viewpoints >= most) & (store.growth > limit))
+def count_above_limit(store: VisibilityStore) -> int:
+    """Return the number of cells whose bound is above the limit of the build."""
+    limit = _limit(store)
+    return 0 if limit is None else int(np.count_nonzero(store.certificates.bound > limit))
+
+
+def _limit(store: VisibilityStore) -> float | None:
+    limit = store.info.config.get("limit")
+    return float(limit) if isinstance(limit, int | float) else None
 
 
 def write_pvs_report(
@@ -140,16 +145,13 @@ def _figures(
     bounds = min(1e-4, float(np.nanmin(missing))), max(1e-2, float(np.nanmax(missing)))
     lost = CellMap(grid, missing, "light missed", *bounds, logarithmic=True, ticks=percent)
     size = ground.size_with_bar
-    limit = store.info.config.get("growth")
-    limit = float(limit) if isinstance(limit, int | float) else None
+    certified = store.certificates
+    shared = store.viewpoints - certified.inner
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
         "map_visible": (partial(draw_cells, ground=ground, cells=seen), size),
         "visible": (partial(draw_shares, shares=shares, ever=ever), (5.2, 3.1)),
-        "viewpoints": (
-            partial(draw_viewpoints, viewpoints=store.viewpoints, growing=still_growing(store)),
-            (5.2, 3.3),
-        ),
-        "growth": (partial(draw_growth, growth=store.growth, limit=limit), (5.2, 3.3)),
+        "viewpoints": (partial(draw_viewpoints, shared=shared, inner=certified.inner), (5.2, 3.3)),
+        "bounds": (partial(draw_bounds, bound=certified.bound, limit=_limit(store)), (5.2, 3.3)),
         "missing": (partial(draw_missing, quality=quality), (5.2, 3.7)),
         "map_missing": (partial(draw_cells, ground=ground, cells=lost), (size[0], size[1] + 0.3)),
         "classes": (partial(draw_trades, quality=quality), (5.2, 3.7)),

@@ -108,8 +108,8 @@ def _tiles(quality: Quality, store: dict[str, Any]) -> str:
 
 
 def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
-    looked, growing = store["viewpoints"], store["cells_still_growing"]
-    above = (
+    looked, certified, above = store["viewpoints"], store["certificates"], store["cells_above_limit"]
+    from_above = (
         "The cells from above, colored by the share of the scene that each sees; of stacked cells the one that sees the"
         " most. The lines are the scene itself from above: darker where there are more Gaussians."
     )
@@ -118,18 +118,24 @@ def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
         f" {store['visible_share']['max']:.1%}. All cells together see {store['ever_visible_share']:.1%}."
     )
     found = (
-        f"Viewpoints are added to a cell until its set stops growing: {looked['min']} to {looked['max']} viewpoints,"
-        f" {looked['mean']:.1f} on average."
+        "Cells share the viewpoints near their corners; inner ones are added where the rays of a certificate ask for"
+        f" them. {looked['min']} to {looked['max']} viewpoints, {looked['mean']:.1f} on average."
     )
-    last = "Growth of each set by its last viewpoint, highest first."
-    if growing:
-        last += f" {growing:,} cells had not stopped growing when the largest number of viewpoints was reached."
+    proven = "This store has no certificates: an older version has built it."
+    if certified["bound"] is not None:
+        proven = (
+            f"What {certified['rays']:,} fresh rays prove about each set, with 95% confidence, highest first. The"
+            f" estimate is {certified['missed']['mean']:.3%} on average, {certified['missed']['max']:.3%} in the worst"
+            " cell."
+        )
+    if above:
+        proven += f" {above:,} cells stayed above the limit."
     return (
-        figure(figures["map_visible"], "Map of the cells colored by visible share", above)
+        figure(figures["map_visible"], "Map of the cells colored by visible share", from_above)
         + figure(figures["visible"], "Visible share of each cell, sorted", shares)
         + "<div class='pair'>"
         + figure(figures["viewpoints"], "Viewpoints of the cells", found)
-        + figure(figures["growth"], "Growth of each set by the last viewpoint, sorted", last)
+        + figure(figures["bounds"], "Upper bound of the light that each set misses, sorted", proven)
         + "</div>"
     )
 
@@ -248,6 +254,6 @@ def _store(store: dict[str, Any]) -> str:
         ("visible from a weight of", f"{store['tau']:.4g}"),
         ("cells without a viewpoint outside something solid", f"{store['cells_without_a_free_viewpoint']:,}"),
     ]
-    known = ("method", "size", "growth", "patience", "min_viewpoints", "max_viewpoints")
+    known = ("method", "size", "limit", "tile_limit", "rays", "max_inner")
     rows += [(f"built with {name}", escape(str(store["config"][name]))) for name in known if name in store["config"]]
     return table(("store", ""), rows)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis.pvs.quality import TARGETS, Quality
 from gsvis.report.theme import Theme
 
-__all__ = ["LEAST_MISSING", "draw_growth", "draw_missing", "draw_shares", "draw_trades", "draw_viewpoints"]
+__all__ = ["LEAST_MISSING", "draw_bounds", "draw_missing", "draw_shares", "draw_trades", "draw_viewpoints"]
 
 F64 = NDArray[np.float64]
 
@@ -41,23 +41,24 @@ def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> Non
     axes.set_ylabel("visible share of the scene")
 
 
-def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], growing: NDArray[np.bool_]) -> None:
-    """Draw the number of viewpoints of the cells, separately for those that had not stopped growing.
+def draw_viewpoints(axes: Axes, theme: Theme, shared: NDArray[np.int64], inner: NDArray[np.int64]) -> None:
+    """Draw the number of viewpoints of the cells, separately for cells that needed inner ones.
 
     Args:
         axes: Axes to draw on.
         theme: Colors.
-        viewpoints: (C,) number of viewpoints of each cell.
-        growing: (C,) whether the last viewpoint still added more than the limit of the build.
+        shared: (C,) number of shared viewpoints of each cell.
+        inner: (C,) number of further viewpoints that a certificate asked for.
     """
-    low, high = int(viewpoints.min()), int(viewpoints.max())
+    total = shared + inner
+    low, high = int(total.min()), int(total.max())
     at = np.arange(low, high + 1)
-    stopped, still = (
-        np.array([np.count_nonzero((viewpoints == v) & chosen) for v in at]) for chosen in (~growing, growing)
+    alone, more = (
+        np.array([np.count_nonzero((total == v) & chosen) for v in at]) for chosen in (inner == 0, inner > 0)
     )
-    axes.bar(at, stopped, width=0.72, color=theme.gathered, label="set stopped growing")
-    if growing.any():
-        axes.bar(at, still, bottom=stopped, width=0.72, color=theme.traced, label="still growing")
+    axes.bar(at, alone, width=0.72, color=theme.gathered, label="shared ones alone")
+    if (inner > 0).any():
+        axes.bar(at, more, bottom=alone, width=0.72, color=theme.traced, label="with inner ones")
         axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.2, columnspacing=1.4)
     axes.set_xlim(low - 0.7, high + 0.7)
     axes.grid(visible=False, axis="x")
@@ -67,17 +68,24 @@ def draw_viewpoints(axes: Axes, theme: Theme, viewpoints: NDArray[np.int64], gro
     axes.set_ylabel("cells")
 
 
-def draw_growth(axes: Axes, theme: Theme, growth: ArrayLike, limit: float | None) -> None:
-    """Draw the growth of each set by its last viewpoint, highest first, with the limit of the build."""
-    values = np.sort(np.asarray(growth, np.float64))[::-1]
-    _draw_bars(axes, values, theme.gathered)
-    top = max(float(values.max()), limit or 0.0, 1e-9)
+def draw_bounds(axes: Axes, theme: Theme, bound: F64, limit: float | None) -> None:
+    """Draw the bound of the light that each set misses, highest first, with the limit of the build.
+
+    Args:
+        axes: Axes to draw on.
+        theme: Colors.
+        bound: (C,) upper confidence bound of each cell; NaN without a certificate.
+        limit: Bound at which the build finished a cell.
+    """
+    values = np.sort(bound[~np.isnan(bound)])[::-1]
+    _draw_bars(axes, values if len(values) else np.zeros(1), theme.gathered)
+    top = max(float(values.max(initial=0.0)), limit or 0.0, 1e-9)
     axes.set_ylim(0.0, 1.2 * top)
     if limit is not None:
         _level(axes, theme, limit, f"limit of building {limit:.2%}", theme.published)
     axes.yaxis.set_major_formatter(_PERCENT)
-    axes.set_xlabel("cells, sorted")
-    axes.set_ylabel("growth by the last viewpoint")
+    axes.set_xlabel("certified cells, sorted")
+    axes.set_ylabel("light missed, at most")
 
 
 def draw_missing(axes: Axes, theme: Theme, quality: Quality) -> None:

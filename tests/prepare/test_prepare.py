@@ -19,8 +19,8 @@ from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import build
-from gsvis.pvs.build import Workers
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

@@ -22,11 +22,13 @@ from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.pvs import build
 from gsvis.pvs._journal import name_entry
-from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.workers import Workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms

@@ -7,18 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gsvis.pvs.levels import join_levels
 
 import gsvis.prepare.colors as colors_module
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
-from gsvis.pvs.build import Workers, build_pvs, estimate_pvs, journal_of
+from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.levels import join_levels
+from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.workers import Workers
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import trace_directions
 from gsvis.scene.content import scene_hash

@@ -1,24 +1,21 @@
-"""Kernels of one cell: what a viewpoint adds to its set. Arrays are checked and contiguous; world frame."""
+"""Kernels of one cell: what viewpoints add to its set. Arrays are checked and contiguous; world frame."""
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from numba import njit, uint8
 
 from gsvis._kernels.faces import face_of
 
 
 @njit(cache=True, nogil=True)
-def add_viewpoint(ids, weights, tau, means, viewpoint, centers, planes, best, sets):
-    """Add the Gaussians that a viewpoint sees to best (N,) and the direction sets (N, 10); return how many are new."""
-    new = 0
+def add_seen(ids, classes, viewpoints, means, centers, planes, best, sets):
+    """Add V Gaussians to the largest classes best (N,) and the direction sets (N, 10).
+
+    viewpoints (V, 3) are the places that each is seen from, or (1, 3) that of all.
+    """
     for k in range(len(ids)):
-        weight = weights[k]
-        if weight < tau:
-            continue
         i = ids[k]
-        new += best[i] < tau
-        best[i] = max(best[i], weight)
-        f = face_of(viewpoint[0] - means[i, 0], viewpoint[1] - means[i, 1], viewpoint[2] - means[i, 2], centers, planes)
-        sets[i, f >> 3] |= np.uint8(1 << (f & 7))
-    return new
+        eye = viewpoints[min(k, len(viewpoints) - 1)]
+        best[i] = max(best[i], classes[k])
+        f = face_of(eye[0] - means[i, 0], eye[1] - means[i, 1], eye[2] - means[i, 2], centers, planes)
+        sets[i, f >> 3] |= uint8(1 << (f & 7))

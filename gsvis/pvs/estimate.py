@@ -1,0 +1,130 @@
+"""Estimate the cost of a build of visible sets from a few viewpoints and cells. Writes nothing."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.progress import Progress, silent
+from gsvis.pvs._journal import pack_sighting, pack_view
+from gsvis.pvs._workers import forget_scene
+from gsvis.pvs.build import plan_work
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.workers import (
+    SCENE_BYTES,
+    Workers,
+    expected_memory,
+    fitting_workers,
+    speed_up,
+)
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["Estimate", "estimate_pvs"]
+
+_clock = time.perf_counter  # tests set another
+
+_BITS = 5.0  # bits for each visible Gaussian of a cell: its set and its classes
+_DISK_PER_GAUSSIAN = 6  # order and direction sets
+_START = 4.0  # seconds until worker processes are ready, for viewpoints and for cells
+_CHECK = 0.3  # seconds of the second tracer, and for each Gaussian
+_CHECK_PER_GAUSSIAN = 3e-5
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The expected cost of a build.
+
+    Attributes:
+        viewpoints: Shared viewpoints to look from.
+        cells: Cells to find the sets of.
+        finished: Cells that an earlier, interrupted build has kept.
+        workers: Processes that fit the memory.
+        seconds: Expected time.
+        memory: Peak bytes of memory, all processes together.
+        disk: Bytes of the finished store.
+        working_disk: Bytes of temporary files during the build.
+    """
+
+    viewpoints: int
+    cells: int
+    finished: int
+    workers: int
+    seconds: float
+    memory: int
+    disk: int
+    working_disk: int
+
+
+def estimate_pvs(
+    g: Gaussians | Levels,
+    grid: CellGrid,
+    space: NavigableSpace,
+    path: str | os.PathLike[str],
+    config: PvsConfig | None = None,
+    *,
+    workers: Workers | None = None,
+    sample: int = 2,
+    progress: Progress = silent,
+) -> Estimate:
+    """Estimate the cost of `build_pvs` from `sample` cells and their viewpoints. Writes nothing.
+
+    Args:
+        g: The scene, or its levels.
+        grid: The cells.
+        space: The navigable space that the grid was made from.
+        path: The file that `build_pvs` would write.
+        config: Options; None means `PvsConfig()`.
+        workers: The workers; None means this process.
+        sample: Number of cells to try.
+        progress: Called with stage "trying".
+
+    Raises:
+        SceneError: If the scene or a level has nothing to see.
+        ValueError: If `max_memory` is too small, or the grid was made from another space.
+    """
+    config, workers = config or PvsConfig(), workers or Workers()
+    _check.positive_int("sample", sample)
+    work = plan_work(g, grid, space, path, config)
+    levels, cells = work.levels, len(grid)
+    count = fitting_workers(levels, config, workers)
+    seen, finished = work.find_kept()
+    some = np.unique(np.linspace(0, cells - 1, min(sample, cells) + 2).astype(int)[1:-1]).tolist() or [0]
+    progress("trying", 0, len(some))
+    finder = work.scene.finder()
+    finder.warm()  # loads the kernels and makes the tracers before the timing starts
+    looking = finding = 0.0
+    looks, held, kept, bits = 0, 0, 0, 0.0
+    for done, cell in enumerate(some, 1):
+        began = _clock()
+        sightings = [finder.look(work.shared.points[k]) for k in work.shared.of_cell(cell).tolist()]
+        middle = _clock()
+        view = finder.find_cell(work.viewpoints.voxels(cell), sightings)
+        looking, finding = looking + middle - began, finding + _clock() - middle
+        looks += len(sightings)
+        held += sum(len(pack_sighting(each)) for each in sightings)
+        kept += len(pack_view(view))
+        bits += _BITS * len(view.ids)
+        progress("trying", done, len(some))
+    forget_scene()
+    viewpoints = len(work.shared)
+    seconds = looking / looks * (viewpoints - len(seen)) + finding / len(some) * (cells - len(finished))
+    shared = count > 1 and workers.executor is None
+    rest = (2.0 * _START if shared else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
+    return Estimate(
+        viewpoints=viewpoints,
+        cells=cells,
+        finished=len(finished),
+        workers=count,
+        seconds=seconds / speed_up(count, workers) + rest,
+        memory=expected_memory(levels, config, count if shared else 1),
+        disk=int(bits / 8.0 / len(some) * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
+        working_disk=int(held / looks * viewpoints + kept / len(some) * cells)
+        + (SCENE_BYTES * len(levels.union) if shared else 0),
+    )

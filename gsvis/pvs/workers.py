@@ -1,0 +1,108 @@
+"""The workers of a build: how many there are, the memory that each needs, and how much faster they are than one."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+from gsvis import _check
+from gsvis.pvs.config import PvsConfig
+from gsvis.scene.levels import Levels
+
+__all__ = ["SCENE_BYTES", "Workers", "expected_memory", "fitting_workers", "speed_up"]
+
+# Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian: of its
+# looks, and of the tracer that certifies.
+_BASE = {"hybrid": 280 << 20, "raster": 380 << 20, "raycast": 260 << 20}
+_PER_GAUSSIAN = {"hybrid": 190 + 420, "raster": 420 + 420, "raycast": 680 + 420}
+_PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # all six faces
+_PARENT_BASE = 220 << 20
+_PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and leftovers of reading
+_CHECK_BASE = 300 << 20  # parts of the second tracer
+_CHECK_PER_GAUSSIAN = 420  # hierarchy of the first
+
+SCENE_BYTES = 58
+"""Bytes of each Gaussian in the file of the scene that workers map."""
+
+_PROCESSES_OVER_THREADS = 1.3  # how much better processes use the cores than threads of one process
+
+
+@dataclass(frozen=True)
+class Workers:
+    """The workers of a build.
+
+    Attributes:
+        count: Processes of this machine; 1 works in this process, with all its threads.
+        max_memory: Bytes that this process and its workers may use together. Fewer workers start if they do not fit.
+            None sets no limit.
+        executor: An object with the interface of `concurrent.futures.Executor`, used instead of processes. It gets
+            2 x `count` tasks at a time. Dask: `client.get_executor()`.
+        scatter: Takes the scene and returns the argument that tasks get in its place, such as a Dask future. So the
+            scene is sent once to each worker. None sends it with each task.
+    """
+
+    count: int = 1
+    max_memory: int | None = None
+    executor: Executor | None = None
+    scatter: Any = None
+
+    def __post_init__(self) -> None:
+        _check.positive_int("count", self.count)
+        if self.max_memory is not None:
+            _check.positive_int("max_memory", self.max_memory)
+
+
+def _parent(levels: Levels) -> int:
+    """Return the bytes of memory of the process that submits the tasks and writes the store."""
+    n, held = len(levels.union), levels.union.nbytes
+    copies = held * levels.counts[-1] // n if len(levels) > 1 else 0  # the highest level
+    return _PARENT_BASE + _PARENT_PER_GAUSSIAN * n + held + copies
+
+
+def _check_twice(levels: Levels) -> int:
+    """Return the bytes that the second tracer needs when all cells are found."""
+    return _CHECK_BASE + _CHECK_PER_GAUSSIAN * levels.counts[-1]
+
+
+def _worker(levels: Levels, config: PvsConfig) -> int:
+    """Return the bytes of memory of a worker process."""
+    pixels, drawn = _PER_PIXEL[config.method] * config.size**2, sum(levels.counts)
+    copies = SCENE_BYTES * drawn if len(levels) > 1 else 0  # a single level is the mapped arrays themselves
+    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * drawn + copies + pixels
+
+
+def _alone(levels: Levels, config: PvsConfig) -> int:
+    """Return the bytes of memory of one process that does all the work."""
+    held = levels.union.nbytes + _PARENT_PER_GAUSSIAN // 4 * len(levels.union)
+    return max(_parent(levels) + _check_twice(levels), _worker(levels, config) + held)
+
+
+def expected_memory(levels: Levels, config: PvsConfig, count: int) -> int:
+    """Return the peak bytes of memory of all processes, with `count` workers on this machine; 1 is this process."""
+    if count == 1:
+        return _alone(levels, config)
+    return _parent(levels) + max(_check_twice(levels), count * _worker(levels, config))
+
+
+def speed_up(count: int, workers: Workers) -> float:
+    """Return the speed-up over one process that uses all threads of this machine."""
+    if workers.executor is not None:
+        return max(1.0, 0.9 * count)
+    cores = os.cpu_count() or 1
+    return max(1.0, min(count, cores) * _PROCESSES_OVER_THREADS / cores) if count > 1 else 1.0
+
+
+def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:
+    """Return how many processes fit the memory; 1 means that this process does the work."""
+    if workers.max_memory is None or workers.executor is not None:
+        return workers.count
+    alone = _alone(levels, config)
+    if workers.max_memory < alone:
+        raise ValueError(
+            f"max_memory: expected at least {alone / 1e9:.2g} GB for {len(levels.union):,} Gaussians,"
+            f" got {workers.max_memory / 1e9:.2g} GB; raise it, or take a coarser level of the scene"
+        )
+    room = (workers.max_memory - _parent(levels)) // _worker(levels, config)
+    return int(min(workers.count, room)) if room >= 2 else 1
