@@ -120,14 +120,15 @@ class SceneArrays:
 
 @dataclass(frozen=True, eq=False)
 class ViewpointTask:
-    """A viewpoint (3,) to look from, and its number."""
+    """A viewpoint (3,) to look from, its number, and whether it looks at lower levels too."""
 
     number: int
     viewpoint: Any
+    lower: bool
 
     def perform(self, finder: Finder) -> bytes:
         """Return the packed sighting."""
-        return pack_sighting(finder.look(np.asarray(self.viewpoint)))
+        return pack_sighting(finder.look(np.asarray(self.viewpoint), lower=self.lower))
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,7 +99,7 @@ class Work:
 
     def viewpoint_task(self, number: int) -> ViewpointTask:
         """Return the task of a viewpoint."""
-        return ViewpointTask(number, self.shared.points[number])
+        return ViewpointTask(number, self.shared.points[number], bool(self.shared.lower[number]))
 
     def cell_task(self, cell: int) -> CellTask:
         """Return the task of a cell; it reads its sightings when it is given out."""

@@ -34,6 +34,7 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 _TILES = 8  # worst rays whose tiles are traced
+_TURNS = 4  # most probes of these tiles in one stage
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
 
@@ -130,13 +131,14 @@ class Finder:
             self._see(level, eye)
             certifier.tracer.contributions(eye[None], [[1.0, 0.0, 0.0]])
 
-    def look(self, viewpoint: F64) -> Sighting:
-        """Return what a viewpoint (3,) sees, each level drawn alone."""
+    def look(self, viewpoint: F64, *, lower: bool = True) -> Sighting:
+        """Return what a viewpoint (3,) sees in the highest level, and in lower ones where `lower`, each drawn alone."""
         best = np.full(len(self.levels.union), -1, np.int8)
-        looks = 0
-        for level in range(len(self.levels)):
+        looks, top = 0, len(self.levels) - 1
+        for level in range(0 if lower else top, top + 1):
             if not self._solids[level].buries(viewpoint[None])[0]:
-                ids, classes = self._see(level, viewpoint)
+                size = self.config.size if level == top else min(self.config.size, self.config.lower_size)
+                ids, classes = self._see(level, viewpoint, size)
                 best[ids] = np.maximum(best[ids], classes)
                 looks += 1
         found = np.flatnonzero(best >= 0)
@@ -170,9 +172,9 @@ class Finder:
         figures = Figures(shared + inner, inner, rays, *worst)
         return CellView(ids.astype(np.int32), view.best[ids].astype(np.uint8), view.sets[ids], figures, checked)
 
-    def _see(self, level: int, viewpoint: F64) -> tuple[I64, NDArray[np.int8]]:
+    def _see(self, level: int, viewpoint: F64, size: int | None = None) -> tuple[I64, NDArray[np.int8]]:
         """Return the union ids that a viewpoint sees in a level, and their classes."""
-        ids, weights = self._looks[level](viewpoint)
+        ids, weights = self._looks[level](viewpoint, size=size)
         return self._scenes[level][1][ids], self._classify(weights)
 
     def _classify(self, weights: F32) -> NDArray[np.int8]:
@@ -193,18 +195,36 @@ class Finder:
             if found is None:
                 break
             certificates.append(found)
-            tiles = probe_tiles(certifier.tracer, held, found.worst_o, found.worst_d, config.tau)
-            tile = float(tiles.missed.max(initial=0.0))
-            for each in (found, tiles):
-                view.add(places[each.ids], self._classify(each.id_weights), each.id_origins)
+            view.add(places[found.ids], self._classify(found.id_weights), found.id_origins)
+            looks, tile = self._mend_tiles(level, found, view)
+            inner += looks
             spent = len(certificates) > config.max_inner or not found.weights.any()
             if spent or (found.bound <= config.limit and tile <= config.tile_limit):
                 break
-            if len(found.worst_o):
-                eye = found.worst_o[int(tiles.missed.argmax())]
-                view.add(*self._see(level, eye), eye[None])
+            if found.bound > config.limit and len(found.worst_o):
+                view.add(*self._see(level, found.worst_o[0]), found.worst_o[:1])
                 inner += 1
         return _Mended(certificates, inner, tile)
+
+    def _mend_tiles(self, level: int, found: Certificate, view: _Growing) -> tuple[int, float]:
+        """Add what is missed in tiles around the worst rays; return the looks taken and the worst tile that is left.
+
+        Rays find what is missing. If rays at other places of the tiles find more, the eye of the worst tile looks.
+        """
+        config, tracer, places = self.config, self._certifiers[level].tracer, self._scenes[level][1]
+        looks = 0
+        for turn in range(_TURNS):
+            held = view.best[places] >= 0
+            tiles = probe_tiles(tracer, held, found.worst_o, found.worst_d, config.tau, turn=turn)
+            view.add(places[tiles.ids], self._classify(tiles.id_weights), tiles.id_origins)
+            tile = float(tiles.missed.max(initial=0.0))
+            if tile <= config.tile_limit or turn == _TURNS - 1:
+                break
+            if turn:
+                eye = found.worst_o[int(tiles.missed.argmax())]
+                view.add(*self._see(level, eye), eye[None])
+                looks += 1
+        return looks, tile
 
 
 @dataclass(frozen=True, eq=False)

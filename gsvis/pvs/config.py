@@ -27,6 +27,7 @@ class PvsConfig:
         tau: Weight in (0, 1) from which a Gaussian is visible.
         size: Pixels or rays along a side of the six faces around a viewpoint. Coarse pixels close gaps through which
             finer pixels see. So do not make it much coarser than the images that a viewer shows.
+        lower_size: The same for shared viewpoints on lower levels, whose Gaussians are larger, if it is below `size`.
         limit: A cell is finished when the upper 95% confidence bound of the share of light that its set misses is at
             most this.
         tile_limit: And when no tile of 16 x 16 pixels around the worst rays misses more light than this.
@@ -39,8 +40,9 @@ class PvsConfig:
     method: str = "hybrid"
     tau: float = TAU
     size: int = 512
+    lower_size: int = 320
     limit: float = 0.0015
-    tile_limit: float = 0.05
+    tile_limit: float = 0.1
     rays: int = 8192
     max_inner: int = 16
     class_ratio: float = 4.0
@@ -50,13 +52,14 @@ class PvsConfig:
         for name, value, low, high in (
             ("tau", self.tau, 1e-6, 0.5),
             ("size", self.size, 4, 4096),
+            ("lower_size", self.lower_size, 4, 4096),
             ("limit", self.limit, 1e-6, 1.0),
             ("tile_limit", self.tile_limit, 1e-6, 1.0),
             ("class_ratio", self.class_ratio, 1.25, 1e6),
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}: expected a value in [{low:g}, {high:g}], got {value!r}")
-        for name, least in (("size", 1), ("rays", 1), ("max_inner", 0)):
+        for name, least in (("size", 1), ("lower_size", 1), ("rays", 1), ("max_inner", 0)):
             _check.positive_int(name, getattr(self, name), at_least=least)
 
     @property

@@ -13,6 +13,7 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import pack_sighting, pack_view
 from gsvis.pvs._workers import forget_scene
 from gsvis.pvs.build import plan_work
+from gsvis.pvs.cell_view import Sighting
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.workers import (
@@ -99,11 +100,16 @@ def estimate_pvs(
     progress("trying", 0, len(some))
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
+    shared = work.shared
+
+    def look(k: int) -> Sighting:
+        return finder.look(shared.points[k], lower=bool(shared.lower[k]))
+
     looking = finding = 0.0
     looks, held, kept, bits = 0, 0, 0, 0.0
     for done, cell in enumerate(some, 1):
         began = _clock()
-        sightings = [finder.look(work.shared.points[k]) for k in work.shared.of_cell(cell).tolist()]
+        sightings = [look(k) for k in shared.of_cell(cell).tolist()]
         middle = _clock()
         view = finder.find_cell(work.viewpoints.voxels(cell), sightings)
         looking, finding = looking + middle - began, finding + _clock() - middle
@@ -113,18 +119,18 @@ def estimate_pvs(
         bits += _BITS * len(view.ids)
         progress("trying", done, len(some))
     forget_scene()
-    viewpoints = len(work.shared)
+    viewpoints = len(shared)
     seconds = looking / looks * (viewpoints - len(seen)) + finding / len(some) * (cells - len(finished))
-    shared = count > 1 and workers.executor is None
-    rest = (2.0 * _START if shared else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
+    processes = count > 1 and workers.executor is None
+    rest = (2.0 * _START if processes else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
     return Estimate(
         viewpoints=viewpoints,
         cells=cells,
         finished=len(finished),
         workers=count,
         seconds=seconds / speed_up(count, workers) + rest,
-        memory=expected_memory(levels, config, count if shared else 1),
+        memory=expected_memory(levels, config, count if processes else 1),
         disk=int(bits / 8.0 / len(some) * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
         working_disk=int(held / looks * viewpoints + kept / len(some) * cells)
-        + (SCENE_BYTES * len(levels.union) if shared else 0),
+        + (SCENE_BYTES * len(levels.union) if processes else 0),
     )

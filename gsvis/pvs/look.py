@@ -27,6 +27,8 @@ I64 = NDArray[np.int64]
 Sight = tuple[I64, F32]
 """Ids (K,) of the Gaussians found, ascending, and their largest weights (K,)."""
 
+_See = Callable[[F64, int], Sight]
+
 
 class Look:
     """A scene prepared for one method of finding what viewpoints see.
@@ -47,32 +49,30 @@ class Look:
         if not (g.opacities >= MIN_ALPHA).any():
             raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
         self.gaussians, self.size, self.floor = g, size, floor
-        self._see: Callable[[F64], Sight] = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](
-            g, size, floor
-        )
+        self._see = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](g, floor)
 
-    def __call__(self, viewpoint: F64) -> Sight:
-        """Return what an eye at `viewpoint` (3,) sees."""
-        return self._see(viewpoint)
+    def __call__(self, viewpoint: F64, *, size: int | None = None) -> Sight:
+        """Return what an eye at `viewpoint` (3,) sees; `size` replaces that of the faces."""
+        return self._see(viewpoint, size or self.size)
 
 
-def _hybrid(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
+def _hybrid(g: Gaussians, floor: float) -> _See:
     from gsvis.hpr import Splats, hybrid
 
     splats = Splats.from_gaussians(g)
 
-    def see(viewpoint: F64) -> Sight:
+    def see(viewpoint: F64, size: int) -> Sight:
         seen = hybrid(g, splats, viewpoint, size=size, tau=floor)
         return seen.ids, seen.weights
 
     return see
 
 
-def _raster(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
+def _raster(g: Gaussians, floor: float) -> _See:
     from gsvis.render import view_weights
     from gsvis.scene.cameras import Cameras
 
-    def see(viewpoint: F64) -> Sight:
+    def see(viewpoint: F64, size: int) -> Sight:
         largest = view_weights(g, Cameras.cubemap(viewpoint[None], size)).largest.max(axis=0)
         ids = np.flatnonzero(largest >= floor)
         return ids, largest[ids]
@@ -80,12 +80,12 @@ def _raster(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
     return see
 
 
-def _raycast(g: Gaussians, size: int, floor: float) -> Callable[[F64], Sight]:
+def _raycast(g: Gaussians, floor: float) -> _See:
     from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 
     tracer = Tracer(EllipsoidProxies.from_scene(g))
 
-    def see(viewpoint: F64) -> Sight:
+    def see(viewpoint: F64, size: int) -> Sight:
         largest = visible_from(tracer, viewpoint[None], size=size)[0]
         ids = np.flatnonzero(largest >= floor)
         return ids, largest[ids]

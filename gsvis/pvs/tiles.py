@@ -26,6 +26,7 @@ TILE = 16.0 * math.radians(90.0) / 1920.0
 """Side of a tile as an angle: 16 pixels of a display of 1,920 over 90 degrees."""
 
 _SIDE = 8  # rays along a side of a tile
+_TURNS = np.array([0.7548776662, 0.5698402910])  # steps of an additive sequence that fills the square evenly
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,9 @@ class TileProbe:
     id_origins: F64
 
 
-def probe_tiles(tracer: Tracer, held: NDArray[np.bool_], rays_o: ArrayLike, rays_d: ArrayLike, tau: float) -> TileProbe:
+def probe_tiles(
+    tracer: Tracer, held: NDArray[np.bool_], rays_o: ArrayLike, rays_d: ArrayLike, tau: float, *, turn: int = 0
+) -> TileProbe:
     """Trace 64 rays in a square tile around each of T rays.
 
     Args:
@@ -54,10 +57,11 @@ def probe_tiles(tracer: Tracer, held: NDArray[np.bool_], rays_o: ArrayLike, rays
         rays_o: (T, 3) origins.
         rays_d: (T, 3) unit directions; the middles of the tiles.
         tau: Weight from which a missed Gaussian is listed.
+        turn: Names the places of the rays in their tiles: another turn probes between those of the turns before it.
     """
     origins, middles = (_check.floats(n, v, ("T", 3), np.float64) for n, v in (("rays_o", rays_o), ("rays_d", rays_d)))
-    steps = (np.arange(_SIDE) + 0.5) / _SIDE - 0.5
-    across, up = (TILE * each.ravel() for each in np.meshgrid(steps, steps))
+    places = (np.arange(_SIDE)[:, None] + (0.5 + turn * _TURNS) % 1.0) / _SIDE - 0.5
+    across, up = (TILE * each.ravel() for each in np.meshgrid(places[:, 0], places[:, 1]))
     least = np.eye(3)[np.abs(middles).argmin(axis=1)]
     right = np.cross(middles, least)
     right /= np.linalg.norm(right, axis=1, keepdims=True)

@@ -127,9 +127,11 @@ class SharedViewpoints:
 
     Attributes:
         points: (P, 3) viewpoints, scene frame.
+        lower: (P,) those that look at lower levels too: as few as give each cell at least half of its viewpoints.
     """
 
     points: F64
+    lower: NDArray[np.bool_]
 
     def __init__(self, viewpoints: CellViewpoints, *, merged: float = MERGED) -> None:
         space, cells = viewpoints.space, len(viewpoints.grid)
@@ -138,6 +140,11 @@ class SharedViewpoints:
         kept, numbers = np.unique(stands_for, return_inverse=True)
         self.points = np.asarray(space.origin + space.voxel_size * own[kept])
         self._of_cells = numbers.reshape(cells, len(_CORNERS))
+        self.lower = np.zeros(len(kept), bool)
+        for cell in range(cells):
+            own = self.of_cell(cell)
+            wanted = -(-len(own) // 2) - int(np.count_nonzero(self.lower[own]))
+            self.lower[own[~self.lower[own]][: max(0, wanted)]] = True
 
     def __len__(self) -> int:
         """Number of viewpoints."""
