@@ -21,8 +21,8 @@ __all__ = ["CellViewpoints", "FreeVoxels", "SharedViewpoints"]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-MERGED = 1.8
-"""Voxels within which viewpoints are one: the diagonal of a voxel (docs/design/032)."""
+MERGED = 3.5
+"""Voxels within which viewpoints are one (docs/design/032)."""
 
 _OUTWARD = 0.45  # voxels from the center of a voxel to its viewpoint: reaches the rim of a cell
 _INSIDE = 0.05  # least distance of a shared viewpoint from the faces of its voxel, voxels
