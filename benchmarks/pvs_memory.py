@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from _harness import add_arguments, realdata, write_result
+from _memory import pss, tree
 
 EVERY = 0.1  # seconds between samples
 
@@ -67,29 +68,6 @@ def watched(words: list[str]) -> dict[str, Any]:
     if process.returncode:
         raise SystemExit(f"gsvis pvs ended with {process.returncode}")
     return {**peak, "most_processes": most, "samples": samples, "seconds": round(time.perf_counter() - start, 1)}
-
-
-def tree(pid: int) -> list[int]:
-    """A process and all below it."""
-    found = [pid]
-    try:
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            for child in (task / "children").read_text().split():
-                found += tree(int(child))
-    except OSError:
-        pass
-    return found
-
-
-def pss(pid: int) -> int:
-    """Bytes; 0 for a process that is gone."""
-    try:
-        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
-                return 1024 * int(line.split()[1])
-    except OSError:
-        pass
-    return 0
 
 
 if __name__ == "__main__":

@@ -79,6 +79,7 @@ PAGES = {
     "sets": Page(
         "Visible sets",
         (
+            "pvs_whole",
             "pvs_build",
             "look",
             "pvs_memory",

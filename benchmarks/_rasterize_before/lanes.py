@@ -1,0 +1,197 @@
+"""One Gaussian against one tile, as explicit vectors: which rows it reaches, and blend. As at commit 70806c2.
+
+A tile is 16 pixels wide, one vector, and 16 rows high. Its state is (16, CHANNELS, 16) float32. A Gaussian comes as a
+record of 16 float32: `p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels
+x, y = 0..15, which float32 knows well where a pixel sees the Gaussian, however far its center lies; then red, green,
+blue, depth; then the center from the tile's first pixel. A pixel whose transmittance is spent holds it negated.
+
+Records and rows are worked out for a batch of Gaussians before they are blended: the loop over the rows of one ends
+unforeseeably, and what follows must not have to wait for anything long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from gsvis._kernels.simd import Builder, Vector
+
+__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "reached_rows"]
+
+LANES = 16
+CHANNELS = 8
+RECORD = 16
+T, RED, GREEN, BLUE, DEPTH, MEDIAN, STOP = range(7)
+"""STOP is the place, in the tile's list, of the Gaussian that found the pixel's light spent, or inf."""
+
+_LOG2_255 = 7.994353436858858
+_F32 = ir.FloatType()
+_I64 = ir.IntType(64)
+
+_RowBody = Callable[[Any, Vector, Vector, Vector, Vector], None]
+
+
+def _int(number: int) -> Any:
+    return ir.Constant(_I64, number)
+
+
+class _Record:
+    """The record of one Gaussian, in the function under construction."""
+
+    def __init__(self, context: Any, lanes: Builder, array_type: Any, array: Any, number: Any) -> None:
+        self._lanes = lanes
+        data = context.make_array(array_type)(context, lanes.ir, array).data
+        self._first = lanes.ir.gep(data, [lanes.ir.mul(number, _int(RECORD))])
+
+    def scalar(self, k: int) -> Any:
+        """Entry k."""
+        return self._lanes.ir.load(self._lanes.ir.gep(self._first, [_int(k)]))
+
+    def __getitem__(self, k: int) -> Vector:
+        """Entry k in all lanes."""
+        return self._lanes.splat(self.scalar(k))
+
+
+@intrinsic
+def reached_rows(typing_context, records, number, gates, place):
+    """The rows of a tile in which the Gaussian reaches alpha 1/255 somewhere, and whose gate lies behind `place`.
+
+    Args:
+        typing_context: numba's, unused.
+        records: (K, 16) float32.
+        number: Which record.
+        gates: (16,) float32.
+        place: float32.
+
+    Returns:
+        int64, bit y set for row y.
+    """
+    del typing_context
+    signature = types.int64(records, types.int64, gates, types.float32)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes = Builder(builder, LANES, "float32")
+        record = _Record(context, lanes, sig.args[0], args[0], args[1])
+        gates = context.make_array(sig.args[2])(context, builder, args[2]).data
+        y = lanes.counting()
+        slope = y.times_plus(record[4], record[1])
+        level = y.times_plus(record[5], record[2]).times_plus(y, record[0])
+        # A < 0: the dilation keeps every conic positive
+        peak = (slope * lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), record.scalar(3)))).most(0.0)
+        peak = peak.least(LANES - 1.0)
+        most = record[3].times_plus(peak, slope).times_plus(peak, level)
+        is_open = lanes.load(gates, _int(0)).compare(">", lanes.splat(args[3]))
+        return (most.compare(">=", -_LOG2_255) & is_open).bits()
+
+    return signature, generate
+
+
+def _each_row(lanes: Builder, state: Any, record: _Record, todo: Any, body: _RowBody) -> None:
+    """Call `body(row, y, p, seen, t)` for each row in `todo` in which a lit pixel sees the Gaussian.
+
+    `row` is the place of the row's state, `y` its number in all lanes, `p` log2 alpha, `seen` the mask of lit pixels
+    with alpha >= 1/255, `t` the transmittance.
+    """
+    builder = lanes.ir
+    x = lanes.counting()
+    along = record[3].times_plus(x, record[1]).times_plus(x, record[0])
+    across, square = record[4].times_plus(x, record[2]), record[5]
+    before = builder.block
+    head, inside, after = (builder.append_basic_block(name) for name in ("rows", "row", "done"))
+    builder.branch(head)
+    builder.position_at_end(head)
+    left = builder.phi(_I64)
+    left.add_incoming(todo, before)
+    builder.cbranch(builder.icmp_unsigned("!=", left, _int(0)), inside, after)
+    builder.position_at_end(inside)
+    number = builder.cttz(left, ir.Constant(ir.IntType(1), 1))
+    row = builder.gep(state, [builder.mul(number, _int(CHANNELS * LANES))])
+    y = lanes.splat(builder.sitofp(number, _F32))
+    p = square.times_plus(y, across).times_plus(y, along)
+    t = lanes.load(row, _int(T * LANES))
+    seen = p.compare(">=", -_LOG2_255) & t.compare(">", 0.0)
+    with builder.if_then(seen.any(), likely=True):
+        body(row, y, p, seen, t)
+    left.add_incoming(builder.and_(left, builder.sub(left, _int(1))), builder.block)
+    builder.branch(head)
+    builder.position_at_end(after)
+
+
+def _load(lanes: Builder, row: Any, channel: int) -> Vector:
+    return lanes.load(row, _int(channel * LANES))
+
+
+def _store(lanes: Builder, vector: Vector, row: Any, channel: int) -> None:
+    lanes.store(vector, row, _int(channel * LANES))
+
+
+def _pass_light(
+    lanes: Builder, pixels: tuple[Vector, Vector, Vector, Vector], row: Any, place: Any, lit: Any
+) -> tuple[Vector, Vector]:
+    """Let the Gaussian take its share of the light, and keep what is left. Returns the weight and the light left.
+
+    `pixels` is (y, p, seen, t) as `_each_row` gives them. A pixel that would fall to 1e-4 blends nothing: its light is
+    kept negated and the place of the Gaussian in STOP; the bit of its row in `lit` is cleared if it was the last one
+    lit. That happens once a pixel, so it stands behind a branch.
+    """
+    builder = lanes.ir
+    y, p, seen, t = pixels
+    share = seen.where(p.exp2().least(0.999), 0.0) * t
+    after = t - share
+    weight_room, after_room = (cgutils.alloca_once(builder, lanes.type) for _ in range(2))
+    builder.store(share.value, weight_room)
+    builder.store(after.value, after_room)
+    spent = seen & after.compare("<=", 1e-4)
+    with builder.if_then(spent.any(), likely=False):
+        left = spent.where(t * -1.0, after)
+        builder.store(spent.where(0.0, share).value, weight_room)
+        builder.store(left.value, after_room)
+        _store(lanes, spent.where(lanes.splat(place), _load(lanes, row, STOP)), row, STOP)
+        number = builder.fptoui(builder.extract_element(y.value, ir.Constant(ir.IntType(32), 0)), _I64)
+        still = builder.select(left.compare(">", 0.0).any(), _int(0), builder.shl(_int(1), number))
+        builder.store(builder.and_(builder.load(lit), builder.not_(still)), lit)
+    after = Vector(lanes, builder.load(after_room))
+    _store(lanes, after, row, T)
+    return Vector(lanes, builder.load(weight_room)), after
+
+
+@intrinsic
+def blend(typing_context, state, records, number, todo, lit, place):
+    """Blend one Gaussian into a tile, front to back.
+
+    Args:
+        typing_context: numba's, unused.
+        state: (16, CHANNELS, 16) float32.
+        records: (K, 16) float32.
+        number: Which record.
+        todo: int64, rows to blend it into.
+        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        place: float32, place of the Gaussian in the tile's list.
+    """
+    del typing_context
+    signature = types.void(state, records, types.int64, types.int64, lit, types.float32)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
+        lanes = Builder(builder, LANES, "float32")
+        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        features = [record[6 + k] for k in range(4)]
+
+        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            weight, after = _pass_light(lanes, (y, p, seen, t), row, args[5], lit_rows)
+            for channel, value in zip((RED, GREEN, BLUE, DEPTH), features, strict=True):
+                _store(lanes, weight.times_plus(value, _load(lanes, row, channel)), row, channel)
+            # `after` is negative where light was spent without blending: that is no crossing.
+            halved = t.compare(">", 0.5) & after.compare("<=", 0.5) & after.compare(">", 0.0)
+            with builder.if_then(halved.any(), likely=False):
+                _store(lanes, halved.where(features[3], _load(lanes, row, MEDIAN)), row, MEDIAN)
+
+        _each_row(lanes, data, record, args[3], body)
+        return context.get_dummy_value()
+
+    return signature, generate
