@@ -1,4 +1,4 @@
-"""Viewpoints: inside the free part of their cell, spread before all else; shared ones near corners, each for its cells."""
+"""Viewpoints: in the free part of their cell, spread before all else; shared ones near corners, for their cells."""
 
 from __future__ import annotations
 
