@@ -20,13 +20,13 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 
 # What makes a command quick and changes nothing that a page says. An option of the page itself wins.
-SETS = {"--cells": "2", "--max-viewpoints": "1", "--workers": "1"}
+SETS = {"--cells": "2", "--limit": "0.05", "--max-inner": "1", "--workers": "1"}
 QUICK = {
     "analyze": {"--views": "2", "--width": "128", "--height": "96", "--traced-sample": "10", "--rays-per-face": "1"},
     "color": {"--views": "2"},
     "levels": {"--iterations": "2", "--views": "2", "--held-out": "1", "--size": "24x20"},
     "prepare": {**SETS, "--face-size": "16", "--max-terms": "0", "--steps": "2", "--views": "2", "--size": "24x20"},
-    "pvs": {**SETS, "--size": "16"},
+    "pvs": {**SETS, "--size": "16", "--rays": "256"},
     "render": {},
     "simulate": {"--seconds": "1", "--every": "0.5", "--width": "32", "--height": "24"},
 }

@@ -50,7 +50,7 @@ HANG = 900.0
 
 VIEWS = ["--views", "4", "--width", "48", "--height", "36"]
 COMMANDS: dict[str, list[str]] = {
-    "pvs": ["pvs", "{scene}", "-o", "out.pvs", "--cells", "8", "--size", "32", "--max-viewpoints", "6",
+    "pvs": ["pvs", "{scene}", "-o", "out.pvs", "--cells", "8", "--size", "32", "--rays", "512", "--max-inner", "2",
             "--workers", "2"],
     "levels": ["levels", "{scene}", "-o", "out", "--iterations", "24", "--views", "6", "--held-out", "2",
                "--size", "48x36"],
@@ -59,7 +59,7 @@ COMMANDS: dict[str, list[str]] = {
     "train": ["train", "../photos", "-o", "out.ply", "--iterations", "120", "--evaluate-every", "40",
               "--random-points", "1000", "--checkpoint-seconds", "1"],
     "prepare": ["prepare", "{scene}", "-o", "out.gsvis", "--steps", "6", "--views", "4", "--size", "48x36", "--cells",
-                "4", "--face-size", "32", "--max-viewpoints", "3", "--workers", "2", "--max-terms", "1"],
+                "4", "--face-size", "32", "--limit", "0.01", "--max-inner", "2", "--workers", "2", "--max-terms", "1"],
     "convert": ["convert", "{scene}", "out.sog"],
     "analyze": ["analyze", "{scene}", "-o", "out", *VIEWS, "--traced-sample", "200", "--rays-per-face", "1"],
 }  # fmt: skip

@@ -98,7 +98,7 @@ def staged_bound(stages: Sequence[tuple[ArrayLike, ArrayLike]], *, error: float 
         error: Probability in (0, 1) that any bound of any stage is too low.
 
     Returns:
-        The bound in [0, 1]; 1 without stages.
+        The bound in [0, 1], never below the ratio of the sums of the last stage; 1 without stages.
 
     Raises:
         ValueError: As `upper_bound`.
@@ -110,6 +110,8 @@ def staged_bound(stages: Sequence[tuple[ArrayLike, ArrayLike]], *, error: float 
     if len(stages) > 1:
         rest = (1.0 - _OF_ALL) * error / 2.0 ** (len(stages) - 1)
         bound = min(bound, upper_bound(*stages[-1], error=rest))
+        part, whole = (float(np.sum(side)) for side in stages[-1])
+        bound = max(bound, part / whole if whole else 0.0)  # a rare last stage looks worse than all before it
     return bound
 
 

@@ -37,7 +37,7 @@ BLOCKED = {
     "all of them": tuple(EXTRAS),
 }
 BOX = ["--box", "1", "1", "1", "7", "3", "2"]
-TINY = ["--cells", "2", "--face-size", "16", "--max-viewpoints", "1", "--workers", "1", "--max-terms", "0", *BOX]
+TINY = ["--cells", "2", "--face-size", "16", "--limit", "0.05", "--max-inner", "1", "--workers", "1", "--max-terms", "0", *BOX]
 SMALL = ["--width", "24", "--height", "20"]
 CLUSTER = "tcp://127.0.0.1:1"  # nobody answers there
 COMMANDS = {
@@ -47,7 +47,7 @@ COMMANDS = {
     "render --depth": ["render", "IN/rooms.ply", "-o", "OUT/depth.png", *SMALL, "--depth"],
     "render --contributors": ["render", "IN/rooms.ply", "--contributors", "3,3", *SMALL],
     "pvs": ["pvs", "IN/rooms.ply", "-o", "OUT/a.pvs", "--dry-run", "--cells", "2", "--size", "16", "--workers", "1",
-            "--max-viewpoints", "1"],
+            "--rays", "256", "--max-inner", "1"],
     "pvs --scheduler": ["pvs", "IN/rooms.ply", "-o", "OUT/b.pvs", "--cells", "2", "--scheduler", "CLUSTER"],
     "pvs-report": ["pvs-report", "IN/rooms.pvs", "IN/rooms.ply", "-o", "OUT/sets", "--cells", "1", "--viewpoints", "1"],
     "color": ["color", "IN/rooms.ply", "-o", "OUT/c.arrow", "--views", "2", "--held-out", "0", "--max-terms", "0"],
@@ -86,7 +86,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_scene(rooms.union, folder / "rooms.ply")
     write_package(folder / "rooms.gsvis", rooms, colors_of(len(rooms.union))[1]).close()
     space = NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12)
-    config = PvsConfig(method="raster", size=16, min_viewpoints=1, max_viewpoints=1)
+    config = PvsConfig(method="raster", size=16, rays=256, max_inner=0)
     build_pvs(rooms.union, CellGrid.over(space, max_cells=2), space, folder / "rooms.pvs", config).close()
     write_poses(walk(3.0), folder / "walk.csv")
     write_photos(folder / "photos", points=cloud())

@@ -17,7 +17,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
 
 Capture = pytest.CaptureFixture[str]
-CELLS = ["--cells", "4", "--size", "16", "--workers", "1", "--max-viewpoints", "3"]
+CELLS = ["--cells", "4", "--size", "16", "--workers", "1", "--rays", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 TERMS = ["--views", "2", "--held-out", "1", "--width", "32", "--height", "24", "--max-terms", "1", "--mean-terms", "1"]
 

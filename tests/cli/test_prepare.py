@@ -15,7 +15,7 @@ from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 
 Capture = pytest.CaptureFixture[str]
 SCENE = "builtin:wall_with_hole"
-TINY = ["--cells", "2", "--face-size", "16", "--max-viewpoints", "1", "--workers", "1"]
+TINY = ["--cells", "2", "--face-size", "16", "--limit", "0.05", "--max-inner", "1", "--workers", "1"]
 QUICK = [*TINY, "--max-terms", "0", "--steps", "2", "--views", "2", "--size", "24x20"]
 BOX = ["--box", "1", "1", "1", "7", "3", "2"]
 FLAT = ["--levels", "none", "--max-terms", "0"]

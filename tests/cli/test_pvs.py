@@ -20,7 +20,7 @@ from gsvis.scene.procedural import two_rooms
 from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]
-QUICK = ["--cells", "8", "--size", "16", "--workers", "1", "--max-viewpoints", "6"]
+QUICK = ["--cells", "8", "--size", "16", "--workers", "1", "--rays", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 GSVIS = [sys.executable, "-m", "gsvis.cli"]
 
@@ -193,7 +193,7 @@ def test_the_time_left_does_not_count_what_was_done_before(monkeypatch: pytest.M
     assert "91 of 100, about 6 min 00 s left" in capsys.readouterr().err
 
 
-LONG = ["builtin:two_rooms", "--cells", "16", "--size", "24", "--max-viewpoints", "3"]
+LONG = ["builtin:two_rooms", "--cells", "16", "--size", "24", "--rays", "256", "--max-inner", "1"]
 
 
 def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> None:

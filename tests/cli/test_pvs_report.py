@@ -24,7 +24,7 @@ from gsvis.scene.procedural import two_rooms
 
 Capture = pytest.CaptureFixture[str]
 QUICK = ["--cells", "2", "--viewpoints", "1", "--dense", "2", "--width", "24", "--height", "18", "--certify", "200"]
-FEW = PvsConfig(method="raster", size=16, min_viewpoints=2, max_viewpoints=2)
+FEW = PvsConfig(method="raster", size=16, rays=256, max_inner=1)
 
 
 @pytest.fixture(scope="module")

@@ -78,7 +78,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("world")
     scene = two_rooms(1000, sh_degree=1).gaussians
     save_scene(scene, folder / "rooms.ply")
-    few = "--cells 2 --size 16 --workers 1 --max-viewpoints 2 --box 0.5 0.5 0.5 3.5 3.5 2.5"
+    few = "--cells 2 --size 16 --workers 1 --rays 256 --max-inner 1 --box 0.5 0.5 0.5 3.5 3.5 2.5"
     assert main(["pvs", f"{folder}/rooms.ply", "-o", f"{folder}/rooms.pvs", *few.split()]) == 0
     levels = in_package_order(Levels.single(scene))
     write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()

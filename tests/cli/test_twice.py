@@ -20,7 +20,7 @@ from tests.simulate.streets import walk
 from tests.train.photo_files import write_transforms
 
 VIEW = ["--width", "32", "--height", "24"]
-SETS = ["--cells", "4", "--size", "16", "--max-viewpoints", "3"]
+SETS = ["--cells", "4", "--size", "16", "--rays", "256", "--max-inner", "1"]
 COMMANDS = {
     "convert to ply": ["convert", "../rooms.ply", "out.ply", "--min-opacity", "0.1"],
     "convert to spz": ["convert", "../rooms.ply", "out.spz"],
@@ -40,7 +40,7 @@ COMMANDS = {
     "train": ["train", "../photos", "-o", "out.ply", "--iterations", "6", "--random-points", "50",
               "--evaluate-every", "3"],
     "prepare": ["prepare", "builtin:wall_with_hole", "-o", "out.gsvis", "--cells", "2", "--face-size", "16",
-                "--max-viewpoints", "1", "--workers", "1", "--max-terms", "1", "--levels", "none"],
+                "--limit", "0.05", "--max-inner", "1", "--workers", "1", "--max-terms", "1", "--levels", "none"],
     "unpack": ["unpack", "../rooms.gsvis", "-o", "out"],
     "simulate": ["simulate", "../rooms.gsvis", "--path", "../walk.csv", "-o", "out", "--mbit", "1", "--seconds", "0.5",
                  *VIEW],

@@ -36,7 +36,7 @@ CONFIG = PrepareConfig(
     level_views=FEW,
     level_held_out=1,
     cells=4,
-    sets=PvsConfig(size=16, min_viewpoints=2, max_viewpoints=2),
+    sets=PvsConfig(size=16, rays=256, max_inner=1),
     colors=ColorConfig(FitConfig(max_terms=2, refine=False), FEW),
     cost_views=replace(FEW, stream=3),
     meters_per_unit=0.5,
