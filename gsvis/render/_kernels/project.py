@@ -64,21 +64,28 @@ def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m, r):
 
 
 @njit(cache=True, fastmath=FUSED)
-def _misses(mean, scale, viewmat, intrinsics, width, height):
-    """Whether a bound on the footprint, without the rotation, already lies outside the image."""
+def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, first, last, out):
+    """Write into out those from first to last whose footprint may reach the image, and return how many.
+
+    The bound on the footprint leaves out the rotation. It is compared before the division by z, without a branch.
+    """
     fx, fy, cx, cy = intrinsics
-    z = viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
-    if z <= NEAR:
-        return True
-    u = (viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3]) / z
-    v = (viewmat[1, 0] * mean[0] + viewmat[1, 1] * mean[1] + viewmat[1, 2] * mean[2] + viewmat[1, 3]) / z
-    size = _MOST_REACH * max(scale[0], max(scale[1], scale[2])) / z
     tan_x = max(cx, width - cx) / fx + 0.15 * width / fx  # where the Jacobian is clamped
     tan_y = max(cy, height - cy) / fy + 0.15 * height / fy
-    half_x = fx * size * np.sqrt(1.0 + tan_x * tan_x) + _MOST_REACH
-    half_y = fy * size * np.sqrt(1.0 + tan_y * tan_y) + _MOST_REACH
-    x, y = fx * u + cx, fy * v + cy
-    return x + half_x < 0.0 or x - half_x > width or y + half_y < 0.0 or y - half_y > height
+    wide, high = _MOST_REACH * fx * np.sqrt(1.0 + tan_x * tan_x), _MOST_REACH * fy * np.sqrt(1.0 + tan_y * tan_y)
+    least, found = np.float32(1.0 / 255.0), 0
+    for i in range(first, last):
+        p, q, r = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        z = viewmat[2, 0] * p + viewmat[2, 1] * q + viewmat[2, 2] * r + viewmat[2, 3]
+        x = fx * (viewmat[0, 0] * p + viewmat[0, 1] * q + viewmat[0, 2] * r + viewmat[0, 3]) + cx * z
+        y = fy * (viewmat[1, 0] * p + viewmat[1, 1] * q + viewmat[1, 2] * r + viewmat[1, 3]) + cy * z
+        size = np.float64(max(scales[i, 0], max(scales[i, 1], scales[i, 2])))
+        half_x, half_y = wide * size + _MOST_REACH * z, high * size + _MOST_REACH * z
+        missed = (opacities[i] < least) | (z <= NEAR) | (x + half_x < 0.0) | (x - half_x > width * z)
+        missed = missed | (y + half_y < 0.0) | (y - half_y > height * z)
+        out[found] = i
+        found += not missed
+    return found
 
 
 @njit(cache=True, fastmath=FUSED)
@@ -103,13 +110,11 @@ def project(
     for _worker in prange(WORKERS):
         m, r = np.zeros((2, 3)), np.empty((3, 3))
         block = take_next(taken)
+        candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
         while block < len(counts):
-            at = block * _BLOCK
-            for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
-                if opacities[i] < np.float32(1.0 / 255.0):
-                    continue
-                if _misses(means[i], scales[i], viewmat, intrinsics, width, height):
-                    continue
+            at, last = block * _BLOCK, min(len(means), (block + 1) * _BLOCK)
+            found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
+            for i in candidates[:found]:
                 x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
                 xx, xy, yy, det = _covariance(m)
                 full = det + DILATION * (xx + yy) + DILATION * DILATION
