@@ -85,7 +85,7 @@ def _less(i, j, ids, means, rest):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")  # a call would count references to the arrays each time
 def _sort_short(order, start, stop, ids, means, rest, near, first):
     """Sort a short run by insertion; near[k - first] is a copy of the mean of order[k]."""
     for k in range(start + 1, stop):
