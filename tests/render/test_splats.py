@@ -1,4 +1,4 @@
-"""Splats of a view: front to back, equal depths by content, equal content by id; tiles' lists; any number of threads."""
+"""Splats of a view: front to back, ties by content and id; the lists of tiles; any number of threads."""
 
 from __future__ import annotations
 
