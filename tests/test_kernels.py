@@ -15,8 +15,8 @@ from gsvis.color._kernels import sh as _kernels_sh
 from gsvis.color._kernels import srbf as _kernels_srbf
 from gsvis.color.evaluate import Evaluator
 from gsvis.render import GaussianTensors, rasterize
+from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import project as _kernels_project
-from gsvis.render._kernels import tiles as _kernels_tiles
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from tests.color.samples import random_colors
@@ -67,7 +67,7 @@ def draw() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ..
     g = Gaussians(*shape, rng.normal(size=(9, 1, 3)))
     view = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 1, width=16, height=16)
     tensors = GaussianTensors.from_gaussians(g, torch.float32)
-    kernels = _kernels_project.project, _kernels_tiles.order_ties, _kernels_sh.colors_from_sh
+    kernels = _kernels_project.project, _kernels_order.order_ties, _kernels_sh.colors_from_sh
     return lambda: rasterize(g, view), lambda: rasterize(tensors, view), kernels
 
 

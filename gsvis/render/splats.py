@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.color.sh import write_sh_colors
+from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
 
 __all__ = ["Projected", "View", "blend", "color_splats", "draw", "project"]
 
 _BLOCK = 2048
+_CHUNKS = 4  # of the depth order, for each thread
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -110,23 +112,52 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     packed = np.empty(m, np.int32), np.empty((m, 8)), np.empty(m, np.float32)
     _kernels_project.gather_blocks(counts, starts, ids, splats, depths, *packed)
     ids, splats, depths = packed
-    order = np.argsort(depths).astype(np.int32)
+    order = _sort_splats(scene, ids, depths)
+    return Projected(ids, splats, depths, order, *_list_tiles(splats, order, view, pairs=pairs))
+
+
+def _sort_splats(scene: Any, ids: I32, depths: F32) -> I32:
+    """Return the M splats front to back; equal depths by content, equal content by id."""
+    m = len(ids)
+    bits = depths.view(np.uint32)  # positive numbers are ordered like their bits
+    least = bits.min(initial=np.iinfo(np.uint32).max)
+    width = int(bits.max(initial=least) - least).bit_length()
+    passes = -(-width // _kernels_order.DIGIT)
+    keys, moved, order = np.empty(m, np.uint64), np.empty(m, np.uint64), np.empty(m, np.int32)
+    _kernels_order.join_keys(bits, least, keys)
+    for k in range(passes):
+        first, last = width * k // passes, width * (k + 1) // passes
+        counts = np.zeros((-(-m // _kernels_order.BLOCK), 1 << (last - first)), np.int32)
+        shift = np.uint64(32 + first)
+        _kernels_order.count_digits(keys, shift, counts)
+        _kernels_order.place_blocks(counts, np.empty(counts.shape[1], np.int64))
+        _kernels_order.move_keys(keys, shift, counts, moved)
+        keys, moved = moved, keys
     content = scene.means, scene.scales, scene.quats, scene.opacities[:, None], scene.sh0[:, 0]
-    _kernels_tiles.order_ties(order, depths[order], ids, *_check.read_only(*content))
-    tiles_x, tiles_y = view.tiles
-    room = np.empty(m, np.int64)
-    _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room)
-    first_room = np.concatenate([[0], np.cumsum(room[order])])
-    met, counts = np.empty(int(first_room[-1]), np.int32), np.empty(m, np.int32)
-    histogram = np.zeros((get_num_threads(), tiles_x * tiles_y), np.int32)
-    _kernels_tiles.meet_tiles(splats, order, first_room, tiles_x, tiles_y, met, counts, histogram)
-    offsets = np.empty(tiles_x * tiles_y + 1, np.int64)
-    _kernels_tiles.place_chunks(histogram, offsets)
-    first_pair = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+    _kernels_order.order_ties(keys, ids, *_check.read_only(*content), order)
+    return order
+
+
+def _list_tiles(splats: F64, order: I32, view: View, *, pairs: bool) -> tuple[I64, I32, I32, I64]:
+    """Return offsets, members, pair_of and first_pair of `Projected`."""
+    m, (tiles_x, tiles_y) = len(splats), view.tiles
+    room = np.zeros(-(-m // _kernels_tiles.BLOCK) + 1, np.int64)
+    _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room[1:])
+    np.cumsum(room, out=room)
+    met, spans = np.empty(int(room[-1]) + 1, np.int32), np.empty((m, 2), np.int32)
+    met[-1] = 0  # read, and not used, for a last splat that meets no tile
+    _kernels_tiles.meet_tiles(splats, room, tiles_x, tiles_y, met, spans)
+    chunks = max(1, min(_CHUNKS * get_num_threads(), m // _BLOCK))
+    places, sums = np.zeros((chunks, tiles_x * tiles_y), np.int32), np.zeros(chunks + 1, np.int64)
+    _kernels_tiles.count_tiles(order, spans, room, met, places, sums[1:])
+    offsets = np.zeros(tiles_x * tiles_y + 1, np.int64)
+    _kernels_order.place_blocks(places, offsets[1:])
+    first_pair = np.empty(m + 1, np.int64)
+    first_pair[m * np.arange(chunks + 1) // chunks] = np.cumsum(sums)
     members = np.empty(int(offsets[-1]), np.int32)
     pair_of = np.empty(len(members) if pairs else 0, np.int32)
-    _kernels_tiles.fill_tiles(order, first_room, met, counts, first_pair, histogram, members, pair_of)
-    return Projected(ids, splats, depths, order, offsets, members, pair_of, first_pair)
+    _kernels_tiles.fill_tiles(order, spans, room, met, places, first_pair, members, pair_of)
+    return offsets, members, pair_of, first_pair
 
 
 def blend(

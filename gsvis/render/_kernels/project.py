@@ -23,10 +23,10 @@ _BLOCK = 2048
 _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below 1/255
 
 
-@njit(cache=True, fastmath=FUSED)
-def _rotation(quat, r):
-    """Rotation matrix of a quaternion of any length into r (3, 3)."""
-    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
+@njit(cache=True, fastmath=FUSED, inline="always")
+def _rotation(i, quats, r):
+    """Rotation matrix of quaternion i, of any length, into r (3, 3)."""
+    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
     s = 2.0 / (w * w + x * x + y * y + z * z)
     xx, yy, zz = s * x * x, s * y * y, s * z * z
     xy, xz, yz = s * x * y, s * x * z, s * y * z
@@ -36,25 +36,25 @@ def _rotation(quat, r):
     r[2, 0], r[2, 1], r[2, 2] = xz - wy, yz + wx, 1.0 - xx - yy
 
 
-@njit(cache=True, fastmath=FUSED)
-def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m, r):
+@njit(cache=True, fastmath=FUSED, inline="always")
+def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r):
     """Camera point, and m (2, 3) = J W R S, whose m m^T is the covariance in the image before dilation.
 
     The rotation is left in r (3, 3). Returns x, y, z and the clamped x / z, y / z.
     """
     fx, fy, cx, cy = intrinsics
-    x = viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3]
-    y = viewmat[1, 0] * mean[0] + viewmat[1, 1] * mean[1] + viewmat[1, 2] * mean[2] + viewmat[1, 3]
-    z = viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
+    x = viewmat[0, 0] * means[i, 0] + viewmat[0, 1] * means[i, 1] + viewmat[0, 2] * means[i, 2] + viewmat[0, 3]
+    y = viewmat[1, 0] * means[i, 0] + viewmat[1, 1] * means[i, 1] + viewmat[1, 2] * means[i, 2] + viewmat[1, 3]
+    z = viewmat[2, 0] * means[i, 0] + viewmat[2, 1] * means[i, 1] + viewmat[2, 2] * means[i, 2] + viewmat[2, 3]
     if z <= NEAR:
         return x, y, z, 0.0, 0.0
     margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
     u = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
     v = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-    _rotation(quat, r)
+    _rotation(i, quats, r)
     jx, jy = fx / z, fy / z
     for k in range(3):  # the axes of the Gaussian, in the camera's frame
-        s = np.float64(scale[k])
+        s = np.float64(scales[i, k])
         a = s * (viewmat[0, 0] * r[0, k] + viewmat[0, 1] * r[1, k] + viewmat[0, 2] * r[2, k])
         b = s * (viewmat[1, 0] * r[0, k] + viewmat[1, 1] * r[1, k] + viewmat[1, 2] * r[2, k])
         c = s * (viewmat[2, 0] * r[0, k] + viewmat[2, 1] * r[1, k] + viewmat[2, 2] * r[2, k])
@@ -64,24 +64,31 @@ def _footprint(mean, quat, scale, viewmat, intrinsics, width, height, m, r):
 
 
 @njit(cache=True, fastmath=FUSED)
-def _misses(mean, scale, viewmat, intrinsics, width, height):
-    """Whether a bound on the footprint, without the rotation, already lies outside the image."""
+def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, first, last, out):
+    """Write into out those from first to last whose footprint may reach the image, and return how many.
+
+    The bound on the footprint leaves out the rotation. It is compared before the division by z, without a branch.
+    """
     fx, fy, cx, cy = intrinsics
-    z = viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3]
-    if z <= NEAR:
-        return True
-    u = (viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3]) / z
-    v = (viewmat[1, 0] * mean[0] + viewmat[1, 1] * mean[1] + viewmat[1, 2] * mean[2] + viewmat[1, 3]) / z
-    size = _MOST_REACH * max(scale[0], max(scale[1], scale[2])) / z
     tan_x = max(cx, width - cx) / fx + 0.15 * width / fx  # where the Jacobian is clamped
     tan_y = max(cy, height - cy) / fy + 0.15 * height / fy
-    half_x = fx * size * np.sqrt(1.0 + tan_x * tan_x) + _MOST_REACH
-    half_y = fy * size * np.sqrt(1.0 + tan_y * tan_y) + _MOST_REACH
-    x, y = fx * u + cx, fy * v + cy
-    return x + half_x < 0.0 or x - half_x > width or y + half_y < 0.0 or y - half_y > height
+    wide, high = _MOST_REACH * fx * np.sqrt(1.0 + tan_x * tan_x), _MOST_REACH * fy * np.sqrt(1.0 + tan_y * tan_y)
+    least, found = np.float32(1.0 / 255.0), 0
+    for i in range(first, last):
+        p, q, r = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        z = viewmat[2, 0] * p + viewmat[2, 1] * q + viewmat[2, 2] * r + viewmat[2, 3]
+        x = fx * (viewmat[0, 0] * p + viewmat[0, 1] * q + viewmat[0, 2] * r + viewmat[0, 3]) + cx * z
+        y = fy * (viewmat[1, 0] * p + viewmat[1, 1] * q + viewmat[1, 2] * r + viewmat[1, 3]) + cy * z
+        size = np.float64(max(scales[i, 0], max(scales[i, 1], scales[i, 2])))
+        half_x, half_y = wide * size + _MOST_REACH * z, high * size + _MOST_REACH * z
+        missed = (opacities[i] < least) | (z <= NEAR) | (x + half_x < 0.0) | (x - half_x > width * z)
+        missed = missed | (y + half_y < 0.0) | (y - half_y > height * z)
+        out[found] = i
+        found += not missed
+    return found
 
 
-@njit(cache=True, fastmath=FUSED)
+@njit(cache=True, fastmath=FUSED, inline="always")
 def _covariance(m):
     """xx, xy, yy of m m^T, and its determinant without cancellation."""
     xx = m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1] + m[0, 2] * m[0, 2]
@@ -103,14 +110,12 @@ def project(
     for _worker in prange(WORKERS):
         m, r = np.zeros((2, 3)), np.empty((3, 3))
         block = take_next(taken)
+        candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
         while block < len(counts):
-            at = block * _BLOCK
-            for i in range(block * _BLOCK, min(len(means), (block + 1) * _BLOCK)):
-                if opacities[i] < np.float32(1.0 / 255.0):
-                    continue
-                if _misses(means[i], scales[i], viewmat, intrinsics, width, height):
-                    continue
-                x, y, z, _, _ = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
+            at, last = block * _BLOCK, min(len(means), (block + 1) * _BLOCK)
+            found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
+            for i in candidates[:found]:
+                x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
                 xx, xy, yy, det = _covariance(m)
                 full = det + DILATION * (xx + yy) + DILATION * DILATION
                 opacity = np.float64(opacities[i])
@@ -163,28 +168,28 @@ def project_backward(
         m, r, v_r = np.zeros((2, 3)), np.empty((3, 3)), np.empty((3, 3))
         for j in range(256 * block, min(len(ids), 256 * block + 256)):
             _one_backward(
-                ids[j], means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums[j], v_means2d[j],
+                ids[j], means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, j, sums, v_means2d,
                 v_opacities, v_means, v_quats, v_scales, m, r, v_r,
             )  # fmt: skip
 
 
-@njit(cache=True, fastmath=FUSED)
+@njit(cache=True, fastmath=FUSED, inline="always")
 def _one_backward(
-    i, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, sums, v_mean2d,
+    i, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, j, sums, v_means2d,
     v_opacities, v_means, v_quats, v_scales, m, r, v_r,
 ):  # fmt: skip
-    """`project_backward` of Gaussian i; m (2, 3), r and v_r (3, 3) are room to work in."""
+    """`project_backward` of Gaussian i, splat j; m (2, 3), r and v_r (3, 3) are room to work in."""
     fx, fy = intrinsics[0], intrinsics[1]
     width, height = size
-    x, y, z, u, v = _footprint(means[i], quats[i], scales[i], viewmat, intrinsics, width, height, m, r)
+    x, y, z, u, v = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
     xx, xy, yy, det = _covariance(m)
     full = det + DILATION * (xx + yy) + DILATION * DILATION
     xx, yy = xx + DILATION, yy + DILATION
     a, b, c = yy / full, -xy / full, xx / full
-    q, qx, qy = np.float64(sums[4]), np.float64(sums[5]), np.float64(sums[6])
-    g_a, g_b, g_c = -0.5 * sums[7], -0.5 * sums[8], -0.5 * sums[9]  # as a symmetric matrix
+    q, qx, qy = np.float64(sums[j, 4]), np.float64(sums[j, 5]), np.float64(sums[j, 6])
+    g_a, g_b, g_c = -0.5 * sums[j, 7], -0.5 * sums[j, 8], -0.5 * sums[j, 9]  # as a symmetric matrix
     v_u, v_v = -(a * qx + b * qy), -(b * qx + c * qy)
-    v_mean2d[0], v_mean2d[1] = v_u, v_v
+    v_means2d[j, 0], v_means2d[j, 1] = v_u, v_v
     # cov -> conic: dL/dcov = -conic G conic
     t00, t01 = a * g_a + b * g_b, a * g_b + b * g_c
     t10, t11 = b * g_a + c * g_b, b * g_b + c * g_c
@@ -205,7 +210,7 @@ def _one_backward(
     else:
         v_opacities[i] += q / opacity
     # m = J (W R S), J rows (fx / z)(1, 0, -u) and (fy / z)(0, 1, -v)
-    v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[3])
+    v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[j, 3])
     v_z -= fx * x / (z * z) * v_u + fy * y / (z * z) * v_v
     v_u_j, v_v_j = 0.0, 0.0  # by the clamped u and v inside J
     for k in range(3):
@@ -231,13 +236,13 @@ def _one_backward(
         v_z -= v_v_j * y / (z * z)
     for e in range(3):
         v_means[i, e] += viewmat[0, e] * v_x + viewmat[1, e] * v_y + viewmat[2, e] * v_z
-    _add_quat_gradient(quats[i], v_r, v_quats[i])
+    _add_quat_gradient(i, quats, v_r, v_quats)
 
 
-@njit(cache=True, fastmath=FUSED)
-def _add_quat_gradient(quat, v_r, out):
-    """Chain rule through the rotation matrix of a quaternion of any length."""
-    w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
+@njit(cache=True, fastmath=FUSED, inline="always")
+def _add_quat_gradient(i, quats, v_r, out):
+    """Chain rule through the rotation matrix of quaternion i, of any length."""
+    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
     n = np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w / n, x / n, y / n, z / n
     v_w = 2 * (x * (v_r[2, 1] - v_r[1, 2]) + y * (v_r[0, 2] - v_r[2, 0]) + z * (v_r[1, 0] - v_r[0, 1]))
@@ -260,7 +265,7 @@ def _add_quat_gradient(quat, v_r, out):
         + w * (v_r[1, 0] - v_r[0, 1])
     )
     along = v_w * w + v_x * x + v_y * y + v_z * z  # length has no effect
-    out[0] += (v_w - along * w) / n
-    out[1] += (v_x - along * x) / n
-    out[2] += (v_y - along * y) / n
-    out[3] += (v_z - along * z) / n
+    out[i, 0] += (v_w - along * w) / n
+    out[i, 1] += (v_x - along * x) / n
+    out[i, 2] += (v_y - along * y) / n
+    out[i, 3] += (v_z - along * z) / n

@@ -14,61 +14,9 @@ from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_ba
 
 TILE = LANES
 _LOG2_255 = 7.994353436858858
+BLOCK = 1 << 11  # splats that one thread takes at a time
 _BATCH = 32  # Gaussians made ready at a time
 _MARGIN = 1e-3  # pixels; a tile too many costs little, one too few an edge
-
-
-@njit(cache=True)
-def _row_order(rows, i, j):
-    """-1, 0 or 1 as row i of an array of two dimensions sorts before, with or after row j."""
-    for c in range(rows.shape[1]):
-        if rows[i, c] != rows[j, c]:
-            return -1 if rows[i, c] < rows[j, c] else 1
-    return 0
-
-
-@njit(cache=True)
-def _less(i, j, ids, means, scales, quats, opacities, sh0):
-    """Content order of two splats of equal depth: means, scales, quats, opacity, color."""
-    i, j = ids[i], ids[j]
-    for rows in (means, scales, quats, opacities, sh0):
-        sign = _row_order(rows, i, j)
-        if sign != 0:
-            return sign < 0
-    return False
-
-
-@njit(cache=True)
-def order_ties(order, depths, ids, means, scales, quats, opacities, sh0):
-    """Put runs of equal depth in a depth order into content order (merge sort).
-
-    `depths` are in that order already; all content is (N, columns).
-    """
-    scratch = np.empty_like(order)
-    start = 0
-    while start < len(order):
-        stop = start + 1
-        while stop < len(order) and depths[stop] == depths[start]:
-            stop += 1
-        width = 1
-        while width < stop - start:
-            for left in range(start, stop, 2 * width):
-                middle, right = min(left + width, stop), min(left + 2 * width, stop)
-                i, j = left, middle
-                for k in range(left, right):
-                    take_left = i < middle
-                    if take_left and j < right:
-                        take_left = not _less(order[j], order[i], ids, means, scales, quats, opacities, sh0)
-                    if take_left:
-                        scratch[k] = order[i]
-                        i += 1
-                    else:
-                        scratch[k] = order[j]
-                        j += 1
-                for k in range(left, right):
-                    order[k] = scratch[k]
-            width *= 2
-        start = stop
 
 
 @njit(cache=True)
@@ -94,68 +42,119 @@ def _tiles_between(low, high, tiles):
     return max(int(np.ceil((low + 0.5) / TILE)) - 1, 0), min(int(np.floor((high - 0.5) / TILE)), tiles - 1)
 
 
+@njit(cache=True)
+def _box(splat, tiles_x, tiles_y):
+    """First and last column, first and last row of the tiles under the box of a splat."""
+    x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
+    y0, y1 = _tiles_between(splat[1] - splat[7], splat[1] + splat[7], tiles_y)
+    return x0, x1, y0, y1
+
+
 @njit(cache=True, parallel=True, nogil=True)
 def count_candidates(splats, tiles_x, tiles_y, out):
-    """Tiles under the box of each splat into out (M,)."""
-    for m in prange(len(splats)):
-        splat = splats[m]
-        x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
-        y0, y1 = _tiles_between(splat[1] - splat[7], splat[1] + splat[7], tiles_y)
-        out[m] = max(x1 - x0 + 1, 0) * max(y1 - y0 + 1, 0)
+    """Tiles under the boxes of the splats of each block into out (blocks,)."""
+    for block in prange(len(out)):
+        total = 0
+        for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
+            x0, x1, y0, y1 = _box(splats[m], tiles_x, tiles_y)
+            total += max(x1 - x0 + 1, 0) * max(y1 - y0 + 1, 0)
+        out[block] = total
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def meet_tiles(splats, order, first_room, tiles_x, tiles_y, met, counts, histogram):
-    """Tiles that each splat reaches, splat k of the depth order from met[first_room[k]] on, counts[k] of them.
+def meet_tiles(splats, room, tiles_x, tiles_y, met, spans):
+    """Tiles that each splat reaches into met, those of block b from room[b] on.
 
-    `histogram` (chunks, tiles) receives how many splats each chunk of the order puts into each tile.
+    spans (M, 2) receives where those of each splat begin, from room[b] on, and how many they are.
     """
-    chunks = len(histogram)
-    for chunk in prange(chunks):
-        for k in range(len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks):
-            splat = splats[order[k]]
-            x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
-            y0, y1 = _tiles_between(splat[1] - splat[7], splat[1] + splat[7], tiles_y)
-            at = first_room[k]
-            for ty in range(y0, y1 + 1):
-                first, last = x0, x1
-                if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
-                    low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
-                    first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
-                    first, last = max(x0, first), min(x1, last)
-                for tx in range(first, last + 1):
-                    met[at] = ty * tiles_x + tx
-                    histogram[chunk, ty * tiles_x + tx] += 1
-                    at += 1
-            counts[k] = at - first_room[k]
+    taken = np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        block = take_next(taken)
+        while block < len(room) - 1:
+            at = np.int64(0)
+            for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
+                splat = splats[m]
+                x0, x1, y0, y1 = _box(splat, tiles_x, tiles_y)
+                spans[m, 0] = at
+                for ty in range(y0, y1 + 1):
+                    first, last = x0, x1
+                    if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
+                        low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+                        first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
+                        first, last = max(x0, first), min(x1, last)
+                    for tx in range(first, last + 1):
+                        met[room[block] + at] = ty * tiles_x + tx
+                        at += 1
+                spans[m, 1] = at - spans[m, 0]
+            block = take_next(taken)
 
 
 @njit(cache=True)
-def place_chunks(histogram, offsets):
-    """Turn counts (chunks, tiles) into first places, and fill offsets (tiles + 1)."""
-    total = 0
-    for tile in range(histogram.shape[1]):
-        offsets[tile] = total
-        for chunk in range(len(histogram)):
-            count = histogram[chunk, tile]
-            histogram[chunk, tile] = total
-            total += count
-    offsets[-1] = total
+def _find_met(order, start, count, spans, room, met, found):
+    """Where the tiles of `count` splats of the depth order begin, how many they are and the first into found (K, 3).
+
+    Done for many splats at a time, as no load waits for what another one decides.
+    """
+    for j in range(count):
+        m = order[start + j]
+        found[j, 0], found[j, 1] = room[m // BLOCK] + spans[m, 0], spans[m, 1]
+    for j in range(count):
+        found[j, 2] = met[found[j, 0]]
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def fill_tiles(order, first_room, met, counts, first_pair, places, members, pair_of):
-    """Write each tile's list, front to back; `pair_of` (may be empty) numbers the pairs along the depth order."""
-    chunks = len(places)
-    for chunk in prange(chunks):
-        for k in range(len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks):
-            for i in range(counts[k]):
-                tile = met[first_room[k] + i]
-                place = places[chunk, tile]
-                places[chunk, tile] = place + 1
-                members[place] = order[k]
-                if len(pair_of):
-                    pair_of[place] = first_pair[k] + i
+def count_tiles(order, spans, room, met, counts, pairs):
+    """Count how many splats each chunk of the depth order puts into each tile: counts (chunks, tiles).
+
+    `pairs` (chunks,) receives the sums.
+    """
+    chunks, taken = len(counts), np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        chunk, found = take_next(taken), np.empty((_BATCH, 3), np.int64)
+        while chunk < chunks:
+            total, last = 0, len(order) * (chunk + 1) // chunks
+            for start in range(len(order) * chunk // chunks, last, _BATCH):
+                count = min(_BATCH, last - start)
+                _find_met(order, start, count, spans, room, met, found)
+                for j in range(count):
+                    if found[j, 1] > 0:
+                        counts[chunk, found[j, 2]] += 1
+                    for i in range(1, found[j, 1]):
+                        counts[chunk, met[found[j, 0] + i]] += 1
+                    total += found[j, 1]
+            pairs[chunk] = total
+            chunk = take_next(taken)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def fill_tiles(order, spans, room, met, places, first_pair, members, pair_of):
+    """Write each tile's list, front to back, from places (chunks, tiles) on, which are counted up.
+
+    `pair_of` (may be empty) numbers the pairs along the depth order: splat order[k] owns those from first_pair[k] on,
+    of which the first of each chunk is given, and the others are filled in.
+    """
+    chunks, taken = len(places), np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        chunk, found = take_next(taken), np.empty((_BATCH, 3), np.int64)
+        while chunk < chunks:
+            first, last = len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks
+            pair = first_pair[first]
+            for start in range(first, last, _BATCH):
+                count = min(_BATCH, last - start)
+                _find_met(order, start, count, spans, room, met, found)
+                for j in range(count):
+                    first_pair[start + j] = pair
+                    tile = found[j, 2]
+                    for i in range(found[j, 1]):
+                        if i > 0:
+                            tile = met[found[j, 0] + i]
+                        place = places[chunk, tile]
+                        places[chunk, tile] = place + 1
+                        members[place] = order[start + j]
+                        if len(pair_of):
+                            pair_of[place] = pair
+                        pair += 1
+            chunk = take_next(taken)
 
 
 @njit(cache=True)
