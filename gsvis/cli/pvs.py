@@ -274,7 +274,7 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
 def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
     n, cells, sizes = store.gaussians, len(store), store.sizes()
     shares, viewpoints, certified = store.visible_counts / n, store.viewpoints, store.certificates
-    blind = int(np.count_nonzero(viewpoints == 0))
+    blind = int(np.count_nonzero((viewpoints == 0) & (certified.rays == 0)))
     above = int(np.count_nonzero(certified.bound > plan.config.limit))
     twice = store.info.config.get("traced_twice")
     ever = len(store.ever_visible()) / n

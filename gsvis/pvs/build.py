@@ -285,7 +285,7 @@ def _write(work: Work, progress: Progress) -> None:
         for cell in range(len(grid)):
             view = _read(work, cell)
             directions[view.ids] |= view.directions
-            looked += view.figures.viewpoints
+            looked += view.figures.viewpoints + view.figures.rays
             writer.add_cell(CellSet(view.ids, view.classes, **asdict(view.figures)))
         if not looked:
             raise SceneError(

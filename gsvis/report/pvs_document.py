@@ -76,7 +76,7 @@ def _describe_store(store: VisibilityStore) -> dict[str, Any]:
         "viewpoints": {"mean": float(looked.mean()), "min": int(looked.min()), "max": int(looked.max())},
         "certificates": certified.as_dict(),
         "cells_above_limit": count_above_limit(store),
-        "cells_without_a_free_viewpoint": int(np.count_nonzero(looked == 0)),
+        "cells_without_a_free_viewpoint": int(np.count_nonzero((looked == 0) & (certified.rays == 0))),
         "cells": {
             "centers": store.grid.centers.tolist(),
             "visible": store.visible_counts.tolist(),

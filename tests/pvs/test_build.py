@@ -17,23 +17,27 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis._extras import has
 from gsvis.errors import FormatError, GsvisError, SceneError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.pvs import build
-from gsvis.pvs._journal import name_entry
+from gsvis.pvs import estimate as estimates
+from gsvis.pvs._journal import name_cell, name_viewpoint
 from gsvis.pvs.build import build_pvs, journal_of
-from gsvis.pvs.cell_view import CellView
+from gsvis.pvs.cell_view import CellView, Finder, Sighting
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.pvs.workers import Workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
+from gsvis.scene.solid import Solid
 
-CONFIG = PvsConfig(size=16, growth=0.1, min_viewpoints=3, max_viewpoints=6)
+CONFIG = PvsConfig(size=16, limit=0.05, rays=128, max_inner=2)
 """Small, and cells are done after different numbers of viewpoints."""
 
 
@@ -45,6 +49,10 @@ class Job:
     grid: CellGrid
     space: NavigableSpace
     wanted: bytes
+
+    @property
+    def shared(self) -> SharedViewpoints:
+        return SharedViewpoints(CellViewpoints(self.grid, self.space))
 
     def run(
         self, path: Path, config: PvsConfig = CONFIG, *, workers: Workers | None = None, progress: Progress = silent
@@ -58,53 +66,71 @@ class Job:
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
-    made = two_rooms(2000, sh_degree=1)
-    grid = CellGrid.over(made.navigable, max_cells=12)
+    made = two_rooms(1000, sh_degree=1)
+    space = NavigableSpace.from_box((0.5, 0.5, 0.3), (7.5, 3.5, 2.7), 14)
+    grid = CellGrid.over(space, max_cells=8)
     path = tmp_path_factory.mktemp("pvs") / "here.pvs"
-    with build_pvs(made.gaussians, grid, made.navigable, path, CONFIG) as store:
+    with build_pvs(made.gaussians, grid, space, path, CONFIG) as store:
         assert len(set(store.viewpoints.tolist())) > 1
-    return Job(made.gaussians, grid, made.navigable, path.read_bytes())
+        assert len(set(store.certificates.rays.tolist())) > 1
+    return Job(made.gaussians, grid, space, path.read_bytes())
 
 
 class Stop:
-    """A progress callback that ends the build after so many cells, and remembers where it began."""
+    """A progress callback that ends the build after so many steps of a stage, and remembers where it began."""
 
-    def __init__(self, after: int, error: type[BaseException] = KeyboardInterrupt) -> None:
-        self.after, self.error, self.calls = after, error, []
+    def __init__(self, after: int, stage: str = "cells", error: type[BaseException] = KeyboardInterrupt) -> None:
+        self.after, self.stage, self.error, self.calls = after, stage, error, []
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         self.calls.append((stage, done))
-        if stage == "cells" and done >= self.after:
+        if stage == self.stage and done >= self.after:
             raise self.error
 
 
+@dataclass
+class Counts:
+    """How many viewpoints were looked from, and how many cells were found, in this process."""
+
+    viewpoints: int = 0
+    cells: int = 0
+
+
 @pytest.fixture
-def looked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A list that grows by one for each cell that is looked from in this process."""
-    seen: list[int] = []
-    from gsvis.pvs import _workers
+def counts(monkeypatch: pytest.MonkeyPatch) -> Counts:
+    found = Counts()
+    look, find_cell = Finder.look, Finder.find_cell
 
-    def counting(look: Any, viewpoints: Any, config: PvsConfig) -> CellView:
-        seen.append(len(viewpoints))
-        return see_cell(look, viewpoints, config)
+    def counted_look(self: Finder, viewpoint: Any) -> Sighting:
+        found.viewpoints += 1
+        return look(self, viewpoint)
 
-    see_cell = _workers.see_cell
-    monkeypatch.setattr(_workers, "see_cell", counting)
-    return seen
+    def counted_find(self: Finder, *words: Any) -> CellView:
+        found.cells += 1
+        return find_cell(self, *words)
+
+    monkeypatch.setattr(Finder, "look", counted_look)
+    monkeypatch.setattr(Finder, "find_cell", counted_find)
+    return found
+
+
+def kept_in(folder: Path) -> tuple[int, int]:
+    """The number of kept viewpoints and cells."""
+    return len(list(folder.glob("viewpoint-*.bin"))), len(list(folder.glob("cell-*.bin")))
 
 
 def test_workers_do_not_change_a_byte_even_if_they_die(job: Job, tmp_path: Path) -> None:
-    killed: list[int] = []
+    killed: dict[str, int] = {}
 
     def kill_one(stage: str, done: int, total: int) -> None:
-        if stage == "cells" and done == 3 and not killed:
+        if stage in ("viewpoints", "cells") and done == 3 and stage not in killed:
             victim = multiprocessing.active_children()[0]
             assert victim.pid is not None
-            killed.append(victim.pid)
+            killed[stage] = victim.pid
             os.kill(victim.pid, signal.SIGKILL)
 
     assert job.run(tmp_path / "killed.pvs", workers=Workers(2), progress=kill_one) == job.wanted
-    assert killed
+    assert set(killed) == {"viewpoints", "cells"}
     assert job.run(tmp_path / "three.pvs", workers=Workers(3)) == job.wanted
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.pvs", "three.pvs"]
     assert multiprocessing.active_children() == []
@@ -120,55 +146,128 @@ def test_the_number_of_threads_does_not_change_a_byte(job: Job, tmp_path: Path) 
         use_threads(None)
 
 
-def test_a_stopped_build_goes_on_where_it_stood(job: Job, tmp_path: Path, looked: list[int]) -> None:
+@pytest.mark.parametrize(("stage", "after"), [("viewpoints", 5), ("viewpoints", 99), ("cells", 5), ("check", 0)])
+def test_a_stopped_build_goes_on_where_it_stood(
+    job: Job, tmp_path: Path, counts: Counts, stage: str, after: int
+) -> None:
+    cells, viewpoints = len(job.grid), len(job.shared)
     path = tmp_path / "new" / "scene.pvs"
+    after = min(after, viewpoints)
     with pytest.raises(KeyboardInterrupt):
-        job.run(path, progress=Stop(5))
+        job.run(path, progress=Stop(after, stage))
     assert not path.exists()
-    assert len(list(job.journal(path).glob("cell-*.bin"))) == 5
-    assert len(looked) == 5
+    kept = {"viewpoints": (after, 0), "cells": (viewpoints, after), "check": (viewpoints, cells)}[stage]
+    assert kept_in(job.journal(path)) == kept
+    assert (counts.viewpoints, counts.cells) == kept
     again = Stop(99)
     assert job.run(path, progress=again) == job.wanted
-    assert len(looked) == len(job.grid)
-    assert again.calls[0] == ("cells", 5)
+    assert (counts.viewpoints, counts.cells) == (viewpoints, cells)
+    assert again.calls[0] == ("viewpoints", kept[0])
+    assert next(call for call in again.calls if call[0] == "cells") == ("cells", kept[1])
     assert [entry.name for entry in path.parent.iterdir()] == ["scene.pvs"]
 
 
-def test_a_stopped_pool_leaves_no_process_and_no_copy_of_the_scene(job: Job, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stage", ["viewpoints", "cells"])
+def test_a_stopped_pool_leaves_no_process_and_no_copy_of_the_scene(job: Job, tmp_path: Path, stage: str) -> None:
     path = tmp_path / "scene.pvs"
     with pytest.raises(KeyboardInterrupt):
-        job.run(path, workers=Workers(2), progress=Stop(1))
+        job.run(path, workers=Workers(2), progress=Stop(1, stage))
     assert multiprocessing.active_children() == []
-    kept = sorted(entry.name for entry in job.journal(path).iterdir() if not entry.name.startswith("cell-"))
+    kept = sorted(entry.name for entry in job.journal(path).iterdir() if entry.suffix != ".bin")
     assert kept == ["lock", "plan.json"]
     assert job.run(path) == job.wanted
 
 
-def test_a_build_that_finished_no_cell_leaves_nothing(job: Job, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stage", ["viewpoints", "cells"])
+def test_a_build_goes_on_with_another_number_of_workers(job: Job, tmp_path: Path, counts: Counts, stage: str) -> None:
+    path = tmp_path / "scene.pvs"
     with pytest.raises(KeyboardInterrupt):
-        job.run(tmp_path / "scene.pvs", progress=Stop(0))
+        job.run(path, progress=Stop(3, stage))
+    here = (counts.viewpoints, counts.cells)
+    assert job.run(path, workers=Workers(2)) == job.wanted
+    assert (counts.viewpoints, counts.cells) == here  # the rest was done elsewhere
+
+
+def test_a_build_that_finished_nothing_leaves_nothing(job: Job, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        job.run(tmp_path / "scene.pvs", progress=Stop(0, "viewpoints"))
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "bit", "other"])
-def test_a_damaged_cell_is_looked_from_again(job: Job, tmp_path: Path, looked: list[int], damage: str) -> None:
-    path = tmp_path / "scene.pvs"
-    with pytest.raises(KeyboardInterrupt):
-        job.run(path, progress=Stop(4))
-    victim = sorted(job.journal(path).glob("cell-*.bin"))[2]
+def spoil(victim: Path, damage: str) -> None:
     whole = victim.read_bytes()
     flipped = bytearray(whole)
     flipped[-3] ^= 1
     victim.write_bytes({"cut": whole[:-5], "empty": b"", "bit": bytes(flipped), "other": b"x" * 99}[damage])
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "bit", "other"])
+def test_a_damaged_cell_is_found_again(job: Job, tmp_path: Path, counts: Counts, damage: str) -> None:
+    path = tmp_path / "scene.pvs"
+    with pytest.raises(KeyboardInterrupt):
+        job.run(path, progress=Stop(4))
+    spoil(sorted(job.journal(path).glob("cell-*.bin"))[2], damage)
     (job.journal(path) / ".cell-000009-abc.bin").write_bytes(b"half")
-    looked.clear()
+    counts.viewpoints = counts.cells = 0
     assert job.run(path) == job.wanted
-    assert len(looked) == len(job.grid) - 3
+    assert (counts.viewpoints, counts.cells) == (0, len(job.grid) - 3)
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.pvs"]
 
 
+@pytest.mark.parametrize("damage", ["cut", "empty", "bit", "other"])
+def test_a_damaged_viewpoint_is_looked_from_again(job: Job, tmp_path: Path, counts: Counts, damage: str) -> None:
+    path = tmp_path / "scene.pvs"
+    with pytest.raises(KeyboardInterrupt):
+        job.run(path, progress=Stop(6, "viewpoints"))
+    spoil(sorted(job.journal(path).glob("viewpoint-*.bin"))[2], damage)
+    counts.viewpoints = counts.cells = 0
+    assert job.run(path) == job.wanted
+    assert (counts.viewpoints, counts.cells) == (len(job.shared) - 5, len(job.grid))
+
+
+def test_only_viewpoints_of_unfinished_cells_are_looked_from_again(job: Job, tmp_path: Path, counts: Counts) -> None:
+    path = tmp_path / "scene.pvs"
+    with pytest.raises(KeyboardInterrupt):
+        job.run(path, progress=Stop(4))
+    done, left = (
+        set(np.concatenate([job.shared.of_cell(cell) for cell in some]).tolist())
+        for some in (range(4), range(4, len(job.grid)))
+    )
+    assert done - left
+    assert done & left
+    spoil(job.journal(path) / name_viewpoint(min(done - left)), "cut")
+    spoil(job.journal(path) / name_viewpoint(min(done & left)), "bit")
+    counts.viewpoints = counts.cells = 0
+    assert job.run(path) == job.wanted
+    assert (counts.viewpoints, counts.cells) == (1, len(job.grid) - 4)
+
+
+@pytest.mark.parametrize(
+    ("stage", "name", "message"),
+    [
+        ("cells", name_viewpoint(0), "viewpoint of cell 0 was damaged"),
+        ("check", name_cell(1), "cell 1 was damaged while the store was written"),
+    ],
+)
+def test_what_is_damaged_during_a_build_is_named_and_made_again(
+    job: Job, tmp_path: Path, counts: Counts, stage: str, name: str, message: str
+) -> None:
+    path = tmp_path / "scene.pvs"
+
+    def damage(now: str, done: int, total: int) -> None:
+        if (now, done) == (stage, 0):
+            spoil(job.journal(path) / name, "bit")
+
+    with pytest.raises(OSError, match=rf"{message}; .* are kept in .*run the same again to resume") as caught:
+        job.run(path, progress=damage)
+    assert (caught.value.errno, caught.value.filename) == (errno.EIO, str(path))
+    counts.viewpoints = counts.cells = 0
+    assert job.run(path) == job.wanted
+    assert (counts.viewpoints, counts.cells) == ((1, len(job.grid)) if stage == "cells" else (0, 1))
+
+
 def test_the_journal_stays_until_the_store_is_open(
-    job: Job, tmp_path: Path, looked: list[int], monkeypatch: pytest.MonkeyPatch
+    job: Job, tmp_path: Path, counts: Counts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(path: Path) -> None:
         raise FormatError(path, "", "a store", "another file")
@@ -178,27 +277,28 @@ def test_the_journal_stays_until_the_store_is_open(
         patch.setattr(VisibilityStore, "open", refuse)
         with pytest.raises(FormatError, match="expected a store"):
             job.run(path)
-    assert len(list(job.journal(path).glob("cell-*.bin"))) == len(looked) == len(job.grid)
+    assert kept_in(job.journal(path)) == (len(job.shared), len(job.grid)) == (counts.viewpoints, counts.cells)
     assert job.run(path) == job.wanted
-    assert len(looked) == len(job.grid)
+    assert (counts.viewpoints, counts.cells) == (len(job.shared), len(job.grid))
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.pvs"]
 
 
-def test_other_settings_do_not_use_the_journal(job: Job, tmp_path: Path, looked: list[int]) -> None:
+def test_other_settings_do_not_use_the_journal(job: Job, tmp_path: Path, counts: Counts) -> None:
     path = tmp_path / "scene.pvs"
     with pytest.raises(KeyboardInterrupt):
-        job.run(path, progress=Stop(11))
-    other = replace(CONFIG, growth=0.5)
+        job.run(path, progress=Stop(6))
+    other = replace(CONFIG, limit=0.5, tile_limit=1.0)
     assert job.journal(path) != job.journal(path, other)
     more = build_pvs(job.scene, job.grid, job.space, path, other)
-    assert len(looked) == 11 + len(job.grid)
-    assert more.info.config["growth"] == 0.5
+    assert (counts.viewpoints, counts.cells) == (2 * len(job.shared), 6 + len(job.grid))
+    assert more.info.config["limit"] == 0.5
     more.close()
-    smaller = replace(job.space, free=job.space.free & (np.arange(job.space.free.shape[2]) > 8))
+    smaller = replace(job.space, free=job.space.free & (np.arange(job.space.free.shape[2]) > 2))
     folders = {job.journal(path), job.journal(tmp_path / "x.pvs")}
     folders.add(journal_of(job.scene, job.grid, smaller, path, CONFIG))
     folders.add(journal_of(job.scene[:-1], job.grid, job.space, path, CONFIG))
-    assert len(folders) == 4
+    folders |= {job.journal(path, replace(CONFIG, **{name: 1})) for name in ("rays", "max_inner", "tile_limit")}
+    assert len(folders) == 7
     assert job.run(path) == job.wanted  # the first journal is still there
 
 
@@ -207,25 +307,34 @@ def _full(*_: object, **__: object) -> None:
 
 
 def test_a_full_disk_keeps_what_was_found_and_what_was_there(
-    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, looked: list[int]
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counts: Counts
 ) -> None:
-    path = tmp_path / "scene.pvs"
+    path, cells, viewpoints = tmp_path / "scene.pvs", len(job.grid), len(job.shared)
     path.write_bytes(b"what was there before")
     keep = KeptWork.keep
-    with monkeypatch.context() as patched, pytest.raises(OSError, match=r"7 of 12 cells are kept.*make room") as caught:
-        patched.setattr(
-            KeptWork, "keep", lambda self, name, data: keep(self, name, data) if name < name_entry(7) else _full()
-        )
-        job.run(path)
-    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(path))
-    assert path.read_bytes() == b"what was there before"
-    with monkeypatch.context() as patched, pytest.raises(OSError, match="12 of 12 cells are kept"):
+
+    def full_from(first: str) -> Any:
+        stem = first.split("-")[0]
+        return lambda self, name, data: _full() if name.startswith(stem) and name >= first else keep(self, name, data)
+
+    for first, held in (
+        (name_viewpoint(0), "nothing was finished"),
+        (name_viewpoint(3), f"3 of {viewpoints} viewpoints and 0 of {cells} cells are kept"),
+        (name_cell(5), f"{viewpoints} of {viewpoints} viewpoints and 5 of {cells} cells are kept"),
+    ):
+        with monkeypatch.context() as patched, pytest.raises(OSError, match=rf"{held}.*make room") as caught:
+            patched.setattr(KeptWork, "keep", full_from(first))
+            job.run(path)
+        assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(path))
+        assert path.read_bytes() == b"what was there before"
+    with monkeypatch.context() as patched, pytest.raises(OSError, match=f"{cells} of {cells} cells are kept"):
         patched.setattr(build.StoreWriter, "finish", _full)
         job.run(path)
-    assert len(looked) == 8 + 5
+    looked = 1 + 4 + (viewpoints - 3), 6 + (cells - 5)
+    assert (counts.viewpoints, counts.cells) == looked
     assert path.read_bytes() == b"what was there before"
     assert job.run(path) == job.wanted
-    assert len(looked) == 8 + 5
+    assert (counts.viewpoints, counts.cells) == looked
 
 
 @pytest.fixture
@@ -246,7 +355,7 @@ def test_a_disk_that_is_really_full(job: Job, tiny_disk: Path) -> None:
     path = tiny_disk / "scene.pvs"
     path.write_bytes(b"what was there before")
     for workers in (1, 2):
-        with pytest.raises(OSError, match=r"cell.*make room and run the same command again") as caught:
+        with pytest.raises(OSError, match=r"viewpoint.*make room and run the same command again") as caught:
             job.run(path, workers=Workers(workers))
         assert caught.value.errno == errno.ENOSPC
         assert path.read_bytes() == b"what was there before"
@@ -319,25 +428,55 @@ def test_sh_is_not_looked_at_and_the_store_knows_its_scene(job: Job, tmp_path: P
             assert wanted.info.config["size"] == CONFIG.size
 
 
+def test_the_store_holds_the_certificates_and_what_two_tracers_agree_on(job: Job, tmp_path: Path) -> None:
+    (tmp_path / "scene.pvs").write_bytes(job.wanted)
+    with VisibilityStore.open(tmp_path / "scene.pvs") as store:
+        certified, looked = store.certificates, store.viewpoints
+        twice = store.info.config["traced_twice"]
+    shared = np.array([len(job.shared.of_cell(cell)) for cell in range(len(job.grid))])
+    assert certified.known.all()
+    assert (looked - certified.inner <= shared).all()
+    assert (certified.inner <= CONFIG.max_inner).all()
+    stages = certified.rays / CONFIG.rays
+    assert ((stages >= 1) & (stages <= CONFIG.max_inner + 1) & (stages == np.round(stages))).all()
+    finished = (certified.bound <= CONFIG.limit) & (certified.tile <= CONFIG.tile_limit)
+    assert (finished | (stages == CONFIG.max_inner + 1)).all()
+    assert (certified.missed <= certified.bound).all()
+    if has("open3d"):
+        assert twice == {"rays": 8 * len(job.grid), "agreeing": 8 * len(job.grid), "largest_difference": 0.0}
+    else:
+        assert twice is None
+
+
 def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "scene.pvs"
-    clock = itertools.count(100.0, 3.0)  # the cells that are tried take 3 seconds together
-    monkeypatch.setattr(build, "_clock", lambda: next(clock))
+    path, cells, viewpoints = tmp_path / "scene.pvs", len(job.grid), len(job.shared)
+    clock = itertools.count(100.0, 3.0)  # the looks of a cell take 3 seconds together, and finding it as many
+    monkeypatch.setattr(estimates, "_clock", lambda: next(clock))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     estimate = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
-    assert (estimate.cells, estimate.finished, estimate.workers) == (12, 0, 2)
-    assert estimate.seconds == pytest.approx(3.0 / 2 * 12 / 1.3)  # two of twelve were tried, two processes share them
+    assert (estimate.viewpoints, estimate.cells, estimate.finished, estimate.workers) == (viewpoints, cells, 0, 2)
+    tried = np.linspace(0, cells - 1, 4).astype(int)[1:-1]
+    looks = sum(len(job.shared.of_cell(cell)) for cell in tried)
+    work = 6.0 / looks * viewpoints + 3.0 * cells
+    assert estimate.seconds == pytest.approx(work / 1.3 + 8.3, abs=0.2)  # two processes share it, and have to start
     assert estimate.memory > 1 << 28
     assert 0.3 < estimate.disk / len(job.wanted) < 5.0
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(KeyboardInterrupt):
+        job.run(path, progress=Stop(3, "viewpoints"))
+    fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
+    assert estimate.seconds - fewer.seconds == pytest.approx(6.0 / looks * 3 / 1.3)
+    with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(5))
-    held = sum(entry.stat().st_size for entry in job.journal(path).glob("cell-*.bin")) / 5 * 12
     before = sorted(path.parent.rglob("*"))
-    estimate = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG)
-    assert estimate.finished == 5
-    assert 0.5 < estimate.working_disk / held < 2.0
+    fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
+    assert fewer.finished == 5
+    assert fewer.seconds == pytest.approx(3.0 * (cells - 5) / 1.3 + 8.3, abs=0.2)
     assert sorted(path.parent.rglob("*")) == before
+    with pytest.raises(KeyboardInterrupt):
+        job.run(path, progress=Stop(0, "check"))
+    held = sum(entry.stat().st_size for entry in job.journal(path).glob("*.bin"))
+    assert 0.5 < estimate_pvs(job.scene, job.grid, job.space, path, CONFIG).working_disk / held < 2.0
 
 
 def test_memory_bounds_the_workers(job: Job, tmp_path: Path) -> None:
@@ -370,6 +509,26 @@ def test_scenes_that_show_nothing_are_refused(job: Job, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="every viewpoint lies inside something solid; give"):
         build_pvs(block, CellGrid.over(box, max_cells=8), box, tmp_path / "x.pvs", CONFIG)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("max_inner", [0, 2])
+def test_a_scene_whose_shared_viewpoints_are_all_buried_is_built_from_other_points(
+    tmp_path: Path, max_inner: int
+) -> None:
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    balls = Gaussians(
+        corners, np.tile([1.0, 0, 0, 0], (8, 1)), np.full((8, 3), 0.2), np.full(8, 0.99), np.zeros((8, 1, 3))
+    )
+    space = NavigableSpace.from_box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), 4)
+    grid = CellGrid.over(space, max_cells=1)
+    shared = SharedViewpoints(CellViewpoints(grid, space)).points
+    assert Solid.from_scene(balls).buries(shared).all()
+    config = replace(CONFIG, max_inner=max_inner)
+    with build_pvs(balls, grid, space, tmp_path / "x.pvs", config) as store:
+        assert store.visible_ids(0).tolist() == list(range(8))
+        assert store.viewpoints.tolist() == store.certificates.inner.tolist()
+        assert store.certificates.rays[0] >= CONFIG.rays
+        assert (store.direction_sets.any(axis=1)).all()
 
 
 def test_a_grid_of_another_space_is_refused(job: Job, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from gsvis.pvs.cluster import check_address, connect
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.procedural import two_rooms
 
-CONFIG = PvsConfig(size=24, max_viewpoints=8)
+CONFIG = PvsConfig(size=24, limit=0.05, rays=128, max_inner=1)
 GUARD = 300.0  # seconds until a hang is a failure
 QUIET = {**os.environ, "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
 

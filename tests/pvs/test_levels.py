@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gsvis.pvs.levels import join_levels
+from scipy.stats import binom
 
 import gsvis.prepare.colors as colors_module
 from gsvis.color.fit import FitConfig
@@ -15,11 +15,13 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
 from gsvis.pvs.build import build_pvs, journal_of
-from gsvis.pvs.cell_view import CellView
+from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.certificate import CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.pvs.workers import Workers
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import trace_directions
@@ -30,7 +32,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 from gsvis.scene.view_sampling import ViewSampling
 
-CONFIG = PvsConfig(size=16, min_viewpoints=3, max_viewpoints=4)
+CONFIG = PvsConfig(size=16, limit=0.05, rays=128, max_inner=1)
 QUICK = ColorConfig(FitConfig(max_terms=2, mean_terms=1.0), ViewSampling(2, 32, 24))
 
 
@@ -46,6 +48,7 @@ def setting() -> tuple[Levels, NavigableSpace, CellGrid]:
     first, last = np.array([0, 1, 2, 0])[kind], np.array([2, 2, 2, 0])[kind]
     mixed = rng.permutation(len(union))
     levels = Levels(union[mixed], first[mixed], last[mixed], ("low", "medium", "high"))
+    assert len(as_levels(union)) == 1
     return levels, made.navigable, CellGrid.over(made.navigable, max_cells=4)
 
 
@@ -59,26 +62,41 @@ def sets_of(store: VisibilityStore, ids: np.ndarray, count: int) -> tuple[np.nda
     return levels, directions
 
 
-def test_sets_of_levels_are_the_union_of_those_of_each(tmp_path: Path) -> None:
+def test_what_is_seen_in_a_level_is_not_hidden_by_another(tmp_path: Path) -> None:
     levels, space, grid = setting()
-    count = len(levels.union)
-    found, directions = np.zeros((len(grid), count), np.int64), np.zeros((count, 10), np.uint8)
-    viewpoints = np.zeros(len(grid), np.int64)
-    for scene, ids in level_scenes(levels):
-        with build_pvs(scene, grid, space, tmp_path / "one.pvs", CONFIG) as store:
-            here, toward = sets_of(store, ids, count)
-            found, directions = np.maximum(found, here), directions | toward
-            viewpoints = np.maximum(viewpoints, store.viewpoints)
+    viewpoints = CellViewpoints(grid, space)
+    shared, count = SharedViewpoints(viewpoints), len(levels.union)
+    highest, ids = list(level_scenes(levels))[-1]
+    finder = Finder(Levels.single(highest), CONFIG)
     with build_pvs(levels, grid, space, tmp_path / "all.pvs", CONFIG) as store:
         together, toward = sets_of(store, np.arange(count), count)
-        np.testing.assert_array_equal(together, found)
-        np.testing.assert_array_equal(toward, directions)
-        np.testing.assert_array_equal(store.viewpoints, viewpoints)
         assert store.info.config["levels"] == levels_record(levels)
         assert store.info.scene == scene_hash(levels.union)
+    assert np.array_equal(toward.any(axis=1), together.any(axis=0))
+    for cell in range(len(grid)):
+        for k in shared.of_cell(cell):
+            seen = finder.look(shared.points[k])
+            assert (together[cell, ids[seen.ids]] > seen.classes).all()
     with build_pvs(levels.union, grid, space, tmp_path / "drawn.pvs", CONFIG) as store:
         wrong, _ = sets_of(store, np.arange(count), count)
-        assert ((wrong == 0) & (found > 0)).any()  # hidden by Gaussians of another level
+        assert ((wrong == 0) & (together > 0)).any()  # hidden by Gaussians of another level
+
+
+def test_the_bound_of_a_cell_holds_for_each_level_drawn_alone(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    viewpoints, certificate = CellViewpoints(grid, space), CertificateConfig(limit=0.0, rays=4000, seed=7)
+    with build_pvs(levels, grid, space, tmp_path / "all.pvs", CONFIG) as store:
+        violations = 0
+        for scene, ids in level_scenes(levels):
+            certifier = Certifier(Tracer(EllipsoidProxies.from_scene(scene)))
+            for cell in range(len(grid)):
+                held = np.flatnonzero(np.isin(ids, store.visible_ids(cell)))
+                found = certifier.certify(viewpoints.voxels(cell), held, certificate)
+                assert found is not None
+                violations += found.missed > store.certificates.bound[cell]
+        trials = len(levels) * len(grid)
+        assert violations <= int(binom.ppf(0.99, trials, 0.05))
+        assert (store.certificates.rays >= len(levels) * CONFIG.rays).all()
 
 
 def test_a_single_level_is_the_scene_to_the_byte(tmp_path: Path) -> None:
@@ -113,19 +131,21 @@ def test_a_permutation_of_the_union_permutes_ids(tmp_path: Path) -> None:
             np.testing.assert_array_equal(a, b)
 
 
-def test_workers_and_stops_do_not_change_a_byte(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("stage", "after"), [("viewpoints", 4), ("cells", 2)])
+def test_workers_and_stops_do_not_change_a_byte(tmp_path: Path, stage: str, after: int) -> None:
     levels, space, grid = setting()
 
-    def stop(stage: str, done: int, total: int) -> None:
-        if stage == "cells" and done == 2:
+    def stop(now: str, done: int, total: int) -> None:
+        if now == stage and done == after:
             raise KeyboardInterrupt
 
     build_pvs(levels, grid, space, tmp_path / "here.pvs", CONFIG).close()
     with pytest.raises(KeyboardInterrupt):
         build_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, progress=stop)
     kept = journal_of(levels, grid, space, tmp_path / "again.pvs", CONFIG)
-    assert len(list(kept.glob("cell-*.bin"))) == 2
-    assert estimate_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, sample=1).finished == 2
+    assert len(list(kept.glob(f"{stage[:-1]}-*.bin"))) == after
+    finished = estimate_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, sample=1).finished
+    assert finished == (2 if stage == "cells" else 0)
     build_pvs(levels, grid, space, tmp_path / "again.pvs", CONFIG, workers=Workers(2)).close()
     assert (tmp_path / "here.pvs").read_bytes() == (tmp_path / "again.pvs").read_bytes()
 
@@ -204,17 +224,3 @@ def test_tracing_of_levels_goes_on_where_it_stood(tmp_path: Path, monkeypatch: p
     assert 0 < calls[0][1] <= stop_at
     assert max(done for stage, done, _ in calls if stage == "directions") == sum(levels.counts)
     np.testing.assert_array_equal(again.sets, prepare_colors(levels, space, QUICK).sets)
-
-
-def test_views_are_joined_by_the_larger_class() -> None:
-    row = np.zeros((2, 10), np.uint8)
-    row[:, 0] = 1, 2
-    one = CellView(np.array([0, 1], np.int32), np.array([2, 0], np.uint8), row, 6, 0.5)
-    other = CellView(np.array([1, 2], np.int32), np.array([1, 3], np.uint8), row, 4, 0.9)
-    view = join_levels([one, other], [np.array([0, 3, 5]), np.array([1, 3, 4])], 6)
-    assert view.ids.tolist() == [0, 3, 4]
-    assert view.classes.tolist() == [2, 1, 3]
-    assert view.directions[:, 0].tolist() == [1, 3, 2]
-    assert (view.viewpoints, view.growth) == (6, 0.5)
-    assert join_levels([one], [np.arange(3)], 3) is one
-    assert len(as_levels(setting()[0].union)) == 1

@@ -55,7 +55,7 @@ def stored(path: Path, of_cell: Maker) -> VisibilityStore:
 
 def everything(level: int = 2) -> Maker:
     ids = np.arange(len(rooms()[0].gaussians))
-    return lambda cell: CellSet(ids, np.full(len(ids), level), 3, 0.0)
+    return lambda cell: CellSet(ids, np.full(len(ids), level), 3)
 
 
 def nothing(cell: int) -> CellSet:
@@ -192,7 +192,7 @@ def test_viewpoints_are_fresh_seeded_and_a_cells_own(tmp_path: Path) -> None:
 
 def test_a_built_store_holds_what_fresh_viewpoints_see(tmp_path: Path) -> None:
     scene, grid, viewpoints = rooms()
-    config = PvsConfig(method="raster", size=24, min_viewpoints=4, max_viewpoints=6)
+    config = PvsConfig(method="raster", size=24, limit=0.05, rays=256, max_inner=1)
     with build_pvs(scene.gaussians, grid, scene.navigable, tmp_path / "rooms.pvs", config) as store:
         found = measure_quality(store, scene.gaussians, viewpoints, QUICK)
         assert store.info.config["space"] == space_hash(scene.navigable)

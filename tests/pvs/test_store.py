@@ -5,8 +5,9 @@ import json
 import struct
 import threading
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,14 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 
 EDGES = np.array([1 / 255, 1 / 64, 1 / 16, 1 / 4])
+SHARES = ("missed", "bound", "tile")
+
+
+def figures_of(cell: int) -> dict[str, Any]:
+    """The certificate of a cell; every third has none."""
+    if cell % 3 == 2:
+        return {}
+    return {"inner": cell, "rays": 256 * cell, "missed": 0.01 * cell, "bound": 0.02 * cell, "tile": 0.1}
 
 
 @dataclass(frozen=True)
@@ -40,7 +49,7 @@ class Truth:
 
     def cells(self) -> list[CellSet]:
         return [
-            CellSet(ids := np.flatnonzero(row), row[ids] - 1, viewpoints=4 + c, growth=0.01 * c)
+            CellSet(ids := np.flatnonzero(row), row[ids] - 1, viewpoints=4 + c, **figures_of(c))
             for c, row in enumerate(self.levels)
         ]
 
@@ -83,7 +92,10 @@ def test_queries_agree_with_plain_sets(tmp_path: Path, n: int, cells: int, share
         assert (len(store), store.gaussians) == (cells, n)
         assert np.array_equal(store.visible_counts, truth.seen.sum(axis=1))
         assert np.array_equal(store.viewpoints, 4 + np.arange(cells))
-        assert np.allclose(store.growth, 0.01 * np.arange(cells))
+        for name in ("inner", "rays", *SHARES):
+            wanted = [figures_of(c).get(name, np.nan if name in SHARES else 0) for c in range(cells)]
+            assert np.allclose(getattr(store.certificates, name), wanted, equal_nan=True)
+        assert store.certificates.known.tolist() == [bool(figures_of(c)) for c in range(cells)]
         assert np.array_equal(store.direction_sets, truth.directions)
         assert store.ever_visible() == BitMap(np.flatnonzero(truth.seen.any(axis=0)).tolist())
         for cell in range(cells):
@@ -154,7 +166,7 @@ def test_equal_content_makes_equal_bytes(tmp_path: Path) -> None:
         assert store.sizes()["file"] == (tmp_path / "a.pvs").stat().st_size
     with StoreWriter(tmp_path / "b.pvs", truth.grid, truth.info()) as writer:
         for cell in truth.cells():
-            writer.add_cell(CellSet(np.asarray(cell.ids).tolist(), cell.classes, cell.viewpoints, cell.growth))
+            writer.add_cell(CellSet(np.asarray(cell.ids).tolist(), *(getattr(cell, f.name) for f in fields(cell)[1:])))
         writer.finish(truth.directions)
     assert (tmp_path / "a.pvs").read_bytes() == (tmp_path / "b.pvs").read_bytes()
 
@@ -375,7 +387,11 @@ def test_numbers_out_of_range_are_refused(tmp_path: Path) -> None:
         (CellSet([1], [-1]), "classes"),
         (CellSet([1.5], [0]), "ids: expected integers"),
         (CellSet([1], [0], viewpoints=-1), "viewpoints"),
-        (CellSet([1], [0], growth=np.nan), "growth"),
+        (CellSet([1], [0], inner=-1), "inner"),
+        (CellSet([1], [0], rays=0.5), "rays"),  # type: ignore[arg-type]
+        (CellSet([1], [0], missed=-0.1), "missed"),
+        (CellSet([1], [0], bound=1.5), "bound"),
+        (CellSet([1], [0], tile=np.inf), "tile"),
     ],
 )
 def test_a_wrong_cell_is_refused_and_the_writer_goes_on(tmp_path: Path, cell: CellSet, message: str) -> None:

@@ -12,10 +12,12 @@ import pytest
 from pyroaring import BitMap
 
 from gsvis.errors import FormatError
+from gsvis.files.sections import SectionFile, SectionWriter
 from gsvis.pvs._order import MAX_DEPTH
-from gsvis.pvs._writer import CELL_ROW
+from gsvis.pvs._writer import CELL_ROW, FILE_KIND
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
+from gsvis.pvs.stored_certificates import CERTIFIED_ROW
 from gsvis.scene.content import scene_hash
 from gsvis.scene.levels import Levels, levels_record
 from gsvis.scene.procedural import random_scene
@@ -33,7 +35,7 @@ def seen_by(cell: int) -> np.ndarray:
 def path(tmp_path: Path) -> Path:
     coords = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
     grid = CellGrid(np.zeros(3), 1.0, (2, 2, 2), coords, np.array([0.0, 0.0, 1.0]))
-    cells = [CellSet(ids, ids % 2, viewpoints=c, growth=0.5) for c in range(CELLS) for ids in [seen_by(c)]]
+    cells = [CellSet(ids, ids % 2, viewpoints=c, bound=0.5) for c in range(CELLS) for ids in [seen_by(c)]]
     return write_store(tmp_path / "x.pvs", grid, StoreInfo(N, "0" * 64, 1 / 255, EDGES), cells, np.zeros((N, 10), "u1"))
 
 
@@ -162,3 +164,77 @@ def test_verify_reports_each_cell(path: Path) -> None:
         for level in (-1, 2, True, 0.5):
             with pytest.raises(ValueError, match=r"level: expected a class in \[0, 2\)"):
                 store.class_interval(level)  # type: ignore[arg-type]
+
+
+def sections_of(path: Path) -> tuple[dict, dict[str, bytes]]:
+    """The header and the sections of a store."""
+    file = SectionFile(path, FILE_KIND)
+    try:
+        return {k: v for k, v in file.header.value.items() if k != "sections"}, {
+            name: file.read(name) for name in file.sections
+        }
+    finally:
+        file.close()
+
+
+def written(path: Path, header: dict, sections: dict[str, bytes]) -> Path:
+    """A store of these sections, under right checksums."""
+    with path.open("wb") as file:
+        container = SectionWriter(file, FILE_KIND)
+        for name, data in sections.items():
+            container.append(data)
+            container.close_section(name)
+        container.finish(header)
+    return path
+
+
+def test_a_store_of_an_older_version_has_no_certificates(path: Path, tmp_path: Path) -> None:
+    header, sections = sections_of(path)
+    assert written(tmp_path / "same.pvs", header, sections).read_bytes() == path.read_bytes()
+    sections.pop("certificates")
+    rows = np.frombuffer(sections["cells"], CELL_ROW).copy()
+    rows["unused"] = 0.25  # a growth stood there
+    older = written(tmp_path / "older.pvs", header, {**sections, "cells": rows.tobytes()})
+    with VisibilityStore.open(older) as store, VisibilityStore.open(path) as new:
+        store.verify()
+        certified = store.certificates
+        assert not certified.known.any()
+        for name in ("missed", "bound", "tile"):
+            assert np.isnan(getattr(certified, name)).all()
+            assert certified.as_dict()[name] is None
+        assert certified.rays.tolist() == certified.inner.tolist() == [0] * CELLS
+        assert (certified.as_dict()["cells"], certified.as_dict()["rays"]) == (0, 0)
+        assert store.viewpoints.tolist() == new.viewpoints.tolist()
+        for cell in range(CELLS):
+            assert store.visible(cell) == new.visible(cell)
+            assert store.classes(cell)[1].tolist() == new.classes(cell)[1].tolist()
+        assert new.certificates.as_dict()["bound"] == {"mean": 0.5, "max": 0.5}
+
+
+@pytest.mark.parametrize("name", ["missed", "bound", "tile"])
+@pytest.mark.parametrize("value", [-0.5, 1.5, np.inf, -np.inf])
+def test_a_share_out_of_range_is_damage(path: Path, tmp_path: Path, name: str, value: float) -> None:
+    header, sections = sections_of(path)
+    rows = np.frombuffer(sections["certificates"], CERTIFIED_ROW).copy()
+    rows[name][3] = value
+    bad = written(tmp_path / "bad.pvs", header, {**sections, "certificates": rows.tobytes()})
+    with pytest.raises(FormatError, match=rf"section 'certificates'.*{name}"):
+        VisibilityStore.open(bad)
+
+
+@pytest.mark.parametrize("change", [slice(0, 0), slice(0, -1), slice(CERTIFIED_ROW.itemsize, None)])
+def test_certificates_of_too_few_cells_are_damage(path: Path, tmp_path: Path, change: slice) -> None:
+    header, sections = sections_of(path)
+    sections["certificates"] = sections["certificates"][change]
+    with pytest.raises(FormatError, match="section 'certificates'"):
+        VisibilityStore.open(written(tmp_path / "bad.pvs", header, sections))
+
+
+def test_a_changed_byte_of_a_certificate_is_damage(path: Path) -> None:
+    with VisibilityStore.open(path) as store:
+        place = store._file.section("certificates").offset
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(FormatError, match="section 'certificates'"):
+        VisibilityStore.open(path)
