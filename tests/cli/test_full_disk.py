@@ -55,7 +55,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("world")
     scene = two_rooms(1000, sh_degree=1).gaussians
     save_scene(scene, folder / "rooms.ply")
-    words = f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --size 16 --workers 1 --rays 256 --max-inner 1 {BOX}"
+    words = (
+        f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --size 16 --workers 1 --rays 256 --max-inner 1 {BOX}"
+    )
     assert main(words.split()) == 0
     levels = in_package_order(Levels.single(two_rooms(1000).gaussians))
     write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()
