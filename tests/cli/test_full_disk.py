@@ -40,8 +40,8 @@ COMMANDS = {
     "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1",
     "train": "train {photos} -o {out}/a.ply --iterations 4 --evaluate-every 4 --sh-degree 0 --overwrite",
     "levels": "levels {ply} -o {out} --iterations 2 --size 24x20 --views 2 --held-out 1",
-    "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 0 --workers 1"
-    " --max-terms 0",
+    "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 1"
+    " --workers 1 --max-terms 0",
     "unpack": "unpack {package} -o {out}",
     "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
     " --whole-file {ply}",
