@@ -37,7 +37,8 @@ BLOCKED = {
     "all of them": tuple(EXTRAS),
 }
 BOX = ["--box", "1", "1", "1", "7", "3", "2"]
-TINY = ["--cells", "2", "--face-size", "16", "--limit", "0.05", "--max-inner", "1", "--workers", "1", "--max-terms", "0", *BOX]
+TINY = ["--cells", "2", "--face-size", "16", "--limit", "0.05", "--max-inner", "1", "--workers", "1"]
+TINY += ["--max-terms", "0", *BOX]
 SMALL = ["--width", "24", "--height", "20"]
 CLUSTER = "tcp://127.0.0.1:1"  # nobody answers there
 COMMANDS = {

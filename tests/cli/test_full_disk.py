@@ -40,8 +40,8 @@ COMMANDS = {
     "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1",
     "train": "train {photos} -o {out}/a.ply --iterations 4 --evaluate-every 4 --sh-degree 0 --overwrite",
     "levels": "levels {ply} -o {out} --iterations 2 --size 24x20 --views 2 --held-out 1",
-    "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 0 --workers 1"
-    " --max-terms 0",
+    "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 1"
+    " --workers 1 --max-terms 0",
     "unpack": "unpack {package} -o {out}",
     "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
     " --whole-file {ply}",
@@ -55,7 +55,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("world")
     scene = two_rooms(1000, sh_degree=1).gaussians
     save_scene(scene, folder / "rooms.ply")
-    words = f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --size 16 --workers 1 --rays 256 --max-inner 1 {BOX}"
+    words = (
+        f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --size 16 --workers 1 --rays 256 --max-inner 1 {BOX}"
+    )
     assert main(words.split()) == 0
     levels = in_package_order(Levels.single(two_rooms(1000).gaussians))
     write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()

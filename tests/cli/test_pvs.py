@@ -50,16 +50,49 @@ def test_a_store_is_written_and_summarized(ply: Path, tmp_path: Path, capsys: Ca
     assert main(["pvs", str(ply), "-o", str(out), *QUICK]) == 0
     text = capsys.readouterr().out
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
-    for label in ("visible from a cell", "viewpoints a cell", "bits a visible Gaussian"):
+    for label in ("visible from a cell", "viewpoints a cell", "light missed", "proven to miss", "two tracers agree"):
         assert label in text
     assert [path.name for path in out.parent.iterdir()] == ["rooms.pvs"]
     found = document(capsys, ply, "-o", out, *QUICK)
-    assert (found["format"], found["version"], found["out"]) == ("gsvis-pvs", 1, str(out))
+    assert (found["format"], found["version"], found["out"]) == ("gsvis-pvs", 2, str(out))
     with VisibilityStore.open(out) as store:
         assert found["cells"] == len(store) <= 8
         assert found["visible_share"]["mean"] == pytest.approx(store.visible_counts.mean() / store.gaussians)
+        assert found["certificates"] == store.certificates.as_dict()
+        assert found["certificates"]["cells"] == len(store)
+        above = int(np.count_nonzero(store.certificates.bound > PvsConfig.limit))
+        assert found["cells_above_limit"] == above == len(store)  # 256 rays prove no more than a hundredth
+        assert found["traced_twice"] == store.info.config["traced_twice"]
+        assert found["cells_without_a_free_viewpoint"] == 0
         assert found["bytes"] == out.stat().st_size
         assert found["viewpoints"]["total"] == store.viewpoints.sum()
+    assert f"{above} of {above} cells are not proven to miss at most 0.15% of the light" in " ".join(text.split())
+
+
+def test_a_looser_limit_is_met_and_nothing_is_remarked(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out, words = tmp_path / "rooms.pvs", [*QUICK, *BOX, "--limit", "0.1", "--rays", "512", "--max-inner", "8"]
+    assert main(["pvs", str(ply), "-o", str(out), *words]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "not proven" not in text
+    with VisibilityStore.open(out) as store:
+        assert store.certificates.bound.max() <= 0.1
+        assert f"at most {store.certificates.bound.max():.3%} in any cell" in text
+
+
+def test_what_a_store_without_certificates_or_a_second_tracer_says() -> None:
+    from gsvis.cli.pvs import spell_certificates
+    from gsvis.pvs.stored_certificates import StoredCertificates
+
+    assert "older version" in dict(spell_certificates(StoredCertificates.none(3), None))["light missed"]
+    one, share = np.ones(2, np.int64), np.array([0.001, np.nan])
+    rows = dict(spell_certificates(StoredCertificates(one, 256 * one, share, 2.0 * share, share), None))
+    assert rows["light missed"].startswith("0.100% on average, 0.100% in the worst cell")
+    assert rows["proven to miss"].startswith("at most 0.200% in any cell")
+    assert rows["rays"].startswith("512 ")
+    assert "Open3D is not installed" in rows["two tracers agree"]
+    agreed = {"rays": 16, "agreeing": 15, "largest_difference": 0.5}
+    rows = dict(spell_certificates(StoredCertificates(one, one, share, share, share), agreed))
+    assert "15 of 16 rays" in rows["two tracers agree"]
 
 
 def test_the_space_may_be_a_box(ply: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -128,7 +161,11 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
         (["--cells", "0"], "1 to 100000"),
         (["--size", "3"], "4 to 4096"),
         (["--tau", "0.6"], "0.5"),
-        (["--growth", "2"], "share"),
+        (["--limit", "2"], "share"),
+        (["--rays", "0"], "at least 1"),
+        (["--max-inner", "0.5"], "at least 1"),
+        (["--growth", "0.1"], "--growth"),
+        (["--max-viewpoints", "4"], "--max-viewpoints"),
         (["--method", "magic"], "hybrid"),
         (["--workers", "0"], "at least 1"),
         (["--box", "1", "1", "1", "0", "2", "2"], "X0 < X1"),
@@ -178,7 +215,7 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
 def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
     assert main(["pvs", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    for value in (PvsConfig.size, f"{PvsConfig.growth:g}", PvsConfig.max_viewpoints):
+    for value in (PvsConfig.size, f"{PvsConfig.limit:g}", PvsConfig.rays, PvsConfig.max_inner):
         assert f"(default: {value})" in text
 
 
@@ -203,8 +240,8 @@ def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> Non
     assert len(killed.members()) > 1
     code, *_ = killed.end(signal.SIGKILL, group=False)  # returns once its workers have noticed
     assert code == -signal.SIGKILL
-    earlier = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
-    assert len(earlier) == 2
+    earlier = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/*.bin")}
+    assert len([name for name in earlier if name.startswith("cell-")]) == 2
     assert not out.exists()
     stopped = Halted("cells", 4, "pvs", *LONG, "-o", out, "--workers", "2")
     stopped.wait()
@@ -214,10 +251,11 @@ def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> Non
     assert "Traceback" not in text
     assert last.startswith("gsvis: interrupted; ")
     assert "run the same command to resume" in last
-    now = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/cell-*.bin")}
+    now = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/*.bin")}
     assert earlier.items() <= now.items()
-    assert len(now) == 4
-    assert "4 of" in last
+    looked, found = (len([name for name in now if name.startswith(kind)]) for kind in ("viewpoint-", "cell-"))
+    assert found == 4
+    assert f"{looked} of {looked} viewpoints and 4 of" in last
     assert main(["pvs", *LONG, "-o", str(out), "--workers", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["format"] == "gsvis-pvs"
     assert main(["pvs", *LONG, "-o", str(tmp_path / "at_once.pvs"), "--workers", "1"]) == 0

@@ -288,7 +288,7 @@ def _change_cell(rng: Random, sections: dict[str, bytes]) -> None:
         start, size = int(row[f"{kind}_offset"]), int(row[f"{kind}_length"])
         pieces.append(sections[section][start : start + size] if start + size < 1 << 40 else b"")
     if rng.random() < 0.4:
-        field = rng.choice(("visible", "parent", "viewpoints", "growth", f"{kind}_length", f"{kind}_offset"))
+        field = rng.choice(("visible", "parent", "viewpoints", "unused", f"{kind}_length", f"{kind}_offset"))
         rows[field][at] = rng.choice((0, 1, 2, int(max(rows["visible"][at], 0)) + 1, (1 << 31) - 1))
     else:
         piece = pieces[at]
@@ -321,14 +321,28 @@ def change_manifest(rng: Random, data: bytes) -> bytes:
     return sealed_manifest(changed)
 
 
-def change_journal(rng: Random, data: bytes) -> bytes:
-    """One change of the packed view of a cell, mostly under a right checksum: its numbers, its ids, or its bytes."""
-    if len(data) < 20 or rng.random() < 0.2:
+VIEW_HEAD, SIGHTING_HEAD = 8 + 44, 8 + 32
+"""Bytes before what is packed of a cell and of a viewpoint in a journal, with the head of the seal."""
+
+
+def change_view(rng: Random, data: bytes) -> bytes:
+    """One change of the packed view of a cell."""
+    return _change_journal(rng, data, VIEW_HEAD, ((12, "I"), (16, "I"), (28, "d"), (44, "d")))
+
+
+def change_sighting(rng: Random, data: bytes) -> bytes:
+    """One change of the packed sighting of a viewpoint."""
+    return _change_journal(rng, data, SIGHTING_HEAD, ((12, "I"), (16, "d"), (32, "d")))
+
+
+def _change_journal(rng: Random, data: bytes, begin: int, fields: tuple[tuple[int, str], ...]) -> bytes:
+    """Change an entry, mostly under a right checksum: its numbers, its ids, or its bytes."""
+    if len(data) < begin or rng.random() < 0.2:
         return change_bytes(rng, data)
-    head, packed = bytearray(data[:20]), data[20:]
+    head, packed = bytearray(data[:begin]), data[begin:]
     way = rng.randrange(5)
     if way < 2:
-        place, code = rng.choice(((8, "I"), (8, "I"), (12, "I"), (16, "f")))
+        place, code = rng.choice(((8, "I"), (8, "I"), *fields))
         numbers = (0, 1, 19, 40, 41, 255, 1 << 20, (1 << 28) + 1, (1 << 32) - 1)
         struct.pack_into(f"<{code}", head, place, rng.choice(numbers))
     elif way == 2:
@@ -349,7 +363,7 @@ def change_journal(rng: Random, data: bytes) -> bytes:
 
 
 def sealed_journal(data: bytes) -> bytes:
-    """The packed view of a cell with the checksum that it ought to have."""
+    """An entry of a journal with the checksum that it ought to have."""
     return data[:4] + struct.pack("<I", zlib.crc32(data[8:])) + data[8:]
 
 
@@ -359,7 +373,8 @@ KINDS.update(
         "active": change_active,
         "pvs": change_container,
         "manifest": change_manifest,
-        "journal": change_journal,
+        "view": change_view,
+        "sighting": change_sighting,
     }
 )
 

@@ -24,9 +24,12 @@ from gsvis.files.sections import SectionWriter
 from gsvis.io.levels import MAP
 from gsvis.package.manifest import MANIFEST
 from gsvis.pvs._writer import CELL_ROW, FILE_KIND
+from gsvis.pvs.stored_certificates import CERTIFIED_ROW
 from tests.fuzz import packages, stores
 from tests.fuzz.cameras import files_in
 from tests.fuzz.containers import (
+    SIGHTING_HEAD,
+    VIEW_HEAD,
     _opened,
     _sections,
     _with_checksum,
@@ -130,6 +133,14 @@ def set_stores() -> Damaged:
     def labels(_: Any, sections: dict[str, bytes]) -> None:
         sections["labels"] = b"\7" + sections["labels"][1:]
 
+    def shares(_: Any, sections: dict[str, bytes]) -> None:
+        found = np.frombuffer(sections["certificates"], CERTIFIED_ROW).copy()
+        found["bound"][0] = 1.5
+        sections["certificates"] = found.tobytes()
+
+    def fewer(_: Any, sections: dict[str, bytes]) -> None:
+        sections["certificates"] = sections["certificates"][: -CERTIFIED_ROW.itemsize]
+
     def lost(_: Any, sections: dict[str, bytes]) -> None:
         sections["celis"] = sections.pop("cells")
 
@@ -145,6 +156,8 @@ def set_stores() -> Damaged:
         "a header elsewhere": {"a.pvs": data[:12] + struct.pack("<I", zlib.crc32(fields)) + fields + data[40:]},
         "sections that end early": headed(lambda header: header["sections"].pop()),
         "no rows of cells": changed(lost),
+        "a share above one": changed(shares),
+        "certificates of fewer cells": changed(fewer),
         "another format": case(format="gsvis-else"),
         "a scene that is none": case(scene=7),
         "another union": changed(other_union),
@@ -164,32 +177,38 @@ def term_stores() -> Damaged:
 
 def journals() -> Damaged:
     (case,) = stores.journals()
-    name = "cell-000000.bin"
-    count = struct.unpack_from("<I", case[name], 8)[0]
-
-    def body(change: Callable[[Any], None]) -> Case:
-        inner = zstandard.ZstdDecompressor().decompress(case[name][20:])
-        deltas = np.frombuffer(inner[: 4 * count], np.uint8).reshape(4, -1).T.copy().view("<i4")[:, 0]
-        change(deltas)
-        packed = deltas[:, None].view(np.uint8).T.tobytes() + inner[4 * count :]
-        return {**case, name: sealed_journal(case[name][:20] + zstandard.ZstdCompressor().compress(packed))}
-
-    def twice(deltas: Any) -> None:
-        deltas[1] = 0
-
-    def behind(deltas: Any) -> None:
-        deltas[-1] += stores.SEEN
-
-    many = sealed_journal(case[name][:8] + struct.pack("<I", stores.SEEN + 1) + case[name][12:])
-    return {
-        "an id twice": body(twice),
-        "an id of no Gaussian": body(behind),
-        "more than the scene": {**case, name: many},
-        "a file of megabytes": {**case, name: case[name] + bytes(1 << 20)},
+    found: Damaged = {
         "no plan": {key: data for key, data in case.items() if key != "plan.json"},
         "nothing kept": {"plan.json": case["plan.json"]},
-        "a folder in place of a cell": {f"{name}/x" if key == name else key: data for key, data in case.items()},
     }
+    for kind, name, begin in (
+        ("cell", "cell-000000.bin", VIEW_HEAD),
+        ("viewpoint", "viewpoint-000000.bin", SIGHTING_HEAD),
+    ):
+        whole = case[name]
+        entries = {
+            "an id twice": _with_ids(whole, begin, 1, lambda _: 0),
+            "an id of no Gaussian": _with_ids(whole, begin, -1, lambda delta: delta + stores.SEEN),
+            "more than the scene": sealed_journal(whole[:8] + struct.pack("<I", stores.SEEN + 1) + whole[12:]),
+            "a file of megabytes": whole + bytes(1 << 20),
+            "an end after its head": sealed_journal(whole[:begin]),
+            "an end in its head": sealed_journal(whole[: begin - 1]),
+        }
+        if kind == "cell":
+            entries["rays without end"] = sealed_journal(whole[:12] + b"\xff" * 4 + whole[16:])
+        found |= {f"{what}, {kind}": {**case, name: data} for what, data in entries.items()}
+        found[f"a folder in place of a {kind}"] = {f"{k}/x" if k == name else k: data for k, data in case.items()}
+    return found
+
+
+def _with_ids(whole: bytes, begin: int, row: int, change: Callable[[int], int]) -> bytes:
+    """An entry of a journal in which one difference of ids is another."""
+    count = struct.unpack_from("<I", whole, 8)[0]
+    inner = zstandard.ZstdDecompressor().decompress(whole[begin:])
+    deltas = np.frombuffer(inner[: 4 * count], np.uint8).reshape(4, -1).T.copy().view("<i4")[:, 0]
+    deltas[row] = change(int(deltas[row]))
+    packed = deltas[:, None].view(np.uint8).T.tobytes() + inner[4 * count :]
+    return sealed_journal(whole[:begin] + zstandard.ZstdCompressor().compress(packed))
 
 
 def checkpoints() -> Damaged:

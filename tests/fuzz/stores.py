@@ -15,8 +15,16 @@ from gsvis.errors import FormatError
 from gsvis.files.resume import KeptWork, seal
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.pvs._journal import find_kept_cells, name_entry, pack_view, read_view
-from gsvis.pvs.cell_view import CellView
+from gsvis.pvs._journal import (
+    find_kept,
+    name_cell,
+    name_viewpoint,
+    pack_sighting,
+    pack_view,
+    read_sighting,
+    read_view,
+)
+from gsvis.pvs.cell_view import CellView, Figures, Sighting
 from gsvis.pvs.store import VisibilityStore
 from gsvis.report import load_staircase_result
 from gsvis.scene.procedural import random_scene
@@ -98,6 +106,11 @@ def in_visibility(folder: Path, case: Case) -> None:
         assert store.direction_sets.shape == (store.gaussians, 10)
         store.ever_visible()
         store.sizes()
+        certified = store.certificates
+        assert len(certified.bound) == len(certified.rays) == len(store)
+        known = certified.bound[certified.known]
+        assert ((known >= 0.0) & (known <= 1.0)).all()
+        certified.as_dict()
         near = store.distance_to_visibility(0, within=0.0)
         assert (store.distance_to_visibility(0) <= near).all()
         assert np.isin(near, (0.0, np.inf)).all()
@@ -142,18 +155,27 @@ def journals() -> list[Case]:
     rng, found = np.random.default_rng(0), {}
     for k in range(3):
         ids = np.flatnonzero(rng.random(SEEN) < 0.5).astype(np.int32)
-        view = CellView(ids, (ids % 3).astype(np.uint8), rng.integers(0, 256, (len(ids), 10)).astype(np.uint8), 4, 0.5)
-        found[name_entry(k)] = seal(pack_view(view))
+        classes, figures = (ids % 3).astype(np.uint8), Figures(4 + k, k, 256, 0.001, 0.002, 0.0)
+        directions = rng.integers(0, 256, (len(ids), 10)).astype(np.uint8)
+        view = CellView(ids, classes, directions, figures, rng.normal(size=(k, 6)))
+        found[name_cell(k)] = seal(pack_view(view))
+        found[name_viewpoint(k)] = seal(pack_sighting(Sighting(rng.normal(size=3), 1, ids, classes)))
     return [{**found, "plan.json": b"{}\n"}]
 
 
 def in_journal(folder: Path, case: Case) -> None:
     work = KeptWork(folder, {})
     with work.opened():
-        for cell in find_kept_cells(work, 3, SEEN):
+        seen, found = find_kept(work, 3, 3, SEEN)
+        for number in seen:
+            sighting = read_sighting(work, number, SEEN)
+            assert sighting is not None
+            assert len(sighting.classes) == len(sighting.ids) <= SEEN
+        for cell in found:
             view = read_view(work, cell, SEEN)
             assert view is not None
-            assert len(view.classes) == len(view.directions) == len(view.ids)
+            assert len(view.classes) == len(view.directions) == len(view.ids) <= SEEN
+            assert view.checked.shape[1] == 6
 
 
 @cache
@@ -228,7 +250,7 @@ TARGETS = [
         lambda: [{"a.pvs": both_stores()[0]}],
         in_visibility,
         kinds={"a.pvs": "pvs"},
-        modules=(PVS + "store", FILES + "sections", PVS + "codec"),
+        modules=(PVS + "store", PVS + "stored_certificates", FILES + "sections", PVS + "codec"),
         weight=1.5,
     ),
     Target(
@@ -244,7 +266,7 @@ TARGETS = [
         journals,
         in_journal,
         (),
-        {f"cell-{k:06d}.bin": "journal" for k in range(3)},
+        {name(k): kind for k in range(3) for name, kind in ((name_cell, "view"), (name_viewpoint, "sighting"))},
         modules=(PVS + "_journal", FILES + "resume"),
         refuses=False,
     ),

@@ -42,7 +42,7 @@ def stores_of(folder: Path, levels: Levels, colors: SrbfColors, cells: int = 9) 
     grid = CellGrid(low, float((high - low).max()) / 4.0, (4, 5, 3), coords.astype(np.int32), np.array([0.0, 0, 1]))
     info = StoreInfo(len(g), scene_hash(g), 1 / 255, np.array([1 / 255, 0.1]))
     seen = rng.random((cells, len(g))) < 0.4
-    sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4, 0.0) for row in seen]
+    sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4) for row in seen]
     folder.mkdir(parents=True, exist_ok=True)
     write_store(folder / "w.pvs", grid, info, sets, np.zeros((len(g), 10), np.uint8))
     with VisibilityStore.open(folder / "w.pvs") as store:

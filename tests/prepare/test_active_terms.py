@@ -52,7 +52,7 @@ def world(folder: Path, cells: int = 11, seed: int = 0, variant: str = "rgb", na
     seen = rng.random((cells, len(g))) < 0.4
     seen[0] = False
     info = StoreInfo(len(g), scene_hash(g), 1 / 255, np.array([1 / 255, 0.1]))
-    sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4, 0.0) for row in seen]
+    sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4) for row in seen]
     write_store(folder / name, grid, info, sets, np.zeros((len(g), 10), np.uint8))
     return World(g, random_colors(rng, len(g), variant), seen, VisibilityStore.open(folder / name))
 

@@ -18,14 +18,14 @@ from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.report import Subject
 from gsvis.report.maps import CellMap
-from gsvis.report.pvs_document import pvs_document, still_growing, write_pvs_report
+from gsvis.report.pvs_document import count_above_limit, pvs_document, write_pvs_report
 from gsvis.report.pvs_page import describe_certificate
 from gsvis.scene.content import scene_hash
 from gsvis.scene.procedural import two_rooms
 
 pytestmark = pytest.mark.usefixtures("coarse_plots")
 AWKWARD = "<b>\"rooms\" & 'halls'</b> $title"
-PICTURES = {"map_visible", "visible", "viewpoints", "growth", "missing", "map_missing", "classes"}
+PICTURES = {"map_visible", "visible", "viewpoints", "bounds", "missing", "map_missing", "classes"}
 PICTURES |= {"worst_full", "worst_set", "worst_difference"}
 QUICK = QualityConfig(cells=3, viewpoints=2, size=16, dense=2, width=24, height=18, certify=100)
 
@@ -57,14 +57,15 @@ class Outline(HTMLParser):
         self.words.append(data)
 
 
-def made(folder: Path, build: dict[str, float] | None = None) -> VisibilityStore:
+def made(folder: Path, build: dict[str, float] | None = None, *, certified: bool = True) -> VisibilityStore:
     """A store in which each cell sees all but some Gaussians."""
     scene = two_rooms(1500, sh_degree=1)
     n, grid = len(scene.gaussians), CellGrid.over(scene.navigable, max_cells=8)
     cells = []
     for cell in range(len(grid)):
         ids = np.flatnonzero(np.arange(n) % 10 != cell)
-        cells.append(CellSet(ids, ids % 3, 4 + cell, 0.004 * cell))
+        figures = {"rays": 256, "missed": 0.0005 * cell, "bound": 0.001 * cell, "tile": 0.02} if certified else {}
+        cells.append(CellSet(ids, ids % 3, 4 + cell, cell % 3, **figures))
     edges = np.array([1 / 255, 1 / 16, 1 / 4])
     info = StoreInfo(n, scene_hash(scene.gaussians), 1 / 255, edges, build or {})
     write_store(folder / "rooms.pvs", grid, info, cells, np.zeros((n, 10), np.uint8))
@@ -86,7 +87,7 @@ def measured(store: VisibilityStore, config: QualityConfig = QUICK) -> Quality:
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[VisibilityStore, Quality, Path]:
     folder = tmp_path_factory.mktemp("pvs")
-    store = made(folder, build={"growth": 0.01, "max_viewpoints": 8})
+    store = made(folder, build={"limit": 0.0025, "max_inner": 8})
     found = measured(store)
     write_pvs_report(folder / "new" / "report", found, store, subject())
     return store, found, folder / "new" / "report"
@@ -108,11 +109,15 @@ def test_the_document_holds_every_figure(kept: tuple[VisibilityStore, Quality, P
     store, found, folder = kept
     document = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert document == json.loads(json.dumps(pvs_document(found, store, subject())))
-    assert (document["format"], document["version"]) == ("gsvis-pvs-report", 2)
+    assert (document["format"], document["version"]) == ("gsvis-pvs-report", 3)
     assert document["quality"] == json.loads(json.dumps(found.as_dict()))
     assert document["store"]["cells"]["visible"] == store.visible_counts.tolist()
     assert len(document["store"]["cells"]["centers"]) == len(store)
-    assert document["store"]["cells_still_growing"] == np.count_nonzero(still_growing(store))
+    bound = store.certificates.bound
+    assert document["store"]["cells_above_limit"] == count_above_limit(store) == np.count_nonzero(bound > 0.0025) > 0
+    assert document["store"]["certificates"] == store.certificates.as_dict()
+    assert document["store"]["cells"]["bound"] == bound.tolist()
+    assert document["store"]["cells"]["inner_viewpoints"] == store.certificates.inner.tolist()
 
 
 def test_the_page_is_whole_and_needs_nothing_else(kept: tuple[VisibilityStore, Quality, Path]) -> None:
@@ -148,6 +153,9 @@ def test_figures_stand_beside_their_targets_and_worst_cells_have_places(
     x, y, z = store.grid.centers[worst]
     assert f"cell {worst}{x:.2f}, {y:.2f}, {z:.2f}" in text
     assert "92 bytes a Gaussian" in text
+    assert f"{count_above_limit(store)} cells stayed above the limit" in text
+    assert "inner ones are added where the rays of a certificate ask for them" in " ".join(text.split())
+    assert f"{int(store.certificates.rays.sum()):,} fresh rays prove" in text
     assert "16 x 16 pixels" in text
     assert "300 random rays" in text
     assert "at most 0.05%" in text
@@ -162,12 +170,14 @@ def test_a_report_is_the_same_every_time(kept: tuple[VisibilityStore, Quality, P
 
 
 def test_one_cell_without_a_dense_union_and_without_a_known_build_still_makes_a_report(tmp_path: Path) -> None:
-    with made(tmp_path) as store:
-        assert not still_growing(store).any()
+    with made(tmp_path, certified=False) as store:
+        assert count_above_limit(store) == 0
         found = measured(store, QualityConfig(cells=1, viewpoints=1, size=8, dense=0, width=8, height=6))
         write_pvs_report(tmp_path / "out", found, store, subject())
     text = "".join(Outline((tmp_path / "out" / "report.html").read_text(encoding="utf-8")).words)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["store"]["cells"]["bound"] == [None] * len(store)
     assert "dense union" not in text
+    assert "This store has no certificates" in text
     assert "image from the set" in text
 
 
