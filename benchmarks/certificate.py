@@ -31,11 +31,11 @@ from scipy.stats import binom
 
 from gsvis.pvs.bound import upper_bound
 from gsvis.pvs.cell_view import CellView, Finder, Sighting
-from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier, CrossCheck, cross_check
+from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
 from gsvis.pvs.viewpoints import SharedViewpoints
-from gsvis.raycast import TAU, EllipsoidProxies, Tracer
+from gsvis.raycast import TAU, CrossCheck, EllipsoidProxies, Tracer, cross_check
 from gsvis.scene.levels import Levels
 from gsvis.scene.solid import buried
 

@@ -24,6 +24,7 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import SceneError
+from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import axis_vector
@@ -195,6 +196,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     if found["traced"]:
         rays_each = document["config"]["rays_per_face"]
         about.append(("traced outward", f"{found['traced']['gaussians']:,} Gaussians, {rays_each} rays a direction"))
+    check = document["traced_twice"]
+    about.append(("two tracers agree", describe_check(None if check is None else CrossCheck(**check))))
     shares = [
         ("visible in a view: mean of the views", f"{visible['mean']:.2%}", "20.21%"),
         ("                   smallest", f"{visible['min']:.2%}", ""),

@@ -35,6 +35,7 @@ from gsvis.pvs.estimate import Estimate, estimate_pvs
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.pvs.workers import Workers
+from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.content import scene_hash
 from gsvis.scene.corridor import corridor
 from gsvis.scene.navigable import NavigableSpace
@@ -265,10 +266,7 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
         ("proven to miss", f"at most {bound.max():.3%} in any cell, with 95% confidence each"),
         ("rays", f"{int(certified.rays.sum()):,} certified the sets"),
     ]
-    agree = "not compared: Open3D is not installed"
-    if isinstance(twice, dict):
-        agree = f"on {twice['agreeing']:,} of {twice['rays']:,} rays, ids and weights"
-    return [*rows, ("two tracers agree", agree)]
+    return [*rows, ("two tracers agree", describe_check(None if twice is None else CrossCheck(**twice)))]
 
 
 def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gsvis.pvs.bound import staged_bound, upper_bound
     from gsvis.pvs.build import build_pvs
     from gsvis.pvs.cells import CellGrid
-    from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier, CrossCheck, cross_check
+    from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
     from gsvis.pvs.cluster import connect
     from gsvis.pvs.config import PvsConfig
     from gsvis.pvs.estimate import Estimate, estimate_pvs
@@ -35,7 +35,6 @@ __all__ = [
     "Certificate",
     "CertificateConfig",
     "Certifier",
-    "CrossCheck",
     "Estimate",
     "FreeVoxels",
     "PvsConfig",
@@ -50,7 +49,6 @@ __all__ = [
     "Workers",
     "build_pvs",
     "connect",
-    "cross_check",
     "estimate_pvs",
     "measure_quality",
     "measure_walk",
@@ -70,8 +68,6 @@ _HOMES = {
         "Certificate",
         "CertificateConfig",
         "Certifier",
-        "CrossCheck",
-        "cross_check",
     ),
     "cluster": ("connect",),
     "config": ("PvsConfig",),

@@ -39,7 +39,6 @@ from gsvis.pvs._workers import (
 )
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.certificate import cross_check
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
@@ -303,7 +302,7 @@ def _read(work: Work, cell: int) -> CellView:
 
 def _check_twice(work: Work, rays: NDArray[np.float64], progress: Progress) -> dict[str, Any] | None:
     """Trace the kept rays of all cells again, by another tracer; None if there are none, or no such tracer."""
-    from gsvis.raycast import EllipsoidProxies, Tracer
+    from gsvis.raycast import EllipsoidProxies, Tracer, cross_check
 
     if not len(rays):
         return None

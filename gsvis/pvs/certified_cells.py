@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis.progress import Progress, silent
 from gsvis.pvs.bound import upper_bound
-from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier, CrossCheck, cross_check
+from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
 from gsvis.pvs.viewpoints import FreeVoxels
+from gsvis.raycast import CrossCheck, cross_check
 
 __all__ = ["CertifiedCells", "certify_cells"]
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     )
     from gsvis.raycast.picture import ray_image
     from gsvis.raycast.proxies import MIN_ALPHA, EllipsoidProxies
+    from gsvis.raycast.second_tracer import CrossCheck, compare, cross_check, describe_check
     from gsvis.raycast.tracer import TAU, Contributions, FirstHits, Tracer
     from gsvis.raycast.visible import GaussianRays, visible_from, visible_in
 
@@ -33,6 +34,7 @@ __all__ = [
     "Analysis",
     "AnalysisConfig",
     "Contributions",
+    "CrossCheck",
     "DirectionCdf",
     "EllipsoidProxies",
     "FirstHits",
@@ -40,6 +42,9 @@ __all__ = [
     "Settling",
     "Tracer",
     "analyze",
+    "compare",
+    "cross_check",
+    "describe_check",
     "ray_image",
     "visible_from",
     "visible_in",
@@ -60,6 +65,12 @@ _HOMES = {
     "proxies": (
         "MIN_ALPHA",
         "EllipsoidProxies",
+    ),
+    "second_tracer": (
+        "CrossCheck",
+        "compare",
+        "cross_check",
+        "describe_check",
     ),
     "tracer": (
         "TAU",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
-from gsvis.raycast import TAU, EllipsoidProxies, Tracer, directions, visible_in
+from gsvis.raycast import TAU, CrossCheck, EllipsoidProxies, Tracer, cross_check, directions, visible_in
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -49,19 +49,22 @@ class AnalysisConfig:
         traced_sample: Number of random Gaussians whose directions are traced outward; 0 traces none.
         rays_per_face: Traced rays over each of the 80 faces: 1, 4, 16 or 64. A face counts if any part of it is
             seen, so more rays find more faces.
-        seed: Seed of the sample and of the order of the cameras.
+        checked_rays: Number of rays through random pixels that a second tracer traces again; 0 for none.
+        seed: Seed of the sample, of the order of the cameras, and of these rays.
     """
 
     tau: float = TAU
     traced_sample: int = 5000
     rays_per_face: int = 16
+    checked_rays: int = 256
     seed: int = 0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tau <= 1.0:
             raise ValueError(f"tau: expected a weight in (0, 1], got {self.tau!r}")
         _check.positive_int("traced_sample", self.traced_sample, at_least=0)
-        _check.positive_int("seed", self.seed, at_least=0)
+        for name in ("checked_rays", "seed"):
+            _check.positive_int(name, getattr(self, name), at_least=0)
         if self.rays_per_face not in (1, 4, 16, 64):
             raise ValueError(f"rays_per_face: expected 1, 4, 16 or 64, got {self.rays_per_face!r}")
 
@@ -211,6 +214,8 @@ class Analysis:
         untraced_because: Why nothing was traced outward; empty otherwise.
         solid_angles: (M,) share of the sphere, by solid angle, from which each of the sample is visible; None
             without tracing. More rays hardly change it, while they only ever add faces.
+        check: Agreement of two tracers on rays through random pixels; None if there is no second one, or none was
+            asked for.
     """
 
     config: AnalysisConfig
@@ -227,6 +232,7 @@ class Analysis:
     agreement: Agreement | None = None
     untraced_because: str = ""
     solid_angles: NDArray[np.float32] | None = None
+    check: CrossCheck | None = None
 
     def below_solid_angle(self, share: float) -> float:
         """Return the share of the traced Gaussians visible from less than this share of the sphere, by solid angle.
@@ -288,6 +294,7 @@ class Analysis:
                 "untraced_because": self.untraced_because or None,
                 "agreement": asdict(self.agreement) if self.agreement else None,
             },
+            "traced_twice": None if self.check is None else asdict(self.check),
             "paper": dict(PAPER),
         }
 
@@ -315,7 +322,7 @@ def analyze(
         config: Thresholds, sample and seed; None means `AnalysisConfig()`.
         navigable: Allowed viewpoints; None traces nothing outward.
         tracer: A tracer of `g` to reuse; None builds one.
-        progress: Called with stages "structure", "cameras", "directions" and "angles".
+        progress: Called with stages "structure", "cameras", "check", "directions" and "angles".
 
     Returns:
         The analysis.
@@ -341,9 +348,9 @@ def analyze(
     rng = np.random.default_rng(config.seed)
     sample = np.sort(rng.choice(len(g), min(config.traced_sample, len(g)), replace=False))
     visible, sets, settling = _from_cameras(tracer, cameras, config.tau, rng.permutation(len(cameras)), progress)
-    found = Analysis(
-        config, len(g), len(tracer.proxies), cameras, visible, sets, DirectionCdf.from_sets(sets), settling
-    )
+    check = _check_twice(tracer, cameras, config, progress)
+    cdf = DirectionCdf.from_sets(sets)
+    found = Analysis(config, len(g), len(tracer.proxies), cameras, visible, sets, cdf, settling, check=check)
     if len(sample) == 0 or navigable is None:
         why = "no sample was requested" if navigable is not None else "no navigable space was given"
         return replace(found, untraced_because=why)
@@ -390,6 +397,23 @@ def _from_cameras(
             before = cdf
         progress("cameras", done, total)
     return visible, sets, tuple(settling)
+
+
+def _check_twice(tracer: Tracer, cameras: Cameras, config: AnalysisConfig, progress: Progress) -> CrossCheck | None:
+    """Trace rays through random pixels of random cameras by two tracers."""
+    if not config.checked_rays:
+        return None
+    rng = np.random.default_rng([config.seed, 1])
+    chosen, counts = np.unique(rng.integers(len(cameras), size=config.checked_rays), return_counts=True)
+    rays = []
+    for c, count in zip(chosen.tolist(), counts.tolist(), strict=True):
+        origins, towards = cameras[c].rays()
+        some = rng.integers(len(origins), size=count)
+        rays.append((origins[some], towards[some]))
+    progress("check", 0, 1)
+    found = cross_check(tracer, *(np.concatenate(each) for each in zip(*rays, strict=True)))
+    progress("check", 1, 1)
+    return found
 
 
 def _faces(sets: U8) -> int:

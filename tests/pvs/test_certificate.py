@@ -20,13 +20,11 @@ from gsvis.pvs.certificate import (
     Certificate,
     CertificateConfig,
     Certifier,
-    compare,
-    cross_check,
     heaviest_hits,
 )
 from gsvis.pvs.reference import missed_light_reference
 from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels
-from gsvis.raycast import EllipsoidProxies, Tracer
+from gsvis.raycast import EllipsoidProxies, Tracer, compare, cross_check
 from gsvis.raycast.reference import brute_force_contributions
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
