@@ -140,12 +140,12 @@ def _around_object(space: Occupancy, low: F64, high: F64, up: F64) -> Mask:
         up: (3,) unit up axis.
     """
     longest = float((high - low).max())
-    axes = [space.origin[i] + space.voxel_size * (np.arange(n) + 0.5) for i, n in enumerate(space.clear.shape)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij", sparse=False), axis=-1)
-    beside = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
-    middle = 0.5 * (low + high)
-    heights = (points - middle) @ up
-    level = np.sqrt(np.maximum(((points - middle) ** 2).sum(axis=-1) - heights**2, 0.0))
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    places = np.ogrid[tuple(slice(0.5, n) for n in space.clear.shape)]
+    away = [space.origin[i] + space.voxel_size * at - middle[i] for i, at in enumerate(places)]  # broadcast together
+    beside = np.sqrt(sum(np.maximum(np.abs(x) - half[i], 0.0) ** 2 for i, x in enumerate(away)))
+    heights = sum(up[i] * x for i, x in enumerate(away))
+    level = np.sqrt(np.maximum(sum(x**2 for x in away) - heights**2, 0.0))
     foot = -0.5 * float(np.abs(up) @ (high - low))
     there = (beside >= NEAR * longest) & (beside <= AROUND * longest) & (heights >= foot)
     return space.largest_part(there & (heights <= np.tan(np.radians(STEEPEST)) * level))
@@ -191,7 +191,7 @@ def _heights(occupied: Mask, up: F64) -> F64:
 
 def _under_the_sky(space: Occupancy, up: F64) -> Mask:
     """Return (X, Y, Z) clear voxels from which enough of the directions above lead out of the grid."""
-    found = space.clear.copy()
+    found: Mask = space.clear.copy()
     voxels, which = _blocks(found)
     above = sphere_directions(_SKY_DIRECTIONS)
     shares = stopped_share(space, voxels.astype(np.float64) + 0.5, above[above @ up >= 0.5])

@@ -58,8 +58,8 @@ class SpaceKind:
     eyes: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the kind as plain numbers and strings, ready for JSON."""
-        return asdict(self)
+        """Return the kind as plain numbers and strings, ready for JSON; `text` says it in a line."""
+        return {**asdict(self), "text": str(self)}
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.reason}" + (f"; eyes {self.eyes}" if self.eyes else "")
