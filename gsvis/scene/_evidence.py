@@ -34,7 +34,7 @@ _SHEET = 2.5  # voxels before a target at which a line of sight ends: a thin she
 _FAR = 1.5  # radii of the box at which eyes outside of it are
 _LOWEST = -0.2  # sine of the lowest elevation of these eyes
 _SPREAD = 256  # directions over the sphere
-_ELEVATIONS = (-5.0, 5.0, 15.0)  # degrees of level directions
+_ELEVATIONS = (2.0, 8.0, 15.0)  # degrees of level directions; below the horizon is ground
 _AZIMUTHS = 24
 _CHUNK = 1 << 20
 

@@ -14,7 +14,7 @@ __all__ = ["Evidence", "Kind", "SpaceKind", "is_rooms", "tell_kind"]
 Kind = Literal["object", "rooms", "open place", "given"]
 
 ROOFED = 0.5  # least share of directions above that are stopped in rooms
-SURROUNDED = 0.45  # least share of level directions that are stopped in an open place
+SURROUNDED = 0.4  # least share of level directions that are stopped in an open place
 WALKABLE = 0.05  # least footprint with ground that an eye can be above
 FLAT = 0.15  # most height of ground without surroundings, in sides
 
