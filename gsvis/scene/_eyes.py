@@ -73,10 +73,10 @@ def find_eyes(
     """
     try:
         space = build(low, high)
-    except SceneError:
+    except SceneError as full:
         if len(seeds):
             raise
-        return _solid(build, low, high, up)
+        return _solid(build, low, high, up, full)
     free, rule, _ = space.choose(up, seeds)
     large = free if len(seeds) or free.mean() >= MIN_SHARE else np.zeros_like(free)
     evidence = gather(space, large, seen, up)
@@ -119,14 +119,13 @@ def stand_around(build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up
 
 
 def _solid(
-    build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64
+    build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64, full: SceneError
 ) -> tuple[Occupancy, Mask, str, SpaceKind]:
-    """Return eyes around a scene whose box has no free voxel; raise what the box itself raises if there are none."""
+    """Return eyes around a scene whose box has no free voxel; raise `full`, the error of the box, if there are none."""
     try:
         space, free, eyes = stand_around(build, low, high, up)
     except SceneError:
-        build(low, high)
-        raise
+        raise full from None
     return space, free, "free, around an object", SpaceKind("object", "nothing in its box is free", None, eyes)
 
 
