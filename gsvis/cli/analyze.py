@@ -20,15 +20,17 @@ from gsvis.cli.source import (
     inspect_scene_of,
     is_builtin,
     load_source,
-    navigable_space,
 )
 from gsvis.cli.terminal import Status, facts, print_json, show
+from gsvis.cli.where import WORDS, check_where, find_place, space_document, spell, suspect_views
 from gsvis.errors import SceneError
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.solid import buried
 
 __all__ = ["PICTURE", "run_analyze"]
 
@@ -51,17 +53,20 @@ def run_analyze(command: Analyze) -> None:
     require("gsvis analyze", "matplotlib")
     check_source(command.scene, command.lod)
     check_report(command.out)
+    walk = check_where(command)
     given = _given_cameras(command)
     differs = _differs(command, 0 if given is None else len(given))  # read it now: the file may change later
     with Status() as status:
-        document = _write_report(command, given, differs, status)
+        document, remarks = _write_report(command, given, walk, differs, status)
     if command.json:
         print_json(document)
     else:
-        show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
+        show(*_tables(document), *remarks, *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
 
 
-def _write_report(command: Analyze, given: Cameras | None, differs: str, status: Status) -> dict[str, Any]:
+def _write_report(
+    command: Analyze, given: Cameras | None, walk: HeadPath | None, differs: str, status: Status
+) -> tuple[dict[str, Any], list[str]]:
     """Read the scene, analyze it and write the report; return its document."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.analysis import AnalysisConfig, analyze
@@ -76,9 +81,11 @@ def _write_report(command: Analyze, given: Cameras | None, differs: str, status:
     facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
     status("space", 0, 1)
-    navigable, no_space = navigable_space(source, seeds=None if given is None else given.viewpoints)
+    place = find_place(source, command, None, walk, None if given is None else given.viewpoints)
+    navigable, no_space = place.space, place.why_not
     cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
     status("space", 1, 1)
+    remarks = place.remarks + _buried_cameras(g, given) + ([] if navigable is None else suspect_views(g, navigable))
     status("kernels", 0, 1)
     _warm_up()
     status("kernels", 1, 1)
@@ -87,6 +94,8 @@ def _write_report(command: Analyze, given: Cameras | None, differs: str, status:
     if no_space:
         analysis = replace(analysis, untraced_because=no_space)
     pictures = picture_views(tracer, analysis, longest_side=PICTURE, progress=status)
+    space = None if navigable is None else space_document(navigable)
+    told = [each.strip() for each in remarks]
     subject = Subject(
         title=source.name,
         gaussians=g,
@@ -94,12 +103,18 @@ def _write_report(command: Analyze, given: Cameras | None, differs: str, status:
         cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
         command=_command_line(command),
         version=version(),
-        facts={"path": command.scene, "lod": source.lod, **facts_found},
+        facts={"path": command.scene, "lod": source.lod, **facts_found, "space": space, "remarks": told},
         parameters=_parameters(command, cameras),
         seconds=dict(status.seconds),
         differs=differs,
     )
-    return write_report(command.out, analysis, subject, pictures, progress=status)
+    return write_report(command.out, analysis, subject, pictures, progress=status), remarks
+
+
+def _buried_cameras(g: Gaussians, given: Cameras | None) -> list[str]:
+    """Return a remark if cameras of --cameras lie inside something solid."""
+    lost = 0 if given is None else int(np.count_nonzero(buried(g, given.viewpoints)))
+    return [f" {lost:,} of the cameras of --cameras lie inside something solid and see its inside."] if lost else []
 
 
 def _differs(command: Analyze, cameras: int) -> str:
@@ -146,7 +161,7 @@ def _given_cameras(command: Analyze) -> Cameras | None:
 
 def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:
     if navigable is None:
-        raise SceneError(f"{command.scene}: {no_space}; give cameras with --cameras FILE")
+        raise SceneError(f"{no_space}; give cameras with --cameras FILE, or say where eyes may be with --box")
     return navigable.sample_cameras(
         command.views or _VIEWS,
         np.random.default_rng(command.seed),
@@ -162,6 +177,7 @@ def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
         "scene": command.scene,
         "lod": command.lod,
         "cameras": command.cameras,
+        **{name: getattr(command, name) for name in WORDS},
         "views": len(cameras),
         "width": cameras.width,
         "height": cameras.height,
@@ -176,10 +192,11 @@ def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
 def _command_line(command: Analyze) -> str:
     """Return the command line that makes the report again."""
     words = ["gsvis", "analyze", command.scene, "-o", command.out]
-    for name in ("lod", "cameras", "views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face"):
+    more = ("views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face")
+    for name in ("lod", "cameras", *WORDS, *more):
         value = getattr(command, name)
         if value is not None and value != getattr(Analyze, name):
-            words += ["--" + name.replace("_", "-"), f"{value:g}" if isinstance(value, float) else str(value)]
+            words += ["--" + name.replace("_", "-"), *spell(value)]
     return shlex.join(words)
 
 
@@ -193,6 +210,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         ("cameras", f"{len(visible['cameras']):,}, {document['cameras_from']}"),
         ("rays a view", f"{rays['width']} x {rays['height']}, field of view {angle} degrees"),
     ]
+    if document["scene"]["space"]:
+        about.append(("taken for", document["scene"]["space"]["kind"]["text"]))
     if found["traced"]:
         rays_each = document["config"]["rays_per_face"]
         about.append(("traced outward", f"{found['traced']['gaussians']:,} Gaussians, {rays_each} rays a direction"))

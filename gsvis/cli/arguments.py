@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
     BOX,
     BYTES,
@@ -84,7 +85,7 @@ class Inspect:
 
 
 @dataclass(frozen=True)
-class Analyze:
+class Analyze(Where):
     """Trace what views need and from where each Gaussian is visible; write a report."""
 
     scene: Scene
@@ -119,7 +120,7 @@ class Analyze:
 
 
 @dataclass(frozen=True)
-class Render:
+class Render(Where):
     """Draw a scene as cameras see it; list who contributes to a pixel."""
 
     scene: Scene
@@ -213,7 +214,7 @@ class Convert:
 
 
 @dataclass(frozen=True)
-class Pvs:
+class Pvs(Where):
     """Find what is visible from each cell of a scene; write it as a store."""
 
     scene: Scene
@@ -226,15 +227,6 @@ class Pvs:
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""
-    box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
-    """Restrict viewpoints to this box, in the frame of SCENE."""
-    path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
-    """Restrict viewpoints to this walk, in the frame of SCENE: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS
-    recording."""
-    margin: Annotated[float | None, DISTANCE, hint("3 voxels of the navigable space")] = None
-    """Distance of viewpoints from --path, at most, in scene units."""
-    retarget: Flag = False
-    """Move --path into the scene by a similarity transform, if it was recorded in another frame."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], PLAIN] = "hybrid"
@@ -302,7 +294,7 @@ class PvsReport:
 
 
 @dataclass(frozen=True)
-class Color:
+class Color(Where):
     """Replace SH colors with a base color and a few terms that can be sent in pieces."""
 
     scene: Scene
@@ -394,7 +386,7 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Levels:
+class Levels(Where):
     """Make lower levels of a scene that share most of their Gaussians with it."""
 
     scene: Scene

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
-    BOX,
     BYTES,
     CELLS,
     CHANGE,
@@ -36,7 +36,7 @@ __all__ = ["Prepare", "Unpack", "Verify"]
 
 
 @dataclass(frozen=True)
-class Prepare:
+class Prepare(Where):
     """Make a package of a scene that can be served: levels, visible sets, colors."""
 
     scene: Scene
@@ -63,8 +63,6 @@ class Prepare:
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""
-    box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
-    """Restrict viewpoints to this box, in the frame of SCENE."""
     face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     limit: Annotated[float | None, SHARE, hint("0.0015")] = None

@@ -28,12 +28,14 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
+from gsvis.cli.where import WORDS, check_where, find_place, spell, suspect_views
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import OutputError, SceneError
 from gsvis.files.limits import open_regular
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Prepare
@@ -51,6 +53,7 @@ _FOV = 60.0
 _PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
 _SPELLED = {("epsilon", 0.0): "auto", ("mean_terms", math.inf): "all"}
 _NUMBERS = (
+    *WORDS,
     "variant",
     "max_terms",
     "mean_terms",
@@ -86,12 +89,13 @@ def run_color(command: Color) -> None:
         KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     config = _check_arguments(command)
+    walk = check_where(command, "" if command.pvs is None else "--pvs")
     with ExitStack() as opened, Status() as status:
         store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))
-        plan = _plan(command, config, store, status)
+        plan = _plan(command, config, store, walk, status)
         fitted = _run(command, plan, status)
         seconds = dict(status.seconds)
-    tell_result(command, plan.source, fitted, plan.remarks, seconds)
+    tell_result(command, plan.source, plan.space, fitted, plan.remarks, seconds)
 
 
 def _check_arguments(command: Color) -> ColorConfig:
@@ -155,7 +159,9 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
             )
 
 
-def _plan(command: Color, config: ColorConfig, store: VisibilityStore | None, status: Status) -> _Plan:
+def _plan(
+    command: Color, config: ColorConfig, store: VisibilityStore | None, walk: HeadPath | None, status: Status
+) -> _Plan:
     """Read the scene and find its navigable space."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -166,17 +172,18 @@ def _plan(command: Color, config: ColorConfig, store: VisibilityStore | None, st
         store.check_scene(source.whole)
     status("reading", 1, 1)
     status("space", 0, 1)
-    remarks = []
+    remarks: list[str] = []
     space: NavigableSpace | None
     if store is not None:
         space, why_not = _space_of(store, source), ""
     else:
-        space, why_not = found_space(source, up=parse_up(command.up))
+        place = find_place(source, command, command.up, walk)
+        space, why_not = place.space, place.why_not
+        remarks += place.remarks
+        remarks += [] if space is None else suspect_views(g, space)
     status("space", 1, 1)
     if space is None and g.sh_degree > 0:
-        raise SceneError(
-            f"{command.scene}: {why_not}; say where eyes may be with gsvis pvs --box, and give its store with --pvs"
-        )
+        raise SceneError(f"{why_not}; say where eyes may be with --box, or give visible sets with --pvs")
     if g.sh_degree == 0:
         remarks.append(
             " The scene has SH degree 0: no color depends on direction, so there is nothing to fit. The file holds the"
@@ -308,5 +315,5 @@ def _command_line(command: Color) -> str:
         if value is not None and value != getattr(Color, name):
             words.append("--" + name.replace("_", "-"))
             if value is not True:
-                words.append(_SPELLED.get((name, value)) or (f"{value:g}" if isinstance(value, float) else str(value)))
+                words += [_SPELLED[name, value]] if (name, value) in _SPELLED else spell(value)
     return shlex.join(words)

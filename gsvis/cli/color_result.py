@@ -9,21 +9,29 @@ from gsvis._extras import remedy_of
 from gsvis.cli.arguments import Color
 from gsvis.cli.source import Source, levels_spelled, summarize_levels
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+from gsvis.cli.where import kind_row, space_document
 
 if TYPE_CHECKING:
     from gsvis.prepare.fitted_colors import FittedColors
+    from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["tell_result"]
 
 
 def tell_result(
-    command: Color, source: Source, fitted: FittedColors, remarks: list[str], seconds: dict[str, float]
+    command: Color,
+    source: Source,
+    space: NavigableSpace | None,
+    fitted: FittedColors,
+    remarks: list[str],
+    seconds: dict[str, float],
 ) -> None:
     """Print the result.
 
     Args:
         command: The arguments.
         source: The scene.
+        space: Where eyes may be; None where none was needed.
         fitted: The fitted colors.
         remarks: Lines for people.
         seconds: How long each stage took.
@@ -38,6 +46,8 @@ def tell_result(
             "out": command.out,
         }
         about["levels"] = summarize_levels(source)
+        about["space"] = None if space is None else space_document(space)
+        about["remarks"] = [each.strip() for each in remarks]
         written = {name: getattr(command, name) for name in ("active", "report", "staircase")}
         print_json({**about, **written, **document, "seconds": seconds})
         return
@@ -55,7 +65,8 @@ def tell_result(
     if command.staircase is not None and Path(command.staircase).exists():
         lines.append(f" Test for a person: {command.staircase}")
     total = sum(seconds.values())
-    parts: list[Any] = [facts(source.name, [*_rows(command, source, document), ("time", clock(total))])]
+    kind = [] if space is None else [kind_row(space)]
+    parts: list[Any] = [facts(source.name, [*_rows(command, source, document), *kind, ("time", clock(total))])]
     if document["quality"]:
         parts.append(facts("", _likeness(document["quality"]), _header(document["quality"])))
     show(*parts, *lines)

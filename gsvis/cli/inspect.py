@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Inspect
+from gsvis.cli.arguments_where import Where
 from gsvis.cli.source import Source, inspect_scene_of, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.where import find_place, space_document, suspect_views
 
 __all__ = ["run_inspect"]
 
@@ -25,11 +27,25 @@ def run_inspect(command: Inspect) -> None:
         source = load_source(command.scene, command.lod)
         report = inspect_scene_of(source)
         status("reading", 1, 1)
+        status("space", 0, 1)
+        report["space"], remarks = _space(source)
+        report["problems"] += [remark.strip() for remark in remarks]
+        status("space", 1, 1)
     if command.json:
         place = {"scene": source.name, "lod": source.lod, "lods_present": list(source.lods)}
         print_json({"format": "gsvis-inspection", "version": 1, **place, **report})
         return
     show(facts(source.name, _rows(source, report)), *_verdict(report["problems"]))
+
+
+def _space(source: Source) -> tuple[dict[str, Any] | None, list[str]]:
+    """Return where eyes may be, for JSON, None if nowhere; and what is implausible about it."""
+    if len(source.gaussians) == 0:
+        return None, []
+    place = find_place(source, Where())
+    if place.space is None:
+        return None, [f"{place.why_not}; say where eyes may be with --box or --around"]
+    return space_document(place.space), suspect_views(source.gaussians, place.space)
 
 
 def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
@@ -53,6 +69,8 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
         ("floaters", f"{report['floaters']:,}"),
         ("exact repeats", f"{report['duplicates']:,}"),
     ]
+    if report["space"] is not None:
+        rows.append(("taken for", report["space"]["kind"]["text"]))
     return rows
 
 

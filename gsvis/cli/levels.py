@@ -13,14 +13,17 @@ from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import record_of, tell_result
-from gsvis.cli.source import Source, check_folder, check_source, load_source, navigable_space, parse_up
+from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
+from gsvis.cli.where import check_where, find_place, suspect_views
 from gsvis.errors import FormatError, OutputError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
     from gsvis.scene.view_sampling import ViewSampling
@@ -45,6 +48,7 @@ class _Plan:
         config: Sizes and training.
         drawn: Images to train on and to measure on.
         work: The folder with unfinished work.
+        space: Where eyes of renders may be; None for photographs.
         remarks: Remarks for the user.
     """
 
@@ -52,6 +56,7 @@ class _Plan:
     config: LevelsConfig
     drawn: LevelViews
     work: Path
+    space: NavigableSpace | None
     remarks: list[str]
 
 
@@ -67,12 +72,13 @@ def run_levels(command: Levels) -> None:
     """
     require("gsvis levels", "torch")
     config = _check_arguments(command)
+    walk = check_where(command, "" if command.photos is None else "--photos")
     with Status() as status:
-        plan = _plan(command, config, status)
+        plan = _plan(command, config, walk, status)
         warm_levels(config, status)
         trained, record = _run(command, plan, status)
         seconds = dict(status.seconds)
-    tell_result(command, trained.levels, record, plan.remarks, seconds)
+    tell_result(command, trained.levels, record, plan.space, plan.remarks, seconds)
 
 
 def _begun(work: Path) -> bool:
@@ -154,7 +160,7 @@ def check_views(sampling: ViewSampling, held_out: int) -> None:
         )
 
 
-def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
+def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: Status) -> _Plan:
     """Read the scene, draw or read the views, and find the folder of unfinished work."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -167,13 +173,15 @@ def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
         raise ValueError(f"--{error}; larger --shares, or a finer --lod") from None
     _check_replaced(command, g)
     status("reading", 1, 1)
+    space: NavigableSpace | None = None
+    remarks: list[str] = []
     if command.photos is not None:
         from gsvis.train.level_views import load_photograph_views
 
         drawn = load_photograph_views(g, command.photos, command.size, progress=status)
     else:
-        drawn = _draw_views(command, source, status)
-    remarks = [f" {remark}" for remark in drawn.remarks]
+        drawn, space, remarks = _draw_views(command, source, walk, status)
+    remarks += [f" {remark}" for remark in drawn.remarks]
     least = sum((1.0 - reuse) * share for reuse, share in zip(config.reuse, config.shares, strict=True))
     if least > 0.05:
         remarks.append(
@@ -185,7 +193,7 @@ def _plan(command: Levels, config: LevelsConfig, status: Status) -> _Plan:
     if _begun(work):
         status.line(f"resuming from {work.name}, which an earlier run left")
         remarks.append(" It resumed from what an earlier run had kept; the time is that of this run alone.")
-    return _Plan(source, config, drawn, work, remarks)
+    return _Plan(source, config, drawn, work, space, remarks)
 
 
 def _check_target(command: Levels, names: tuple[str, ...]) -> None:
@@ -224,18 +232,20 @@ def _check_replaced(command: Levels, g: Gaussians) -> None:
         raise ValueError(f"{wanted}, which holds those of another; name another")
 
 
-def _draw_views(command: Levels, source: Source, status: Status) -> LevelViews:
-    """Render the scene to train on and to measure on, from two independent sets of cameras."""
+def _draw_views(
+    command: Levels, source: Source, walk: HeadPath | None, status: Status
+) -> tuple[LevelViews, NavigableSpace, list[str]]:
+    """Render the scene to train on and to measure on, from two independent sets of cameras; return remarks, too."""
     from gsvis.train.level_views import draw_views
 
     status("space", 0, 1)
-    space, why_not = navigable_space(source, up=parse_up(command.up))
-    if space is None:
-        raise SceneError(f"{command.scene}: {why_not}; photographs with cameras, --photos, serve as well")
+    place = find_place(source, command, command.up, walk)
+    space = place.required("photographs with cameras, --photos, serve as well, and --box says where eyes may be")
+    remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
     status("space", 1, 1)
     held_out = _HELD_OUT if command.held_out is None else command.held_out
     sampling = view_sampling(command.views, command.size, command.seed)
-    return draw_views(source.gaussians, space, sampling, held_out, progress=status)
+    return draw_views(source.gaussians, space, sampling, held_out, progress=status), space, remarks
 
 
 def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 from gsvis.cli import version
 from gsvis.cli.arguments import Levels as Command
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+from gsvis.cli.where import kind_row, space_document
 from gsvis.io.levels import MAP
 from gsvis.scene.content import scene_hash
 from gsvis.scene.levels import Levels
 
 if TYPE_CHECKING:
     from gsvis.cli.source import Source
+    from gsvis.scene.navigable import NavigableSpace
     from gsvis.train.history import Record
     from gsvis.train.level_quality import LevelQuality
     from gsvis.train.level_views import LevelViews
@@ -83,7 +85,12 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
 
 
 def tell_result(
-    command: Command, levels: Levels, record: Mapping[str, Any], remarks: list[str], seconds: Mapping[str, float]
+    command: Command,
+    levels: Levels,
+    record: Mapping[str, Any],
+    space: NavigableSpace | None,
+    remarks: list[str],
+    seconds: Mapping[str, float],
 ) -> None:
     """Print the document or the tables."""
     folder = Path(command.out)
@@ -94,6 +101,7 @@ def tell_result(
     if command.json:
         about = {name: value for name, value in record.items() if name != "levels"}
         times = {stage: value for stage, value in seconds.items() if stage != "kernels"}
+        about["space"] = None if space is None else space_document(space)
         more = {"out": command.out, "levels": rows, "remarks": [each.strip() for each in remarks], "seconds": times}
         print_json({"format": "gsvis-levels", "version": 1, **about, **more})
         return
@@ -107,6 +115,7 @@ def tell_result(
     lines = [
         ("views", f"{views['trained_on']:,} to train on, {views['held_out']:,} held out, {size}"),
         ("their cameras", views["from"]),
+        *([] if space is None else [kind_row(space)]),
         ("steps", f"{record['config']['iterations']:,} for each lower level"),
         (
             "going up level by level",

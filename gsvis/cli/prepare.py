@@ -15,9 +15,10 @@ from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
 from gsvis.cli.levels import check_views, levels_config, view_sampling
 from gsvis.cli.prepare_result import tell_estimate, tell_result
 from gsvis.cli.pvs import local_workers, sets_config
-from gsvis.cli.source import check_folder, check_source, free_space, is_levels, load_source, parse_up
+from gsvis.cli.source import check_folder, check_source, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
+from gsvis.cli.where import check_where, find_place, suspect_views
 from gsvis.errors import ArgumentError, SceneError
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def run_prepare(command: Prepare) -> None:
     from gsvis.prepare.work_folder import WorkFolder
 
     config = _check_arguments(command)
+    walk = check_where(command)
     workers = local_workers(command.workers, command.max_memory)
     with Status() as status:
         status("reading", 0, 1)
@@ -50,7 +52,9 @@ def run_prepare(command: Prepare) -> None:
             raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
         status("reading", 1, 1)
         status("space", 0, 1)
-        space = free_space(source, command.box, command.up)
+        place = find_place(source, command, command.up, walk)
+        space = place.required("say where eyes may be with --box")
+        remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
         status("space", 1, 1)
         work = WorkFolder(command.out).folder
         if work.exists():
@@ -80,9 +84,9 @@ def run_prepare(command: Prepare) -> None:
         if not command.dry_run and command.discard:
             shutil.rmtree(prepared.work, ignore_errors=True)
     if command.dry_run:
-        tell_estimate(command, source, space, estimate)
+        tell_estimate(command, source, space, estimate, remarks)
     else:
-        tell_result(command, source, space, prepared)
+        tell_result(command, source, space, prepared, remarks)
 
 
 def _check_arguments(command: Prepare) -> PrepareConfig:

@@ -9,6 +9,7 @@ from gsvis.cli.arguments import Prepare
 from gsvis.cli.package import size_rows
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+from gsvis.cli.where import kind_row, space_document
 from gsvis.scene.navigable import NavigableSpace
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ _CALLED = {
 }
 
 
-def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared) -> None:
+def tell_result(
+    command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared, remarks: list[str]
+) -> None:
     """Print the package and its stages, as a JSON document or as tables."""
     m = prepared.manifest
     cost, seconds = m.info.cost, sum(stage.seconds for stage in prepared.stages)
@@ -35,13 +38,14 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
         row["psnr"] = spread
     if command.json:
         about = {"format": "gsvis-preparation", "version": 1, **_about(command, source, space)}
-        print_json({**about, **_document(command, prepared, levels)})
+        print_json({**about, **_document(command, prepared, levels, remarks)})
         return
     sizes = ", ".join(f"{row['name']} {row['gaussians']:,}" for row in levels)
     meters = m.info.meters_per_unit
     rows = [
         ("Gaussians", f"{m.gaussians:,}" + (f" in levels {sizes}" if len(levels) > 1 else "")),
         *_quality(prepared.quality, m.names),
+        kind_row(space),
         ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
         ("up", f"{_axis(m.info.up)}; " + (f"{meters:g} meters a unit" if meters else "meters a unit not known")),
         ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
@@ -68,11 +72,12 @@ def tell_result(command: Prepare, source: Source, space: NavigableSpace, prepare
     show(
         facts(f"{source.name}: package", rows),
         facts("", stages),
+        *remarks,
         *(f" {remark}" for remark in prepared.remarks),
     )
 
 
-def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]) -> dict[str, Any]:
+def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]], remarks: list[str]) -> dict[str, Any]:
     """Return the part of the JSON document about the package."""
     m = prepared.manifest
     return {
@@ -91,11 +96,13 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
         "stages": [asdict(stage) for stage in prepared.stages],
         "work": None if command.discard else str(prepared.work),
         "work_bytes": 0 if command.discard else prepared.work_bytes,
-        "remarks": list(prepared.remarks),
+        "remarks": [*(each.strip() for each in remarks), *prepared.remarks],
     }
 
 
-def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate) -> None:
+def tell_estimate(
+    command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate, remarks: list[str]
+) -> None:
     """Print the estimated cost, as a JSON document or as tables."""
     if command.json:
         print_json(
@@ -106,6 +113,7 @@ def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estim
                 **asdict(estimate),
                 "levels": [{"name": name, "gaussians": count} for name, count in estimate.levels],
                 "work_bytes": estimate.work_bytes,
+                "remarks": [each.strip() for each in remarks],
             }
         )
         return
@@ -114,6 +122,7 @@ def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estim
         for s in estimate.stages
     ]
     rows = [
+        kind_row(space),
         ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
         ("time", f"about {clock(estimate.seconds)}"),
         ("package", f"about {size_of(estimate.nbytes)}"),
@@ -124,6 +133,7 @@ def tell_estimate(command: Prepare, source: Source, space: NavigableSpace, estim
     show(
         facts(f"{source.name}: what it would cost", rows),
         facts("", stages),
+        *remarks,
         " Nothing was written.",
     )
 
@@ -133,7 +143,7 @@ def _about(command: Prepare, source: Source, space: NavigableSpace) -> dict[str,
         "scene": source.name,
         "lod": source.lod,
         "out": command.out,
-        "space": {"rule": space.rule, "volume": space.volume},
+        "space": space_document(space),
     }
 
 

@@ -18,16 +18,15 @@ from gsvis.cli.source import (
     Source,
     check_file,
     check_source,
-    free_space,
     levels_spelled,
     load_source,
     parse_up,
     summarize_levels,
 )
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.cli.where import check_where, find_place, kind_row, space_document, suspect_views
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import open_regular
-from gsvis.io.poses import load_path
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.config import PvsConfig
@@ -37,7 +36,6 @@ from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.pvs.workers import Workers
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.content import scene_hash
-from gsvis.scene.corridor import corridor
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
@@ -68,7 +66,7 @@ def run_pvs(command: Pvs) -> None:
         KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     config = _check_arguments(command)
-    walk = None if command.path is None else load_path(command.path)
+    walk = check_where(command)
     with Status() as status, _workers(command) as workers:
         plan = _plan(command, config, walk, status)
         if command.dry_run:
@@ -92,13 +90,12 @@ def _check_arguments(command: Pvs) -> PvsConfig:
     check_source(command.scene, command.lod)
     check_file(command.out)
     _check_target(command)
-    for name, other in (("margin", "path"), ("retarget", "path")):
-        if getattr(command, name) and getattr(command, other) is None:
-            raise ValueError(f"--{name}: expected --{other} with it, got none; add it or leave this out")
-    for name, other in (("box", "path"), ("scheduler", "workers"), ("scheduler", "max_memory")):
-        if getattr(command, name) is not None and getattr(command, other) is not None:
+    for other in ("workers", "max_memory"):
+        if command.scheduler is not None and getattr(command, other) is not None:
             spelled = other.replace("_", "-")
-            raise ValueError(f"--{spelled}: expected none with --{name}, got {getattr(command, other)}; leave one out")
+            raise ValueError(
+                f"--{spelled}: expected none with --scheduler, got {getattr(command, other)}; leave one out"
+            )
     parse_up(command.up)
     if command.scheduler is not None:
         from gsvis.pvs.cluster import check_address
@@ -171,30 +168,13 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     _check_replaced(command, source)
     status("reading", 1, 1)
     status("space", 0, 1)
-    space, remarks = _space(command, source, walk)
+    place = find_place(source, command, command.up, walk)
+    space = place.required("say where eyes may be with --box")
+    remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
     size = command.cell_size
     grid = CellGrid.over(space, max_cells=command.cells or (_CELLS if size is None else MAX_CELLS), cell_size=size)
     status("space", 1, 1)
     return _Plan(source, grid, space, config, remarks)
-
-
-def _space(command: Pvs, source: Source, walk: HeadPath | None) -> tuple[NavigableSpace, list[str]]:
-    """Return the navigable space and remarks: in the box or the scene, and near the walk if there is one."""
-    space = free_space(source, command.box, command.up)
-    if walk is None:
-        return space, []
-    remarks = []
-    if command.retarget:
-        from gsvis.scene.retarget import retarget
-
-        moved = retarget(walk, space)
-        walk = moved.path
-        remarks.append(f" The path was brought into the scene: {moved.rule}; {moved.inside:.0%} of it inside.")
-    try:
-        return corridor(space, walk.positions, command.margin), remarks
-    except ValueError as error:
-        hint = "" if command.retarget else "; --retarget brings it there"
-        raise ValueError(f"--path {command.path}: {error}{hint}") from None
 
 
 def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> VisibilityStore:
@@ -224,7 +204,8 @@ def _about(plan: _Plan) -> dict[str, Any]:
         "gaussians": len(plan.source.union),
         "levels": summarize_levels(plan.source),
         "grid": plan.grid.as_dict(),
-        "space": {"rule": plan.space.rule, "voxel_size": plan.space.voxel_size, "volume": plan.space.volume},
+        "space": space_document(plan.space),
+        "remarks": [each.strip() for each in plan.remarks],
         "config": plan.config.as_dict(),
     }
 
@@ -234,6 +215,7 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
     shown = plan.config
     return [
         ("Gaussians", f"{len(plan.source.union):,}{levels_spelled(plan.source)}"),
+        kind_row(plan.space),
         ("where eyes may be", f"{plan.space.rule}, {plan.space.volume:.3g} cubic units"),
         ("cells", f"{len(plan.grid):,} of side {plan.grid.cell_size:.3g}, in {x} x {y} x {z} boxes"),
         ("method", f"{shown.method}, six faces of {shown.size} pixels, tau {shown.tau:.3g}"),

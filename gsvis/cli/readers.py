@@ -14,6 +14,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 __all__ = [
     "ADDRESSES",
+    "AROUND",
     "BOX",
     "BYTES",
     "CELLS",
@@ -91,6 +92,18 @@ def _read_box(words: list[str]) -> tuple[float, ...]:
     if not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
         raise ValueError(f"expected X0 < X1, Y0 < Y1 and Z0 < Z1, got {' '.join(words)}")
     return box
+
+
+def _read_around(words: list[str]) -> tuple[float, ...]:
+    if words == ["auto"]:
+        return ()
+    try:
+        values = tuple(float(word) for word in words)
+    except ValueError:
+        values = ()
+    if len(values) != 4 or not all(abs(value) <= 1e30 for value in values) or not values[3] > 0.0:
+        raise ValueError(f"expected auto, or a center X Y Z and a radius above 0, got {' '.join(words) or 'nothing'}")
+    return values
 
 
 def _numbers(metavar: str, low: float = -1e30, high: float = 1e30, what: str = "three finite numbers") -> Any:
@@ -198,6 +211,7 @@ OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")
 SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
 FACE_RAYS = _spec(1, "K", _read_face_rays)
 BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
+AROUND = _spec("*", "X Y Z R|auto", _read_around)
 POINT = _numbers("X Y Z")
 COLOR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
 INDICES = _spec("*", "I [I ...]", _read_indices)

@@ -16,12 +16,15 @@ from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_views, given_cameras, place_cameras
+from gsvis.cli.where import space_document
 from gsvis.errors import BackendError, SceneError
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.render import PixelContributors, contributors, rasterize
 from gsvis.render.cuda import is_available
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
 
 __all__ = ["run_render"]
 
@@ -35,6 +38,7 @@ class _Done:
 
     source: Source
     cameras: Cameras
+    space: NavigableSpace | None
     remarks: list[str]
     backend: str
     seconds: float
@@ -54,13 +58,13 @@ def run_render(command: Render) -> None:
     if command.depth:
         require("gsvis render --depth", "matplotlib")
     check_source(command.scene, command.lod)
-    check_views(command)
+    walk = check_views(command)
     backend = _backend(command.backend)
     given = given_cameras(command)
     target = _target(command, camera_count(command, given))
     older = target.older() if target else 0
     with Status() as status:
-        done = _render(command, given, target, backend, status)
+        done = _render(command, given, walk, target, backend, status)
     if command.json:
         print_json(_document(command, target, done))
         return
@@ -69,10 +73,14 @@ def run_render(command: Render) -> None:
         parts += _lines(command, target, done)
         if older:
             parts.append(f" {target.path} also holds {older:,} later frames of an earlier run.")
+    if done.space is not None:
+        parts.append(f" Taken for {done.space.kind}.")
     show(*parts, *done.remarks, *(_table(command, done.found) if done.found is not None else []))
 
 
-def _render(command: Render, given: Cameras | None, target: Target | None, backend: str, status: Status) -> _Done:
+def _render(
+    command: Render, given: Cameras | None, walk: HeadPath | None, target: Target | None, backend: str, status: Status
+) -> _Done:
     """Read the scene, render it and write the pictures; return the result."""
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
@@ -80,7 +88,7 @@ def _render(command: Render, given: Cameras | None, target: Target | None, backe
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
     status("reading", 1, 1)
     status("space", 0, 1)
-    cameras, remarks = (given, []) if given is not None else place_cameras(command, source)
+    cameras, space, remarks = (given, None, []) if given is not None else place_cameras(command, source, walk)
     status("space", 1, 1)
     if command.contributors is not None:
         _check_pixel(command.contributors, cameras)
@@ -95,7 +103,7 @@ def _render(command: Render, given: Cameras | None, target: Target | None, backe
     found = None
     if command.contributors is not None:
         found = contributors(source.gaussians, cameras, command.contributors, antialiased=command.antialiased)
-    return _Done(source, cameras, remarks, backend, seconds, depth_range, found)
+    return _Done(source, cameras, space, remarks, backend, seconds, depth_range, found)
 
 
 def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, status: Status) -> Iterator[Frame]:
@@ -227,6 +235,8 @@ def _document(command: Render, target: Target | None, done: _Done) -> dict[str, 
         "files": [str(path) for path in files],
         "depth": None,
         "cameras": describe_cameras(cameras),
+        "space": None if done.space is None else space_document(done.space),
+        "remarks": [each.strip() for each in done.remarks],
         "contributors": None,
     }
     if target and command.depth:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,6 @@ __all__ = [
     "check_source",
     "evenly",
     "file_cameras",
-    "free_space",
     "inputs_of",
     "inspect_scene_of",
     "is_builtin",
@@ -44,7 +42,6 @@ __all__ = [
 ]
 
 BUILTIN = "builtin:"
-_BOX_VOXELS = 96  # along the longest side of a box
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,27 +189,6 @@ def navigable_space(
         return NavigableSpace.from_scene(source.gaussians, up=up, seeds=seeds), ""
     except SceneError as error:
         return None, str(error)
-
-
-def free_space(source: Source, box: Sequence[float] | None, up: str | None) -> NavigableSpace:
-    """Return the navigable space: the box, or that of the scene.
-
-    Args:
-        source: The scene.
-        box: Lowest and highest corner; None for the navigable space of the scene.
-        up: Value of --up; None means that of the built-in scene, else +z for a box, else a guess.
-
-    Raises:
-        SceneError: If the scene has no navigable space.
-    """
-    axis = parse_up(up)
-    if box is not None:
-        known = axis if axis is not None else source.navigable.up if source.navigable is not None else (0.0, 0.0, 1.0)
-        return NavigableSpace.from_box(box[:3], box[3:], _BOX_VOXELS, up=known)
-    space, why_not = navigable_space(source, up=axis)
-    if space is None:
-        raise SceneError(f"{source.path or source.name}: {why_not}; say where eyes may be with --box")
-    return space
 
 
 def parse_up(axis: str | None) -> NDArray[np.float64] | None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.cli.arguments import Render
-from gsvis.cli.source import Source, file_cameras, navigable_space
-from gsvis.errors import SceneError
+from gsvis.cli.source import Source, file_cameras
+from gsvis.cli.where import check_where, find_place
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, guess_up
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.scene.solid import buried
 
 __all__ = ["camera_count", "check_views", "given_cameras", "place_cameras"]
 
@@ -21,8 +26,8 @@ _SHOWN = 0.9  # share of the centers that an orbit shows
 _SURE = 0.6  # least confidence of an up axis without a remark, as in inspection
 
 
-def check_views(command: Render) -> None:
-    """Raise if arguments about cameras contradict each other.
+def check_views(command: Render) -> HeadPath | None:
+    """Return the walk of --path; raise if arguments about cameras contradict each other.
 
     Raises:
         ValueError: If they do; the message names them.
@@ -42,6 +47,7 @@ def check_views(command: Render) -> None:
         raise ValueError(f"--up: expected one of {', '.join(AXES)}, got {command.up.strip()!r}")
     if command.eye is not None and command.eye == command.target:
         raise ValueError("--target: expected another point than --eye, got the same")
+    return check_where(command, f"--{way}" if way else "")
 
 
 def given_cameras(command: Render) -> Cameras | None:
@@ -70,8 +76,10 @@ def camera_count(command: Render, given: Cameras | None) -> int:
     return len(given) if given is not None else command.orbit or 1
 
 
-def place_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
-    """Return cameras placed in a scene without a file, and remarks about them for the user.
+def place_cameras(
+    command: Render, source: Source, walk: HeadPath | None = None
+) -> tuple[Cameras, NavigableSpace | None, list[str]]:
+    """Return cameras placed in a scene without a file, the space that they were drawn in, and remarks for the user.
 
     Raises:
         SceneError: If there is no navigable space for a sampled camera.
@@ -81,19 +89,29 @@ def place_cameras(command: Render, source: Source) -> tuple[Cameras, list[str]]:
     up, remarks = _up(command, source)
     g = source.gaussians
     if command.eye is None and command.orbit is None:
-        space, no_space = navigable_space(source, up=up)
-        if space is None:
-            raise SceneError(f"{command.scene}: {no_space}; name a place with --eye X Y Z, or --orbit N")
+        place = find_place(source, command, command.up, walk)
+        space = place.required("name a place with --eye X Y Z, --orbit N or --box")
+        if command.up is None:
+            space = replace(space, up=up)
         cameras = space.sample_cameras(1, np.random.default_rng(command.seed), fov=fov, **size)
-        return cameras, [*remarks, f" Again: {_options_of(cameras)}"]
+        more = _check_buried(g, cameras.viewpoints, "the sampled eye")
+        return cameras, space, [*remarks, *place.remarks, *more, f" Again: {_options_of(cameras)}"]
     middle, reach = _extent(g)
     target = middle if command.target is None else np.array(command.target)
     if command.eye is not None:
-        return Cameras.look_at([command.eye], target, up=up, fov=fov, **size), remarks
+        remarks += _check_buried(g, np.array([command.eye]), "--eye")
+        return Cameras.look_at([command.eye], target, up=up, fov=fov, **size), None, remarks
     half = np.tan(np.radians(fov) / 2.0) * min(1.0, size["height"] / size["width"])
     radius = command.radius or reach / np.sin(np.arctan(half))
     elevation = _ELEVATION if command.elevation is None else command.elevation
-    return Cameras.orbit(target, radius, command.orbit or 1, up=up, elevation=elevation, fov=fov, **size), remarks
+    return Cameras.orbit(target, radius, command.orbit or 1, up=up, elevation=elevation, fov=fov, **size), None, remarks
+
+
+def _check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
+    """Return a remark if an eye lies inside something solid."""
+    if not buried(g, np.asarray(eyes, np.float64)).any():
+        return []
+    return [f" Expected {name} in free space, got a point inside something solid, which fills the picture; move it."]
 
 
 def _up(command: Render, source: Source) -> tuple[F64, list[str]]:

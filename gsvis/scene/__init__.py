@@ -7,6 +7,7 @@ _MODULES = (
     "gaussians",
     "icosphere",
     "inspection",
+    "kinds",
     "levels",
     "navigable",
     "paths",

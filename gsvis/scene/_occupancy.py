@@ -7,9 +7,8 @@ lies within `clearance` voxels. A visitor has ground below and things around. Th
 those that stop light in at least half of the grid directions within 60 degrees of straight down, and in a share of all
 26 grid directions. Both are averaged over five voxels. The share is the first of 0.7, 0.3, 0.1 at which the largest
 connected part still holds 5% of the box: rooms pass at 0.7, ground under the sky at 0.3. If no share passes, the
-condition on the ground is dropped, for an object without ground. The largest connected part of what remains is kept. A
-scene without floaters that fails at 0.7 is a lone object. People view it from outside, so its free space is the space
-around it, at its height.
+condition on the ground is dropped. The largest connected part of what remains is kept. `_eyes.py` replaces it where a
+scene is no rooms.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from gsvis.errors import SceneError
 from gsvis.scene._kernels.voxels import splat_depth
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["MIN_ALPHA", "Occupancy", "robust_box"]
+__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "robust_box"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -121,11 +121,17 @@ class Occupancy:
             " check that they are in the scene's frame, or raise max_alpha or lower clearance"
         )
 
-    def largest_part(self) -> Mask:
-        """Return the largest connected part of the clear voxels; apply no other rule."""
+    def largest_part(self, among: Mask | None = None) -> Mask:
+        """Return the largest connected part of the clear voxels, or of those in a mask (X, Y, Z); may be empty."""
         from scipy import ndimage
 
-        return _largest(ndimage.label(self.clear)[0])[0]
+        labels, count = ndimage.label(self.clear if among is None else self.clear & among)
+        return _largest(labels)[0] if count else np.zeros(self.clear.shape, bool)
+
+    def voxels_of(self, points: NDArray[np.floating[Any]]) -> F64:
+        """Return (M, 3) the points (P, 3) that lie on the grid, in voxels."""
+        places = (points.astype(np.float64) - self.origin) / self.voxel_size
+        return np.asarray(places[np.all((places >= 0) & (places < np.array(self.depth.shape)), axis=1)])
 
     def targets(self, seen: Gaussians) -> F64:
         """Return (T, 3) centers inside the grid, drawn by opacity times area; the same ones every time."""

@@ -3,22 +3,26 @@
 A voxel grid in the scene's own frame and units, built from the Gaussians alone or from a box. It samples viewpoints and
 cameras for code that needs views. Knows no file and no renderer.
 
-`_occupancy.py` decides which voxels count; its first lines state the rule.
+`_occupancy.py` decides which voxels count, `kinds.py` what the scene is, `_eyes.py` where eyes belong; their first
+lines state the rules.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
+from gsvis.scene._eyes import find_eyes, stand_around
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy, robust_box
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector, guess_up, has_no_floaters
+from gsvis.scene.inspection import axis_vector, guess_up
+from gsvis.scene.kinds import SpaceKind
 
 __all__ = ["NavigableSpace"]
 
@@ -27,6 +31,7 @@ Mask = NDArray[np.bool_]
 
 MAX_RESOLUTION = 384
 _TRIES = 16  # targets tried for a camera
+_GIVEN = SpaceKind("given", "navigable space given by hand")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +46,7 @@ class NavigableSpace:
         occupied: (X, Y, Z) voxels that stop light; none by default.
         targets: (T, 3) points worth looking at; if empty, cameras look at points of the box.
         rule: Name of the rule that chose the voxels, for reports.
+        kind: What the scene was taken for, and why.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -54,6 +60,7 @@ class NavigableSpace:
     occupied: Mask = field(default_factory=lambda: np.zeros((0, 0, 0), bool))
     targets: F64 = field(default_factory=lambda: np.zeros((0, 3)))
     rule: str = "given"
+    kind: SpaceKind = _GIVEN
 
     def __post_init__(self) -> None:
         free = np.ascontiguousarray(self.free, dtype=bool)
@@ -93,7 +100,7 @@ class NavigableSpace:
         up: ArrayLike | str | None = None,
         seeds: ArrayLike | None = None,
     ) -> NavigableSpace:
-        """Find the navigable space of a scene, by the rule at the top of this module.
+        """Find the navigable space of a scene: around an object, in rooms, or above the ground of an open place.
 
         Args:
             g: The scene.
@@ -109,28 +116,64 @@ class NavigableSpace:
             ValueError: If an argument is out of range.
             SceneError: If the scene has no free space.
         """
-        _check.positive_int("resolution", resolution, at_least=8)
+        _check_resolution(resolution)
         for name, value, least, most in (
-            ("resolution", resolution, 8, MAX_RESOLUTION),
             ("max_alpha", max_alpha, 1e-6, 1.0 - 1e-6),
             ("clearance", clearance, 0.0, 32.0),
         ):
             if not least <= value <= most:
                 raise ValueError(f"{name}: expected a value in [{least:g}, {most:g}], got {value!r}")
         points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
-        seen = g[g.opacities >= MIN_ALPHA]
-        if len(seen) == 0:
-            raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
-        axis = axis_vector(guess_up(g)[0]) if up is None else axis_vector(up) if isinstance(up, str) else up
-        axis = _check.unit_vectors("up", np.reshape(np.asarray(axis, np.float64), (1, -1)))[0]
+        seen, axis = _visible(g), _up_axis(g, up)
         low, high = robust_box(seen, coverage, points)
-        space = Occupancy.from_gaussians(seen, low, high, resolution, max_alpha, clearance)
-        free, rule, enclosed = space.choose(axis, points)
-        if not enclosed and not len(points) and has_no_floaters(seen):
-            margin = 0.5 * float((high - low).max()) * (1.0 - np.abs(axis))
-            space = Occupancy.from_gaussians(seen, low - margin, high + margin, resolution, max_alpha, clearance)
-            free, rule = space.largest_part(), "free, around a lone object"
-        return cls(space.origin, space.voxel_size, free, axis, space.occupied, space.targets(seen), rule)
+        build = partial(Occupancy.from_gaussians, seen, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
+        return cls._over(*find_eyes(build, low, high, seen, axis, points), axis, seen)
+
+    @classmethod
+    def around(
+        cls,
+        g: Gaussians,
+        center: ArrayLike | None = None,
+        radius: float | None = None,
+        *,
+        resolution: int = 160,
+        up: ArrayLike | str | None = None,
+    ) -> NavigableSpace:
+        """Find the navigable space around an object: beside and above it, from 0.1 to 0.5 of its size away.
+
+        Args:
+            g: The scene.
+            center: (3,) middle of the object; the whole scene is the object by default.
+            radius: Distance from the middle within which the object lies; given with `center`.
+            resolution: Voxels along the longest side of the grid, 8 to 384.
+            up: (3,) direction or an axis such as "+z"; guessed by default.
+
+        Raises:
+            ValueError: If an argument is out of range, or one of `center` and `radius` is missing.
+            SceneError: If nothing around the object is free.
+        """
+        if (center is None) != (radius is None):
+            raise ValueError("radius: expected center and radius together, got one; give both, or none")
+        _check_resolution(resolution)
+        seen, axis = _visible(g), _up_axis(g, up)
+        if center is None:
+            low, high = robust_box(seen, 0.98, np.zeros((0, 3)))
+        else:
+            assert radius is not None
+            if not (np.isfinite(radius) and radius > 0.0):
+                raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
+            middle = _check.floats("center", center, (3,), np.float64)
+            low, high = middle - radius, middle + radius
+        build = partial(Occupancy.from_gaussians, seen, resolution=resolution, max_alpha=0.25, clearance=1.0)
+        space, free, eyes = stand_around(build, low, high, axis)
+        kind = SpaceKind("given", "an object given by hand", None, eyes)
+        return cls._over(space, free, "free, around an object", kind, axis, seen)
+
+    @classmethod
+    def _over(
+        cls, space: Occupancy, free: Mask, rule: str, kind: SpaceKind, up: F64, seen: Gaussians
+    ) -> NavigableSpace:
+        return cls(space.origin, space.voxel_size, free, up, space.occupied, space.targets(seen), rule, kind)
 
     @classmethod
     def from_box(
@@ -156,7 +199,8 @@ class NavigableSpace:
         size = min(float(side.max()) / resolution, float(side.min()))
         shape = np.maximum(np.floor(side / size + 1e-9).astype(int), 1)
         start = corner + 0.5 * (side - shape * size)
-        return cls(start, size, np.ones(shape, bool), np.asarray(up, np.float64), rule="box")
+        kind = SpaceKind("given", "a box given by hand")
+        return cls(start, size, np.ones(shape, bool), np.asarray(up, np.float64), rule="box", kind=kind)
 
     def __repr__(self) -> str:
         x, y, z = self.free.shape
@@ -257,3 +301,21 @@ class NavigableSpace:
             if t > 2.0 * sum(self.free.shape) * self.voxel_size:  # targets far outside the grid
                 break
         return np.asarray(runs)
+
+
+def _check_resolution(resolution: int) -> None:
+    _check.positive_int("resolution", resolution, at_least=8)
+    if resolution > MAX_RESOLUTION:
+        raise ValueError(f"resolution: expected a value in [8, {MAX_RESOLUTION}], got {resolution!r}")
+
+
+def _visible(g: Gaussians) -> Gaussians:
+    seen = g[g.opacities >= MIN_ALPHA]
+    if len(seen) == 0:
+        raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
+    return seen
+
+
+def _up_axis(g: Gaussians, up: ArrayLike | str | None) -> F64:
+    axis = axis_vector(guess_up(g)[0]) if up is None else axis_vector(up) if isinstance(up, str) else up
+    return np.asarray(_check.unit_vectors("up", np.reshape(np.asarray(axis, np.float64), (1, -1)))[0], np.float64)

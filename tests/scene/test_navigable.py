@@ -269,14 +269,25 @@ class TestRealScenes:
         assert "70%" in space.rule
         assert 300.0 < space.volume < 550.0  # an apartment, not the garden around it
 
-    @pytest.mark.parametrize(("name", "lod"), [("nika_sh3", 0), ("flowers_sh2", 1)])
-    def test_open_scenes_keep_their_ground_below(self, realdata: Path, name: str, lod: int) -> None:
+    def test_an_open_scene_keeps_its_ground_below(self, realdata: Path) -> None:
         from gsvis.io import load_scene
 
-        space = NavigableSpace.from_scene(load_scene(realdata / f"scenes/{name}/lod-meta.json", lod=lod))
+        space = NavigableSpace.from_scene(load_scene(realdata / "scenes/nika_sh3/lod-meta.json", lod=0))
         assert space.up.tolist() == [0.0, -1.0, 0.0]
         assert "ground below" in space.rule
         assert 0.05 < space.free.mean() < 0.6
+
+    @pytest.mark.parametrize("lod", [1, 3])
+    def test_a_patch_of_lawn_without_surroundings_is_seen_from_around(self, realdata: Path, lod: int) -> None:
+        from gsvis.io import load_scene
+
+        g = load_scene(realdata / "scenes/flowers_sh2/lod-meta.json", lod=lod)
+        space = NavigableSpace.from_scene(g)
+        assert space.up.tolist() == [0.0, -1.0, 0.0]
+        assert "around an object" in space.rule
+        low, high = g.bounds(0.98)
+        eyes = space.sample_viewpoints(200, np.random.default_rng(0))
+        assert not np.all((eyes > low) & (eyes < high), axis=1).any()
 
 
 def test_cameras_at_given_eyes_stand_there_and_are_those_that_are_sampled() -> None:

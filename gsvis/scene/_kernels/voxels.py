@@ -1,6 +1,7 @@
-"""Numba kernels of the scene room: splat Gaussians into a voxel grid.
+"""Numba kernels of the scene room: splat Gaussians into a voxel grid, and follow rays through it.
 
-They take checked, contiguous arrays, never raise and know no classes. `navigable.py` prepares and calls them.
+They take checked, contiguous arrays, never raise and know no classes. `_occupancy.py` and `_evidence.py` prepare and
+call them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["splat_depth"]
+__all__ = ["free_lengths", "splat_depth"]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -68,3 +69,51 @@ def splat_depth(
                 for z in range(z0, z1 + 1):
                     dz = z + 0.5 - cz
                     depth[x, y, z] -= np.log(1.0 - alphas[i] * np.exp(-0.5 * (lateral + f * dz * dz)))
+
+
+@numba.njit(cache=True, nogil=True)
+def free_lengths(
+    depth: NDArray[np.float32],
+    starts: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    lengths: NDArray[np.float64],
+    limit: float,
+    found: NDArray[np.float64],
+) -> Any:
+    """Find how far rays go until the optical depth on them reaches `limit`.
+
+    A step crosses one voxel along the ray's longest axis, as a sweep of the grid does. The voxel of the start does not
+    count.
+
+    Args:
+        depth: (X, Y, Z) optical depths.
+        starts: (R, 3) origins in voxel units; may lie outside of the grid.
+        directions: (R, 3) unit vectors.
+        lengths: (R,) voxels to go at most.
+        limit: Optical depth at which a ray ends.
+        found: (R,) result: voxels to the end of the ray; infinite if it is not stopped.
+    """
+    shape = depth.shape
+    for r in range(len(starts)):
+        longest = max(abs(directions[r, 0]), abs(directions[r, 1]), abs(directions[r, 2]))
+        near, far = 0.0, lengths[r] * longest  # in steps
+        for i in range(3):  # where the ray enters and leaves the grid
+            step, at = directions[r, i] / longest, starts[r, i]
+            if step == 0.0:
+                if not 0.0 <= at < shape[i]:
+                    far = -1.0
+                continue
+            one, two = -at / step, (shape[i] - at) / step
+            near, far = max(near, min(one, two)), min(far, max(one, two))
+        t, total = max(np.ceil(near), 1.0), 0.0
+        found[r] = np.inf
+        while t <= far:
+            x = int(np.floor(starts[r, 0] + t * directions[r, 0] / longest))
+            y = int(np.floor(starts[r, 1] + t * directions[r, 1] / longest))
+            z = int(np.floor(starts[r, 2] + t * directions[r, 2] / longest))
+            if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]:
+                total += depth[x, y, z]
+                if total >= limit:
+                    found[r] = t / longest
+                    break
+            t += 1.0

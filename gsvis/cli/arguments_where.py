@@ -1,0 +1,29 @@
+"""Arguments by which a user says where eyes may be, shared by every command that samples eyes; see `arguments`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import arg
+
+from gsvis.cli.readers import AROUND, BOX, DISTANCE, Flag, hint
+
+__all__ = ["Where"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Where eyes may be; by default where the kind of the scene puts them."""
+
+    box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
+    """Restrict viewpoints to this box, in the frame of SCENE."""
+    around: Annotated[tuple[float, ...] | None, AROUND, hint("where the scene is an object")] = None
+    """Put viewpoints around an object, auto for the whole scene, or its center and radius, in the frame of SCENE."""
+    path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
+    """Restrict viewpoints to this walk, in the frame of SCENE: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS
+    recording."""
+    margin: Annotated[float | None, DISTANCE, hint("3 voxels of the navigable space")] = None
+    """Distance of viewpoints from --path, at most, in scene units."""
+    retarget: Flag = False
+    """Move --path into the scene by a similarity transform, if it was recorded in another frame."""

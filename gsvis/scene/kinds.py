@@ -1,0 +1,95 @@
+"""Tell what a scene is, so that eyes are put where people look from: around an object, in rooms, or on the ground.
+
+The verdict rests on figures that `_evidence.py` measures. This module knows no grid and no Gaussian.
+docs/design/033-kinds-of-space.md tells how the thresholds were chosen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+__all__ = ["Evidence", "Kind", "SpaceKind", "is_rooms", "tell_kind"]
+
+Kind = Literal["object", "rooms", "open place", "given"]
+
+ROOFED = 0.5  # least share of directions above that are stopped in rooms
+SURROUNDED = 0.4  # least share of level directions that are stopped in an open place
+WALKABLE = 0.05  # least footprint with ground that an eye can be above
+FLAT = 0.15  # most height of ground without surroundings, in sides
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What decides the kind of a scene. All but `flatness` are shares, in [0, 1].
+
+    Args:
+        seen_within: Gaussians that some eye in the largest enclosed space sees; 0 without such a space.
+        seen_outside: Gaussians that some eye around the scene sees.
+        roofed: Directions within 45 degrees of up that are stopped, in the mean of the eyes within.
+        surrounded: Level directions that are stopped, in the mean of eyes above the ground; far Gaussians
+            count. 0 in rooms, where it is not measured, and without ground.
+        walkable: Footprint of the scene with ground that an eye can be above; 0 in rooms.
+        flatness: Height of the scene over its narrower side.
+    """
+
+    seen_within: float
+    seen_outside: float
+    roofed: float
+    surrounded: float
+    walkable: float
+    flatness: float
+
+
+@dataclass(frozen=True)
+class SpaceKind:
+    """What a scene is, and why.
+
+    Args:
+        kind: "object", "rooms", "open place"; or "given" if the navigable space was given by hand.
+        reason: Why, in a line.
+        evidence: The figures behind it; None if the space was given.
+        eyes: Where eyes are, in a line.
+    """
+
+    kind: Kind
+    reason: str
+    evidence: Evidence | None = None
+    eyes: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the kind as plain numbers and strings, ready for JSON; `text` says it in a line."""
+        return {**asdict(self), "text": str(self)}
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}" + (f"; eyes {self.eyes}" if self.eyes else "")
+
+
+def is_rooms(found: Evidence) -> bool:
+    """Return whether a scene is rooms: something is above, and more is seen from within than from outside."""
+    return found.roofed >= ROOFED and found.seen_within >= found.seen_outside
+
+
+def tell_kind(found: Evidence) -> SpaceKind:
+    """Return what a scene is, by the evidence.
+
+    Rooms have something above, and more of them is seen from within than from outside. An open place has surroundings
+    at eye height, or is ground alone. Anything else is an object: nothing is around, and little is seen from inside.
+
+    Args:
+        found: What was measured.
+    """
+    within, outside = f"{found.seen_within:.0%}", f"{found.seen_outside:.0%}"
+    level = f"{found.surrounded:.0%} of level views"
+    if is_rooms(found):
+        reason = f"{within} of the Gaussians are seen from within, {outside} from outside"
+        return SpaceKind("rooms", f"{reason}, and {found.roofed:.0%} of views up end at a roof", found)
+    if found.walkable > 0.0 and found.surrounded >= SURROUNDED:
+        return SpaceKind("open place", f"{level} from the ground end at something, under an open sky", found)
+    if found.walkable >= WALKABLE and found.flatness <= FLAT:
+        reason = f"ground {1.0 / found.flatness:.0f} times as wide as what stands on it is high"
+        return SpaceKind("open place", reason, found)
+    reason = f"{outside} of the Gaussians are seen from outside, {within} from within"
+    if found.walkable > 0.0:
+        reason += f", and {1.0 - found.surrounded:.0%} of level views from its ground meet nothing"
+    return SpaceKind("object", reason, found)
