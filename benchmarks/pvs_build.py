@@ -26,16 +26,16 @@ from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
 from gsvis.pvs.build import build_pvs
-from gsvis.pvs.cell_view import see_cell
+from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.look import Look
-from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.pvs.workers import Workers
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 
 DENSE, SIZE = 27, 128
@@ -88,19 +88,16 @@ def part_of(grid: CellGrid, cells: Any) -> CellGrid:
 
 def growth(folder: Path, g: Gaussians, space: NavigableSpace, grid: CellGrid, config: PvsConfig) -> dict[str, Any]:
     places, rng = CellViewpoints(grid, space), np.random.default_rng(2)
-    some = sorted(rng.choice(len(grid), 3, replace=False).tolist())
+    some, shared = sorted(rng.choice(len(grid), 3, replace=False).tolist()), SharedViewpoints(places)
+    eyes = shared.points[np.unique(np.concatenate([shared.of_cell(cell) for cell in some]))]
     by_count = []
     finer = load_scene(folder / "scenes/showroom/lod-meta.json", lod=2)
     parts = [g[np.sort(rng.permutation(len(g))[: len(g) // part])] for part in (4, 2)]
     for scene in (*parts, g, finer):
-        look = Look(scene, config.method, config.size, config.tau)
-        seen: list[int] = []
-        taken = clock(
-            lambda k=look, s=seen: s.extend(
-                see_cell(k, places.spread(c, config.max_viewpoints), config).viewpoints for c in some
-            )
-        )
-        by_count.append({"gaussians": len(scene), "seconds_a_viewpoint": taken / sum(seen)})
+        finder = Finder(Levels.single(scene), config)
+        finder.warm()
+        taken = clock(lambda f=finder: [f.look(eye) for eye in eyes])
+        by_count.append({"gaussians": len(scene), "seconds_a_viewpoint": taken / len(eyes)})
         print(by_count[-1], file=sys.stderr)
     middle = grid.coords[len(grid) // 2]
     nearest = np.argsort(np.linalg.norm(grid.coords - middle, axis=1), kind="stable")
@@ -146,7 +143,7 @@ def main() -> None:
     space = NavigableSpace.from_scene(g)
     grid, config = CellGrid.over(space, max_cells=256), PvsConfig()
     cells = sorted(np.random.default_rng(0).choice(len(grid), options.cells, replace=False).tolist())
-    built(g, space, part_of(grid, cells[:2]), PvsConfig(size=16, min_viewpoints=1, max_viewpoints=1), 2)  # kernels
+    built(g, space, part_of(grid, cells[:2]), PvsConfig(size=16, rays=256, max_inner=1), 2)  # kernels
     build = built(g, space, part_of(grid, cells), config, 2)
     rows = dense(g, CellViewpoints(grid, space), cells, options.timed)
     found = {} if options.no_growth else growth(folder, g, space, grid, config)

@@ -6,7 +6,7 @@ that touch it. With `--merge`, viewpoints within some voxels of each other share
 
 Cells of showroom LOD 3 are drawn at random. Their sets from corners alone are certified, with faces of several sizes.
 Then inner viewpoints are added one by one, where the worst ray of a certificate began, with what this certificate found
-missing; beside it, with what it found alone, and with viewpoints spread as `gsvis pvs` spreads them.
+missing; beside it, with what it found alone, and with viewpoints spread over the cell.
 
 Given: showroom LOD 3, its cells, the hybrid method.
 Measured: missed weight over all weight on rays that no step has used; the size of the sets; looks.
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from gsvis.pvs.certificate import CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
-from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels
 from gsvis.raycast import TAU, EllipsoidProxies, Tracer
 
 F64 = NDArray[np.float64]
@@ -52,7 +52,7 @@ def main() -> None:
     corners = Corners(drawn.viewpoints, options.rule, options.merge)
     lattice, distinct = corners.count()
     print(f"{lattice} corners of the grid, {distinct} viewpoints", file=sys.stderr)
-    certifier = Certifier(Tracer(EllipsoidProxies.from_scene(drawn.scene)), drawn.viewpoints)
+    certifier = Certifier(Tracer(EllipsoidProxies.from_scene(drawn.scene)))
     trials: dict[str, list[dict[str, Any]]] = {}
     for size in options.sizes:
         look = Look(drawn.scene, PvsConfig.method, size, TAU)
@@ -99,7 +99,7 @@ class Corners:
 
     def of_cell(self, cell: int) -> dict[tuple[int, ...], F64]:
         """Return the viewpoints on the corners of a cell, by a key that cells share with the viewpoint."""
-        some = self.viewpoints._candidates(cell) if self.rule == "own" else self._free
+        some = self.viewpoints.voxels(cell).voxels if self.rule == "own" else self._free
         found = {}
         for offset in _CORNERS:
             corner = (self.viewpoints.grid.coords[cell] + np.array(offset)) * self._side
@@ -145,32 +145,32 @@ def try_cell(
     look: Look, certifier: Certifier, corners: Corners, cell: int, inner: int
 ) -> list[tuple[str, dict[str, Any]]]:
     """Return what some ways to find the set of a cell miss, by name."""
-    eyes = np.array(list(corners.of_cell(cell).values()))
+    eyes, voxels = np.array(list(corners.of_cell(cell).values())), corners.viewpoints.voxels(cell)
     eyes = eyes[~certifier._solid.buries(eyes)]
     held = np.zeros(len(look.gaussians), bool)
     start = time.perf_counter()
     for eye in eyes:
         add(look, held, eye)
     seconds = (time.perf_counter() - start) / max(1, len(eyes))
-    ways = [(f"corners at {look.size}", judge(certifier, cell, held, len(eyes), seconds))]
+    ways = [(f"corners at {look.size}", judge(certifier, voxels, held, len(eyes), seconds))]
     if not inner:
         return ways
     guided, rays_alone, spread = held.copy(), held.copy(), held.copy()
     for step in range(1, inner + 1):
-        found = certifier.certify(cell, np.flatnonzero(guided), GUIDE, stage=step)
+        found = certifier.certify(voxels, np.flatnonzero(guided), GUIDE, stage=step)
         assert found is not None
         guided[found.ids] = True
         if len(found.worst_o):
             add(look, guided, found.worst_o[0])
-        found = certifier.certify(cell, np.flatnonzero(rays_alone), GUIDE, stage=step)
+        found = certifier.certify(voxels, np.flatnonzero(rays_alone), GUIDE, stage=step)
         assert found is not None
         rays_alone[found.ids] = True
-        ways.append((f"and {step} guided", judge(certifier, cell, guided, len(eyes) + step, seconds)))
-        ways.append((f"and {step} rounds of rays", judge(certifier, cell, rays_alone, len(eyes), seconds)))
+        ways.append((f"and {step} guided", judge(certifier, voxels, guided, len(eyes) + step, seconds)))
+        ways.append((f"and {step} rounds of rays", judge(certifier, voxels, rays_alone, len(eyes), seconds)))
     for eye in corners.viewpoints.spread(cell, 8 + inner)[8:]:
         if not certifier._solid.buries(eye[None])[0]:
             add(look, spread, eye)
-    ways.append((f"and {inner} spread", judge(certifier, cell, spread, len(eyes) + inner, seconds)))
+    ways.append((f"and {inner} spread", judge(certifier, voxels, spread, len(eyes) + inner, seconds)))
     return ways
 
 
@@ -179,11 +179,11 @@ def add(look: Look, held: Mask, eye: F64) -> None:
     held[ids[weights >= np.float32(look.floor)]] = True
 
 
-def judge(certifier: Certifier, cell: int, held: Mask, looks: int, seconds: float) -> dict[str, Any]:
-    found = certifier.certify(cell, np.flatnonzero(held), JUDGE, stage=_JUDGED)
+def judge(certifier: Certifier, voxels: FreeVoxels, held: Mask, looks: int, seconds: float) -> dict[str, Any]:
+    found = certifier.certify(voxels, np.flatnonzero(held), JUDGE, stage=_JUDGED)
     assert found is not None
     return {
-        "cell": cell,
+        "cell": voxels.cell,
         "missed": found.missed,
         "bound": found.bound,
         "heavy": found.heavy,
