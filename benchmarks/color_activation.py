@@ -15,7 +15,7 @@ cells: the most that its weight class allows).
    of the terms sent so far. Once by cameras: a term is sent when it is first active for an eye whose camera (weights of
    the rasterizer at the stated resolution) sees its Gaussian. Once by cells, which is what a server that knows only
    the eye's cell sends, with all that is visible around the eye: visible sets of the cells along the walk (cubemaps of
-   `--pvs-size` pixels from at most `--viewpoints` viewpoints a cell), and the terms active for any eye in the cell.
+   `--pvs-size` pixels, mended at most `--inner` times), and the terms active for any eye in the cell.
 3. What the walker sees: at eight poses the image with the terms sent so far against all terms.
 
 Without `--colors` the colors are fitted here: over all directions, terms where they count most in seeded cameras.
@@ -120,7 +120,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=2.0, help="poses a second")
     parser.add_argument("--cells", type=int, default=512, help="most cells of the navigable space")
     parser.add_argument("--pvs-size", type=int, default=160, help="pixels of a face in looking from the walk's cells")
-    parser.add_argument("--viewpoints", type=int, default=8, help="most viewpoints a cell")
+    parser.add_argument("--inner", type=int, default=2, help="most times that the set of a cell is mended")
     parser.add_argument("--width", type=int, default=640)
     parser.add_argument("--height", type=int, default=480)
     parser.add_argument("--fov", type=float, default=90.0)
@@ -147,7 +147,7 @@ def main() -> None:
             curve = sorted([*curve, *by_epsilon(subject, views, weighted, [used])], key=lambda r: r["epsilon"])
         rows[rule] = {"calibration": found[rule], "epsilon": used, "at_45_dB": float(np.exp(limit)), "curve": curve}
     side = CellGrid.over(space, max_cells=options.cells).cell_size
-    pvs = PvsConfig(method="raster", size=options.pvs_size, max_viewpoints=options.viewpoints)
+    pvs = PvsConfig(method="raster", size=options.pvs_size, max_inner=options.inner)
     walks = []
     for seed, name in enumerate(WALKS[: options.walks]):
         recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{name}.csv.gz").cut(0.0, config.seconds)

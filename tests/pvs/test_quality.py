@@ -65,7 +65,7 @@ def nothing(cell: int) -> CellSet:
 def half(cell: int) -> CellSet:
     """Every second Gaussian, in classes by its number."""
     ids = np.arange(cell % 2, len(rooms()[0].gaussians), 2)
-    return CellSet(ids, ids % 3, 5, 0.01)
+    return CellSet(ids, ids % 3, 5)
 
 
 def measured(path: Path, of_cell: Maker, config: QualityConfig = QUICK) -> Quality:
