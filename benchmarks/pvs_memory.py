@@ -1,10 +1,6 @@
 """Does `gsvis pvs` stay under the memory cap that was set?
 
-<<<<<<< HEAD
 Runs the command on showroom LOD 3 (747k Gaussians), few cells, under caps of 2, 4 and 8 GB,
-=======
-Runs the command on showroom LOD 3 (747k Gaussians), few cells, certified once or twice, under caps of 2, 4 and 8 GB,
->>>>>>> 60238c0e481806a6c04b17787689d9b04eed06ba
 with as many workers as the cap allows, and samples the proportional set size (PSS: shared pages are split among those
 who share them) of all its processes together. Peaks shorter than the time between two samples may go unseen.
 

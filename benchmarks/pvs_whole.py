@@ -33,7 +33,7 @@ from _rasterize_before import rasterize_before
 from numba import get_num_threads
 from numpy.typing import NDArray
 
-from gsvis.cli.source import Source, free_space, load_source
+from gsvis.cli.source import Source, load_source
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
@@ -43,6 +43,7 @@ from gsvis.pvs.workers import Workers
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 from gsvis.scene.solid import buried
 
@@ -79,7 +80,7 @@ def main() -> None:
     options = parser.parse_args()
     need(options.levels or options.scene, "--levels, a folder that `gsvis levels` made, or --scene")
     source = read_source(options)
-    space = free_space(source, None, None)
+    space = NavigableSpace.from_scene(source.gaussians)
     grid = CellGrid.over(space, max_cells=options.max_cells)
     viewpoints = CellViewpoints(grid, space)
     shared = len(SharedViewpoints(viewpoints))
