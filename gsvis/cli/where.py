@@ -157,7 +157,7 @@ def _check_buried(source: Source, space: NavigableSpace, option: str) -> list[st
     if lost == 1.0:
         raise SceneError(
             f"--{option}: expected room for eyes, got a place in which all of {_TRIED} eyes drawn lie inside something"
-            " solid; move or enlarge it"
+            " solid; give another, or a larger one"
         )
     return [f" {lost:.0%} of the eyes in --{option} lie inside something solid and are left out."] if lost > 0.5 else []
 

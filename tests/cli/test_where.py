@@ -135,7 +135,7 @@ class TestBadInput:
             out = ["-o", tmp_path / OUT[command]]
             line = refused(capsys, command, scene, *out, "--box", -1, -1, -1, 1, 1, 1)
             assert "--box: expected room for eyes, got a place in which all of 256 eyes" in line
-            assert "move or enlarge it" in line
+            assert "; give another, or a larger one" in line
 
     def test_around_a_place_without_room(self, tmp_path: Path, capsys: Capture) -> None:
         scene = saved(discs(np.zeros((1, 3)), (5.0, 5.0, 5.0), 0.99), tmp_path)
