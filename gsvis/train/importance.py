@@ -216,7 +216,7 @@ def prune(
 def _read_rounds(
     work: KeptWork | None, schedule: list[int], n: int
 ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
-    """Return the number of finished rounds, (N,) the round in which each Gaussian left or -1, and values of the rest."""
+    """Return the number of kept rounds, (N,) the round in which each Gaussian left or -1, and values of the rest."""
     found = None if work is None else work.read_own(ROUNDS)
     if work is None or found is None:
         return 0, np.full(n, -1), np.zeros(n)
