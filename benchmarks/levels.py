@@ -245,7 +245,7 @@ def figures(made: Rivals, rows: list[dict[str, Any]], together: list[dict[str, A
             f"levels of {sizes}: going up level by level over high at once, less one",
             levels.overhead,
             "share",
-            0.05,
+            0.05 if len(levels.names) == 3 else None,  # of more levels in one folder nobody goes up all
             "lower",
         )
     for row in together:
