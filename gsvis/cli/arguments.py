@@ -403,14 +403,14 @@ class Levels(Where):
     """Least share of each lower level that stands unchanged in the next."""
     names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
     """Names of all levels and their files, that of the scene itself last."""
-    iterations: Annotated[int, STEPS] = 1000
+    iterations: Annotated[int, STEPS] = 250
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("160")] = None
     """Cameras to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
     held_out: Annotated[int | None, WHOLE, hint("12")] = None
     """Further cameras, to measure on; 0 for none. With --photos it is every 8th."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
-    """Pixels of the views; photographs are shrunk to it."""
+    """Pixels of the views to measure on; those to train on are wider and smaller. Photographs are shrunk to it."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y; not with --photos."""
     seed: Annotated[int, WHOLE] = 0

@@ -83,9 +83,10 @@ def run_levels(command: Levels) -> None:
 
 def _begun(work: Path) -> bool:
     """Return whether a folder of unfinished work holds anything to resume from."""
+    from gsvis.train.importance import ROUNDS
     from gsvis.train.levels import SUBSETS
 
-    return (work / SUBSETS).exists()
+    return (work / SUBSETS).exists() or (work / ROUNDS).exists()
 
 
 def _target(out: str) -> Path:

@@ -47,7 +47,8 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
     """
     plan: _Run = run
     levels, g, drawn = trained.levels, plan.source.gaussians, plan.drawn
-    cameras = drawn.views.cameras
+    # Renders to train on are smaller than what was asked for.
+    cameras = drawn.views.cameras if drawn.choose_by is None else drawn.choose_by
     rows = []
     for k, name in enumerate(levels.names):
         row: dict[str, Any] = {

@@ -35,8 +35,8 @@ __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
 # Measured on nika LOD 0 and showroom LOD 3 (docs/design/022), in times of one view of the whole scene at that size.
 _clock = time.perf_counter  # tests set another
-_PRUNED_VIEW = 0.6  # one round of pruning, at half the size
-_STEP, _STEP_SHARE = 0.55, 1.55  # a training step: fixed part, and part proportional to the level's share of the scene
+_PRUNED_VIEW = 1.4  # a look that chooses, the mean over rounds; wide, docs/design/034
+_STEP, _STEP_SHARE = 0.3, 0.9  # a training step: fixed part, and part proportional to the level's share of the scene
 _WEIGHED_VIEW = 2.0  # a view that measures importance
 # Seconds for each Gaussian and core.
 _BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
@@ -170,10 +170,10 @@ class _Estimator:
         rounds = math.ceil(
             math.log(min(f for _, f, _ in _sizes(stages)) / self.counts[-1]) / math.log(1 - config.prune_share)
         )
-        # The first round of pruning costs as much as three rounds.
+        # A round looks at half as many views; the first costs as much as three rounds.
         left = 1.0 if not (begun / SUBSETS).exists() else 0.0
         steps = config.iterations * sum(_STEP + _STEP_SHARE * c / self.counts[-1] for c in self.counts[:-1])
-        looks = views.count * (1.0 + left * (rounds + 2) * _PRUNED_VIEW) + steps
+        looks = views.count * (1.0 + left * 0.5 * (rounds + 2) * _PRUNED_VIEW) + steps
         seconds = looks * self.view_seconds(views)
         state = "to do" if left else "begun"
         what = f"{sizes}; {config.iterations:,} steps each"

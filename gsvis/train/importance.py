@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis._extras import require
+from gsvis.errors import FormatError
+from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.removal import removal_effects
@@ -21,7 +23,10 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
 
-__all__ = ["IMPORTANCE_METHODS", "importance", "most_important", "prune"]
+__all__ = ["IMPORTANCE_METHODS", "ROUNDS", "importance", "most_important", "prune"]
+
+ROUNDS = "rounds.npz"
+"""Name of the file of the finished rounds in a folder of unfinished work."""
 
 IMPORTANCE_METHODS = ("removal", "absolute", "error", "gradient", "weight")
 
@@ -143,6 +148,7 @@ def prune(
     share: float = 0.2,
     looks: int | None = None,
     background: ArrayLike = _BLACK,
+    work: KeptWork | None = None,
     progress: Progress = silent,
 ) -> list[NDArray[np.bool_]]:
     """Find nested subsets: remove the least important share, measure again, repeat.
@@ -163,24 +169,27 @@ def prune(
             through the views. The first round, whose removals are never measured again, uses three times as many. The
             results of a round count in later ones too, half as much in each.
         background: (3,) RGB behind everything.
+        work: Keeps every finished round, to resume from; its plan must name the scene, the cameras and the rules.
         progress: Called with stage "prune"; counts views of all rounds.
 
     Returns:
         A mask (N,) for each count, each a subset of the previous one; independent of the order of the Gaussians.
 
     Raises:
-        ValueError: If the counts do not fall, or `share` or `looks` is out of range.
+        ValueError: If the counts do not fall, `share` or `looks` is out of range, or `work` belongs to another run.
+        FormatError: If the kept rounds are damaged.
     """
     if not 0.0 < share < 1.0:
         raise ValueError(f"share: expected a value in (0, 1), got {share!r}")
     schedule = _schedule(len(gaussians), counts, share)
     cameras = views.cameras if isinstance(views, PosedImages) else views
     turns = _turns(len(cameras), len(schedule), looks)
-    total, before, kept = sum(map(len, turns)), 0, np.arange(len(gaussians))
-    values = np.zeros(len(gaussians))
-    masks = {}
-    progress("prune", 0, total)
-    for turn, size in zip(turns, schedule, strict=True):
+    total, ranks = sum(map(len, turns)), np.full(len(gaussians), len(schedule), np.int64)
+    done, last, values = _read_rounds(work, schedule, len(gaussians))
+    ranks[last >= 0] = last[last >= 0]
+    kept = np.flatnonzero(last < 0)
+    progress("prune", before := sum(map(len, turns[:done])), total)
+    for number, (turn, size) in enumerate(list(zip(turns, schedule, strict=True))[done:], done):
 
         def report(stage: str, done: int, of: int, before: int = before) -> None:
             if done:
@@ -194,10 +203,38 @@ def prune(
             found = effects.squared / max(effects.pixels, 1)
             values = found if looks is None else found + 0.5 * values
             stays = most_important(left, values, size)
+            ranks[kept[~stays]] = number
             kept, values = kept[stays], values[stays]
-        masks[size] = np.isin(np.arange(len(gaussians)), kept, assume_unique=True)
+        if work is not None:
+            gone = np.where(ranks < len(schedule), ranks, -1)
+            work.keep_own(ROUNDS, {"rounds": np.array([number + 1]), "left": gone, "values": values})
     progress("prune", total, total)
-    return [masks[count].copy() for count in counts]
+    rounds = [len(schedule) - 1 - schedule[::-1].index(count) for count in counts]
+    return [ranks > number for number in rounds]
+
+
+def _read_rounds(
+    work: KeptWork | None, schedule: list[int], n: int
+) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+    """Return the number of kept rounds, (N,) the round in which each Gaussian left or -1, and values of the rest."""
+    found = None if work is None else work.read_own(ROUNDS)
+    if work is None or found is None:
+        return 0, np.full(n, -1), np.zeros(n)
+    try:
+        done, left, values = int(found["rounds"][0]), found["left"], found["values"]
+        if (
+            left.dtype.kind != "i"
+            or not 0 < done <= len(schedule)
+            or left.shape != (n,)
+            or left.max(initial=-1) >= done
+        ):
+            raise ValueError("rounds of another schedule")
+        if values.shape != ((left < 0).sum(),) or len(values) != min(schedule[done - 1], n):
+            raise ValueError("values of another size")
+    except (LookupError, TypeError, ValueError) as error:
+        got = f"{type(error).__name__}: {error}"
+        raise FormatError(work.folder / ROUNDS, "", "the finished rounds", got, "delete it to start again") from error
+    return done, np.asarray(left, np.int64), np.asarray(values, np.float64)
 
 
 def _turns(cameras: int, rounds: int, looks: int | None) -> list[NDArray[np.int64]]:

@@ -1,7 +1,9 @@
 """Provide the views for training and measuring levels: photos, or renders of the scene if there are none.
 
 Viewpoints of renders lie in navigable space, outside of anything solid. Views to measure on are independent of those to
-train on. Scene frame; OpenCV cameras.
+train on. Levels are chosen and trained by wide views: one costs little more than a narrow one and shows several times
+as much, so that fewer parts of a scene are seen by few cameras. Scene frame; OpenCV cameras.
+docs/design/034-levels-in-minutes.md compares them.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ __all__ = ["LevelViews", "draw_views", "load_photograph_views"]
 
 _EVERY = 8  # one in so many photos is held out
 _CHOOSE = 4  # cameras for the choice of Gaussians, per camera to train on
+_WIDE = 120.0  # degrees, horizontal field of view of views to choose and to train by
+_SMALLER = 2.0 / 3.0  # side of a view to train on, over that of a view to measure on
 _UNLIKE = 12.0  # dB; photos of another scene, or in another frame, are not matched better
 _DARK = 1.0 / 255.0
 
@@ -62,16 +66,20 @@ def draw_views(
     Args:
         g: The scene.
         space: Allowed viewpoints.
-        sampling: Cameras to train on. Those to measure on come from its next random stream. The stream after it
-            gives four times as many at half the size to choose Gaussians by: a Gaussian that few of them see well is
-            dropped first.
+        sampling: Cameras to measure on, and the number of views to train on. The latter are smaller and wider. The
+            next random stream gives those to measure on. The stream after it gives four times as many wide cameras to
+            choose Gaussians by: a Gaussian that few of them see well is dropped first.
         held_out: Number of cameras to measure on; 0 for none.
         progress: Called with stage "views".
 
     Raises:
         SceneError: If no viewpoint is found, or the views are empty.
     """
-    asked = [sampling, *([replace(sampling, count=held_out, stream=sampling.stream + 1)] if held_out else [])]
+    wide = replace(sampling, fov=max(sampling.fov, _WIDE))
+    small = {name: max(round(_SMALLER * getattr(sampling, name)), 1) for name in ("width", "height")}
+    asked = [replace(wide, **small)]
+    if held_out:
+        asked.append(replace(sampling, count=held_out, stream=sampling.stream + 1))
     total = sum(each.count for each in asked)
     found: list[PosedImages] = []
     for cameras in [each.cameras(g, space) for each in asked]:
@@ -84,8 +92,7 @@ def draw_views(
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene are empty; check the up axis")
     drawn = f"drawn at random where eyes may be ({space.rule})"
-    small = {"width": max(sampling.width // 2, 1), "height": max(sampling.height // 2, 1)}
-    many = replace(sampling, count=_CHOOSE * sampling.count, stream=sampling.stream + 2, **small)
+    many = replace(wide, count=_CHOOSE * sampling.count, stream=sampling.stream + 2)
     return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space))
 
 

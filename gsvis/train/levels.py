@@ -30,7 +30,7 @@ from gsvis.scene.levels import Levels
 from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
-from gsvis.train.importance import prune
+from gsvis.train.importance import ROUNDS, prune
 from gsvis.train.merge import merge_gaussians
 
 __all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "train_levels"]
@@ -65,11 +65,11 @@ class LevelsConfig:
     shares: tuple[float, ...] = (0.25, 0.5)
     reuse: tuple[float, ...] = (0.90, 0.96)
     names: tuple[str, ...] = ("low", "medium", "high")
-    iterations: int = 1_000
+    iterations: int = 250
     merged: float = 1.0
     threshold: float = 4e-4
     most_share: float = 0.01
-    prune_share: float = 0.2
+    prune_share: float = 0.35
     looks: int | None = None
     evaluate_every: int = 500
     seed: int = 0
@@ -252,10 +252,10 @@ def _subsets(
     """Return nested masks by their size, from a file of the same run if there is one."""
     counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
     cameras = _halve(views.cameras) if choose_by is None else choose_by
-    looks = len(views) if config.looks is None and choose_by is not None else config.looks
+    looks = -(-len(views) // 2) if config.looks is None and choose_by is not None else config.looks
 
-    def choose() -> list[Mask]:
-        return prune(scene, cameras, counts, share=config.prune_share, looks=looks, progress=progress)
+    def choose(kept: KeptWork | None = None) -> list[Mask]:
+        return prune(scene, cameras, counts, share=config.prune_share, looks=looks, work=kept, progress=progress)
 
     if work is None:
         return dict(zip(counts, choose(), strict=True))
@@ -277,8 +277,9 @@ def _subsets(
                 kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to start again"
             ) from error
         return dict(zip(counts, bits, strict=True))
-    masks = choose()
+    masks = choose(kept)
     kept.keep_own(SUBSETS, {"masks": np.packbits(np.stack(masks), axis=1)})
+    (kept.folder / ROUNDS).unlink(missing_ok=True)
     return dict(zip(counts, masks, strict=True))
 
 

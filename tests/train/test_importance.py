@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gsvis.errors import FormatError
+from gsvis.files.resume import KeptWork
 from gsvis.render import rasterize
 from gsvis.render.removal import RemovalEffects
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
-from gsvis.train.importance import IMPORTANCE_METHODS, importance, most_important, prune
+from gsvis.train.importance import IMPORTANCE_METHODS, ROUNDS, importance, most_important, prune
 from tests.raycast.scenes import scene
 
 
@@ -186,3 +189,62 @@ def test_pruning_refuses() -> None:
         prune(g, cameras, (5,), share=1.0)
     with pytest.raises(ValueError, match=r"^looks: expected an integer of at least 1"):
         prune(g, cameras, (5,), looks=0)
+
+
+COUNTS = (90, 40)  # of 150, by rounds of 0.3: two and three
+
+
+def pruned(
+    work: KeptWork | None, stop_at: int | None = None, looks: int | None = 2
+) -> tuple[list[np.ndarray], list[int]]:
+    """Return the masks and the views reported; raise KeyboardInterrupt when `stop_at` views are done."""
+    calls: list[int] = []
+
+    def report(stage: str, done: int, total: int) -> None:
+        calls.append(done)
+        if done == stop_at:
+            raise KeyboardInterrupt
+
+    g, cameras = scene("mixed", n=150), views(6)
+    return prune(g, cameras, COUNTS, share=0.3, looks=looks, work=work, progress=report), calls
+
+
+@pytest.mark.parametrize("looks", [2, None])
+def test_rounds_that_were_finished_are_not_looked_at_again(looks: int | None, tmp_path: Path) -> None:
+    """A round ends with its file: a run that dies in the next round loses that round alone, and no bit changes."""
+    whole, calls = pruned(None, looks=looks)
+    ends = [6, 8, 10, 12, 14] if looks else [6, 12, 18, 24, 30]
+    assert max(calls) == ends[-1]
+    kept = KeptWork(tmp_path, {"looks": looks})
+    for at, resumed_at in ((ends[0] - 1, 0), (ends[1] - 1, ends[0]), (ends[4] - 1, ends[3])):
+        with pytest.raises(KeyboardInterrupt):
+            pruned(kept, at, looks)
+        assert (tmp_path / ROUNDS).exists() == (resumed_at > 0)
+    for resumed_at in (ends[3], ends[4]):  # the second time all is kept
+        again, calls = pruned(kept, looks=looks)
+        assert min(calls) == resumed_at
+        for mask, other in zip(whole, again, strict=True):
+            np.testing.assert_array_equal(mask, other)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rounds": np.array([9])},
+        {"rounds": np.array([0])},
+        {"left": np.zeros(3, np.int64)},
+        {"left": np.full(150, 7)},
+        {"values": np.zeros(3)},
+    ],
+)
+def test_damaged_rounds_are_refused(change: dict[str, np.ndarray], tmp_path: Path) -> None:
+    kept = KeptWork(tmp_path, {})
+    with pytest.raises(KeyboardInterrupt):
+        pruned(kept, 9)
+    found = kept.read_own(ROUNDS)
+    assert found is not None
+    kept.keep_own(ROUNDS, {**found, **change})
+    with pytest.raises(FormatError, match=r"rounds\.npz.*delete it to start again"):
+        pruned(kept)
+    with pytest.raises(ValueError, match="another run's"):
+        pruned(KeptWork(tmp_path, {"other": 1}))
