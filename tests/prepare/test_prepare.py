@@ -18,7 +18,7 @@ from gsvis.package import Package, in_package_order
 from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare_package
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
-from gsvis.pvs import build
+from gsvis.pvs import estimate as pvs_estimates
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash
@@ -127,7 +127,7 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
 
 
-@pytest.mark.parametrize("stop", ["train medium", "cells", "importance", "terms", "package"])
+@pytest.mark.parametrize("stop", ["train medium", "viewpoints", "cells", "importance", "terms", "package"])
 def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
     stop: str, made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path
 ) -> None:
@@ -152,10 +152,10 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
         assert "prune" not in stages
     else:
         assert not {"views", "prune"} & set(stages)
-    if stop == "cells":
-        assert min(done for stage, done in calls if stage == "cells") == 1
+    if stop in ("viewpoints", "cells"):
+        assert min(done for stage, done in calls if stage == stop) == 1
     if stop in ("terms", "package"):
-        assert not {"cells", "importance", "fit"} & set(stages)
+        assert not {"viewpoints", "cells", "importance", "fit"} & set(stages)
 
 
 def test_the_same_bytes_with_two_processes(made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path) -> None:
@@ -238,7 +238,7 @@ def test_an_estimate_says_what_is_there_and_writes_nothing(
 ) -> None:
     clock = itertools.count(0.0, 10.0)  # each measurement finds 10 seconds
     monkeypatch.setattr(estimates, "_clock", lambda: next(clock))
-    monkeypatch.setattr(build, "_clock", lambda: next(clock))
+    monkeypatch.setattr(pvs_estimates, "_clock", lambda: next(clock))
     work = again.with_name("rooms.gsvis.work")
     before = files(tmp_path)
     done = estimate_preparation(rooms.gaussians, again, rooms.navigable, CONFIG)

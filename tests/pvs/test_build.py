@@ -20,72 +20,19 @@ import pytest
 from gsvis._extras import has
 from gsvis.errors import FormatError, GsvisError, SceneError
 from gsvis.files.resume import KeptWork
-from gsvis.progress import Progress, silent
 from gsvis.pvs import build
-from gsvis.pvs import estimate as estimates
 from gsvis.pvs._journal import name_cell, name_viewpoint
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_view import CellView, Finder, Sighting
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.pvs.workers import Workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.procedural import two_rooms
 from gsvis.scene.solid import Solid
-
-CONFIG = PvsConfig(size=16, limit=0.05, rays=128, max_inner=2)
-"""Small, and cells are done after different numbers of viewpoints."""
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """A scene to be looked at, and the bytes of its store."""
-
-    scene: Gaussians
-    grid: CellGrid
-    space: NavigableSpace
-    wanted: bytes
-
-    @property
-    def shared(self) -> SharedViewpoints:
-        return SharedViewpoints(CellViewpoints(self.grid, self.space))
-
-    def run(
-        self, path: Path, config: PvsConfig = CONFIG, *, workers: Workers | None = None, progress: Progress = silent
-    ) -> bytes:
-        build_pvs(self.scene, self.grid, self.space, path, config, workers=workers, progress=progress).close()
-        return path.read_bytes()
-
-    def journal(self, path: Path, config: PvsConfig = CONFIG) -> Path:
-        return journal_of(self.scene, self.grid, self.space, path, config)
-
-
-@pytest.fixture(scope="module")
-def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
-    made = two_rooms(1000, sh_degree=1)
-    space = NavigableSpace.from_box((0.5, 0.5, 0.3), (7.5, 3.5, 2.7), 14)
-    grid = CellGrid.over(space, max_cells=8)
-    path = tmp_path_factory.mktemp("pvs") / "here.pvs"
-    with build_pvs(made.gaussians, grid, space, path, CONFIG) as store:
-        assert len(set(store.viewpoints.tolist())) > 1
-        assert len(set(store.certificates.rays.tolist())) > 1
-    return Job(made.gaussians, grid, space, path.read_bytes())
-
-
-class Stop:
-    """A progress callback that ends the build after so many steps of a stage, and remembers where it began."""
-
-    def __init__(self, after: int, stage: str = "cells", error: type[BaseException] = KeyboardInterrupt) -> None:
-        self.after, self.stage, self.error, self.calls = after, stage, error, []
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        self.calls.append((stage, done))
-        if stage == self.stage and done >= self.after:
-            raise self.error
+from tests.pvs.jobs import CONFIG, Job, Stop
 
 
 @dataclass
@@ -448,54 +395,6 @@ def test_the_store_holds_the_certificates_and_what_two_tracers_agree_on(job: Job
         assert twice is None
 
 
-def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, cells, viewpoints = tmp_path / "scene.pvs", len(job.grid), len(job.shared)
-    clock = itertools.count(100.0, 3.0)  # the looks of a cell take 3 seconds together, and finding it as many
-    monkeypatch.setattr(estimates, "_clock", lambda: next(clock))
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    estimate = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
-    assert (estimate.viewpoints, estimate.cells, estimate.finished, estimate.workers) == (viewpoints, cells, 0, 2)
-    tried = np.linspace(0, cells - 1, 4).astype(int)[1:-1]
-    looks = sum(len(job.shared.of_cell(cell)) for cell in tried)
-    work = 6.0 / looks * viewpoints + 3.0 * cells
-    assert estimate.seconds == pytest.approx(work / 1.3 + 8.3, abs=0.2)  # two processes share it, and have to start
-    assert estimate.memory > 1 << 28
-    assert 0.3 < estimate.disk / len(job.wanted) < 5.0
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(KeyboardInterrupt):
-        job.run(path, progress=Stop(3, "viewpoints"))
-    fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
-    assert estimate.seconds - fewer.seconds == pytest.approx(6.0 / looks * 3 / 1.3)
-    with pytest.raises(KeyboardInterrupt):
-        job.run(path, progress=Stop(5))
-    before = sorted(path.parent.rglob("*"))
-    fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
-    assert fewer.finished == 5
-    assert fewer.seconds == pytest.approx(3.0 * (cells - 5) / 1.3 + 8.3, abs=0.2)
-    assert sorted(path.parent.rglob("*")) == before
-    with pytest.raises(KeyboardInterrupt):
-        job.run(path, progress=Stop(0, "check"))
-    held = sum(entry.stat().st_size for entry in job.journal(path).glob("*.bin"))
-    assert 0.5 < estimate_pvs(job.scene, job.grid, job.space, path, CONFIG).working_disk / held < 2.0
-
-
-def test_memory_bounds_the_workers(job: Job, tmp_path: Path) -> None:
-    def workers(max_memory: int) -> int:
-        bound = Workers(64, max_memory)
-        return estimate_pvs(job.scene, job.grid, job.space, tmp_path / "x.pvs", CONFIG, workers=bound, sample=1).workers
-
-    counts = [workers(gigabytes << 30) for gigabytes in (1, 4, 16, 64)]
-    assert counts == sorted(counts)
-    assert counts[0] < counts[1] < 64
-    for gigabytes, count in zip((1, 4, 16, 64), counts, strict=True):
-        bound = Workers(count, gigabytes << 30)
-        estimate = estimate_pvs(job.scene, job.grid, job.space, tmp_path / "x.pvs", CONFIG, workers=bound, sample=1)
-        assert estimate.memory <= gigabytes << 30
-    with pytest.raises(ValueError, match=r"max_memory: expected at least .* GB for"):
-        build_pvs(job.scene, job.grid, job.space, tmp_path / "x.pvs", CONFIG, workers=Workers(1, 1 << 20))
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_scenes_that_show_nothing_are_refused(job: Job, tmp_path: Path) -> None:
     g = job.scene
     faint = Gaussians(g.means, g.quats, g.scales, np.full(len(g), 0.001), g.sh0)
@@ -535,9 +434,3 @@ def test_a_grid_of_another_space_is_refused(job: Job, tmp_path: Path) -> None:
     elsewhere = NavigableSpace.from_box((90, 90, 90), (91, 91, 91), 4)
     with pytest.raises(ValueError, match="free voxel in every cell"):
         build_pvs(job.scene, job.grid, elsewhere, tmp_path / "x.pvs", CONFIG)
-
-
-@pytest.mark.parametrize("bad", [{"count": 0}, {"count": 1.5}, {"count": True}, {"max_memory": 0}])
-def test_workers_are_checked(bad: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        Workers(**bad)
