@@ -53,7 +53,7 @@ class Prepare(Where):
     """Least share of each lower level that stands unchanged in the next."""
     names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
     """Names of all levels, that of the scene itself last."""
-    steps: Annotated[int, STEPS] = 1000
+    steps: Annotated[int, STEPS] = 250
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("160")] = None
     """Cameras to train levels from, sampled where viewers may stand; not with --photos."""
