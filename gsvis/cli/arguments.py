@@ -239,7 +239,7 @@ class Pvs(Where):
     """A cell is finished when rays prove that its set misses at most this share of the light."""
     rays: Annotated[int | None, COUNTED, hint("8192")] = None
     """Largest number of rays in one certificate of a cell."""
-    max_inner: Annotated[int | None, COUNTED, hint("16")] = None
+    max_inner: Annotated[int | None, WHOLE, hint("16")] = None
     """Largest number of times that a set is mended and certified again."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
     """Number of processes; fewer if --max-memory requires it."""

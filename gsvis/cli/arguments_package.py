@@ -67,7 +67,7 @@ class Prepare(Where):
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     limit: Annotated[float | None, SHARE, hint("0.0015")] = None
     """The set of a cell is finished when rays prove that it misses at most this share of the light."""
-    max_inner: Annotated[int | None, COUNTED, hint("16")] = None
+    max_inner: Annotated[int | None, WHOLE, hint("16")] = None
     """Largest number of times that a set is mended and certified again."""
     variant: Annotated[Literal["rgb", "hsl"], PLAIN] = "rgb"
     """How colors are split. (default: rgb)"""

@@ -195,7 +195,7 @@ class _Estimator:
             workers=self.workers, progress=stages.progress,
         )  # fmt: skip
         disk = int(cost.disk * self.union / len(self.levels.union))
-        state = "begun" if cost.finished else "to do"
+        state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))

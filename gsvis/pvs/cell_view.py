@@ -162,7 +162,8 @@ class Finder:
             if not found.certificates:
                 continue
             last = found.certificates[-1]
-            missed[level], bound[level], tile[level] = last.missed, last.bound, found.tile
+            if any(each.weights.any() for each in found.certificates):  # else there is no light to miss
+                missed[level], bound[level], tile[level] = last.missed, last.bound, found.tile
             inner += found.inner
             rays += sum(map(len, found.certificates))
             if level == len(self.levels) - 1:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.pvs.bound import staged_bound
+from gsvis.pvs.bound import staged_bound, upper_bound
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast import TAU, Tracer
 from gsvis.scene.solid import Solid
@@ -164,7 +164,7 @@ class Certifier:
         config: CertificateConfig | None = None,
         *,
         stage: int = 0,
-        earlier: Sequence[Certificate] = (),
+        earlier: Sequence[Certificate] | None = None,
     ) -> Certificate | None:
         """Bound the light that the set of a cell misses, by rounds of fresh rays.
 
@@ -177,6 +177,7 @@ class Certifier:
             config: Options; None means `CertificateConfig()`.
             stage: Names the rays: another stage draws other rays.
             earlier: Certificates of the set as it was before, with fewer Gaussians, oldest first; see `staged_bound`.
+                None if this is the only certificate of the cell: it may use the whole error.
 
         Returns:
             The certificate; None if too few points of the cell lie outside everything solid.
@@ -187,7 +188,7 @@ class Certifier:
         config = config or CertificateConfig()
         missing = np.ones(len(self.tracer.proxies.gaussians), bool)
         missing[self.tracer.check_ids(ids)] = False
-        before = [(each.missed_weights, each.weights) for each in earlier]
+        before = None if earlier is None else [(each.missed_weights, each.weights) for each in earlier]
         rounds: list[_Round] = []
         drawn, bound = 0, 1.0
         while drawn < config.rays:
@@ -200,7 +201,10 @@ class Certifier:
             drawn += count
             missed = np.concatenate([each.missed for each in rounds])
             weights = np.concatenate([each.weights for each in rounds])
-            bound = staged_bound([*before, (missed, weights)], error=config.error)
+            if before is None:
+                bound = upper_bound(missed, weights, error=config.error)
+            else:
+                bound = staged_bound([*before, (missed, weights)], error=config.error)
             hopeless = missed.sum() > config.limit * weights.sum()
             if config.limit and (hopeless or bound <= config.limit):
                 break

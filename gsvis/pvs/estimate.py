@@ -45,7 +45,8 @@ class Estimate:
     Attributes:
         viewpoints: Shared viewpoints to look from.
         cells: Cells to find the sets of.
-        finished: Cells that an earlier, interrupted build has kept.
+        looked: Viewpoints that an earlier, interrupted build has kept.
+        finished: Cells that it has kept.
         workers: Processes that fit the memory.
         seconds: Expected time.
         memory: Peak bytes of memory, all processes together.
@@ -55,6 +56,7 @@ class Estimate:
 
     viewpoints: int
     cells: int
+    looked: int
     finished: int
     workers: int
     seconds: float
@@ -126,6 +128,7 @@ def estimate_pvs(
     return Estimate(
         viewpoints=viewpoints,
         cells=cells,
+        looked=len(seen),
         finished=len(finished),
         workers=count,
         seconds=seconds / speed_up(count, workers) + rest,
