@@ -45,6 +45,11 @@ class FreeVoxels:
     origin: F64
     voxel_size: float
 
+    def bounds(self) -> tuple[F64, F64]:
+        """Return the lowest and the highest corner (3,) of the box around the voxels."""
+        low, high = self.voxels.min(axis=0), self.voxels.max(axis=0) + 1
+        return self.origin + self.voxel_size * low, self.origin + self.voxel_size * high
+
     def draw(self, count: int, rng: np.random.Generator) -> F64:
         """Return (count, 3) points uniform over the voxels."""
         _check.positive_int("count", count, at_least=0)

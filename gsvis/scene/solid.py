@@ -45,6 +45,11 @@ class Solid:
         means = g.means[ids].astype(np.float64)
         return cls(g, ids, means - reach[:, None], means + reach[:, None])
 
+    def near(self, low: F64, high: F64) -> Solid:
+        """Return what can bury a point of the box between two corners (3,)."""
+        near = np.all((self.high >= low) & (self.low <= high), axis=1)
+        return Solid(self.gaussians, self.ids[near], self.low[near], self.high[near])
+
     def buries(self, points: F64) -> NDArray[np.bool_]:
         """Return which points (P, 3) lie inside a Gaussian with an alpha of at least a half there.
 
@@ -53,8 +58,7 @@ class Solid:
         if len(points) == 0 or len(self.ids) == 0:
             return np.zeros(len(points), bool)
         low, high = points.min(axis=0), points.max(axis=0)
-        near = np.all((self.high >= low) & (self.low <= high), axis=1)
-        some = Solid(self.gaussians, self.ids[near], self.low[near], self.high[near])
+        some = self.near(low, high)
         if len(points) <= _FEW:
             return some._largest_alpha(points) >= BURIED
         axis = int((high - low).argmax())

@@ -44,3 +44,13 @@ def test_nothing_is_solid_without_opaque_gaussians_or_points() -> None:
     assert not buried(faint, g.means.astype(np.float64)).any()
     assert buried(g, np.zeros((0, 3))).tolist() == []
     assert not buried(Gaussians.empty(), np.zeros((2, 3))).any()
+
+
+def test_what_is_solid_near_a_box_buries_the_same_points_of_it() -> None:
+    g = clutter(7)
+    low, high = np.array([-0.5, 0.1, -1.0]), np.array([0.4, 0.9, 0.3])
+    points = np.random.default_rng(2).uniform(low, high, (300, 3))
+    whole = Solid.from_scene(g)
+    near = whole.near(low, high)
+    assert 3 <= len(near.ids) < len(whole.ids)
+    assert near.buries(points).tolist() == whole.buries(points).tolist()
