@@ -38,11 +38,12 @@ def warm_levels(config: LevelsConfig, status: Status) -> None:
 def warm_sets(config: PvsConfig, status: Status) -> None:
     """Load or compile the kernels that find visible sets."""
     if config.method == "hybrid":  # other methods need libraries that may take too much memory in this process
-        from gsvis.pvs.look import Look
+        from gsvis.pvs.cell_view import Finder
+        from gsvis.scene.levels import Levels
 
         status("kernels", 0, 1)
-        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
-        Look(one, "hybrid", 4, config.tau)(np.array([4.0, 0.0, 0.0]))
+        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.4], np.zeros((1, 1, 3)))
+        Finder(Levels.single(one), replace(config, size=4)).warm()
         status("kernels", 1, 1)
 
 

@@ -199,7 +199,7 @@ class _Estimator:
         if cost.finished:
             what += f", {cost.finished:,} of them found"
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
-        share = min(1.0, disk * 8.0 / 5.0 / len(grid) / self.union)
+        share = min(1.0, cost.visible / len(self.levels.union))
         return None, share, disk, cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:

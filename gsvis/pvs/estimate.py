@@ -31,7 +31,7 @@ __all__ = ["Estimate", "estimate_pvs"]
 
 _clock = time.perf_counter  # tests set another
 
-_BITS = 5.0  # bits for each visible Gaussian of a cell: its set and its classes
+_BITS = 2.0  # bits for each visible Gaussian of a cell: its set and its classes
 _DISK_PER_GAUSSIAN = 6  # order and direction sets
 _START = 4.0  # seconds until worker processes are ready, for viewpoints and for cells
 _CHECK = 0.3  # seconds of the second tracer, and for each Gaussian
@@ -50,6 +50,7 @@ class Estimate:
         workers: Processes that fit the memory.
         seconds: Expected time.
         memory: Peak bytes of memory, all processes together.
+        visible: Gaussians that a cell sees, mean.
         disk: Bytes of the finished store.
         working_disk: Bytes of temporary files during the build.
     """
@@ -61,6 +62,7 @@ class Estimate:
     workers: int
     seconds: float
     memory: int
+    visible: float
     disk: int
     working_disk: int
 
@@ -108,7 +110,7 @@ def estimate_pvs(
         return finder.look(shared.points[k], lower=bool(shared.lower[k]))
 
     looking = finding = 0.0
-    looks, held, kept, bits = 0, 0, 0, 0.0
+    looks, held, kept, visible = 0, 0, 0, 0
     for done, cell in enumerate(some, 1):
         began = _clock()
         sightings = [look(k) for k in shared.of_cell(cell).tolist()]
@@ -118,7 +120,7 @@ def estimate_pvs(
         looks += len(sightings)
         held += sum(len(pack_sighting(each)) for each in sightings)
         kept += len(pack_view(view))
-        bits += _BITS * len(view.ids)
+        visible += len(view.ids)
         progress("trying", done, len(some))
     forget_scene()
     viewpoints = len(shared)
@@ -133,7 +135,8 @@ def estimate_pvs(
         workers=count,
         seconds=seconds / speed_up(count, workers) + rest,
         memory=expected_memory(levels, config, count if processes else 1),
-        disk=int(bits / 8.0 / len(some) * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
+        visible=visible / len(some),
+        disk=int(_BITS / 8.0 * visible / len(some) * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
         working_disk=int(held / looks * viewpoints + kept / len(some) * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
     )

@@ -163,7 +163,7 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
         (["--tau", "0.6"], "0.5"),
         (["--limit", "2"], "share"),
         (["--rays", "0"], "at least 1"),
-        (["--max-inner", "0.5"], "at least 1"),
+        (["--max-inner", "0.5"], "at least 0"),
         (["--growth", "0.1"], "--growth"),
         (["--max-viewpoints", "4"], "--max-viewpoints"),
         (["--method", "magic"], "hybrid"),
