@@ -48,9 +48,9 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counts:
     found = Counts()
     look, find_cell = Finder.look, Finder.find_cell
 
-    def counted_look(self: Finder, viewpoint: Any) -> Sighting:
+    def counted_look(self: Finder, viewpoint: Any, **how: Any) -> Sighting:
         found.viewpoints += 1
-        return look(self, viewpoint)
+        return look(self, viewpoint, **how)
 
     def counted_find(self: Finder, *words: Any) -> CellView:
         found.cells += 1
