@@ -29,7 +29,21 @@ SMALL = {
     "analyze": ["--views", "3", "--width", "12", "--height", "9", "--traced-sample", "0"],
     "render": ["--width", "16", "--height", "12"],
     "color": ["--views", "2", "--held-out", "0", "--width", "16", "--height", "12"],
-    "pvs": ["--dry-run", "--cells", "8", "--size", "16", "--workers", "1", "--rays", "256", "--limit", "0.05", "--max-inner", "1"],
+    "pvs": [
+        "--dry-run",
+        "--cells",
+        "8",
+        "--size",
+        "16",
+        "--workers",
+        "1",
+        "--rays",
+        "256",
+        "--limit",
+        "0.05",
+        "--max-inner",
+        "1",
+    ],
     "prepare": ["--dry-run", "--levels", "none", "--cells", "4", "--face-size", "16", "--workers", "1"],
 }
 OUT = {"analyze": "report", "render": "eye.png", "color": "c.arrow", "pvs": "s.pvs", "prepare": "p.gsvis"}

@@ -165,7 +165,13 @@ def test_progress_runs_through_its_stages_and_may_stop_the_work() -> None:
     calls: list[tuple[str, int, int]] = []
     g = rooms().gaussians
     analyze(g, views(2), SMALL, navigable=rooms().navigable, progress=lambda *call: calls.append(call))
-    assert list(dict.fromkeys(stage for stage, _, _ in calls)) == ["structure", "cameras", "check", "directions", "angles"]
+    assert list(dict.fromkeys(stage for stage, _, _ in calls)) == [
+        "structure",
+        "cameras",
+        "check",
+        "directions",
+        "angles",
+    ]
     for stage in ("structure", "cameras", "check", "directions"):
         done = [(d, t) for s, d, t in calls if s == stage]
         assert done[0][0] == 0
