@@ -70,6 +70,8 @@ def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float
         raise ValueError("part: expected values in [0, whole] and whole in [0, 1], got others; clip them")
     if not wholes.any():
         return 1.0
+    lit = wholes > 0.0
+    parts, wholes = parts[lit], wholes[lit]  # samples of 0 change no capital
     wanted = -math.log(error)
     low, high = float(min(1.0, parts.sum() / wholes.sum())), 1.0
     step = 2.0 * wanted / float(wholes.sum())

@@ -9,7 +9,7 @@ all cells. Scene frame and units; ids are those of the union of levels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,8 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 _TILES = 8  # worst rays whose tiles are traced
+_LOOKED = 0.1  # part of the limit that the estimate must exceed for a look; below, more rays prove more than looks find
+_MORE_RAYS = 16  # largest factor by which rays are more where few meet something
 _TURNS = 4  # most probes of these tiles in one stage
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
@@ -202,7 +204,8 @@ class Finder:
             spent = len(certificates) > config.max_inner or not found.weights.any()
             if spent or (found.bound <= config.limit and tile <= config.tile_limit):
                 break
-            if found.bound > config.limit and len(found.worst_o):
+            options = _with_more_rays(options, config.rays, found)
+            if found.bound > config.limit and found.missed > _LOOKED * config.limit:
                 view.add(*self._see(level, found.worst_o[0]), found.worst_o[:1])
                 inner += 1
         return _Mended(certificates, inner, tile)
@@ -226,6 +229,15 @@ class Finder:
                 view.add(*self._see(level, eye), eye[None])
                 looks += 1
         return looks, tile
+
+
+def _with_more_rays(options: CertificateConfig, rays: int, found: Certificate) -> CertificateConfig:
+    """Return options with as many more rays as fewer meet something: from around an object most meet nothing.
+
+    A ray that meets nothing costs little and proves nothing.
+    """
+    factor = min(_MORE_RAYS, round(1.0 / max(float(found.weights.mean()), 1.0 / _MORE_RAYS)))
+    return replace(options, rays=factor * rays, round_rays=factor * CertificateConfig.round_rays)
 
 
 @dataclass(frozen=True, eq=False)

@@ -399,3 +399,16 @@ def test_a_scene_of_nothing_cannot_be_looked_at() -> None:
     for method in METHODS:
         with pytest.raises(SceneError, match="nothing to see"):
             Look(Gaussians.empty(), method, 16, 1 / 255)
+
+
+def test_where_few_rays_meet_anything_there_are_more_of_them_and_no_looks() -> None:
+    ball = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[0.3, 0.3, 0.3]], [0.9], np.zeros((1, 1, 3)))
+    space = NavigableSpace.from_box((3, -1, -1), (5, 1, 1), 4)
+    viewpoints = CellViewpoints(CellGrid.over(space, max_cells=1), space)
+    finder = Finder(Levels.single(ball), replace(QUICK, limit=0.05, max_inner=8))
+    shared = SharedViewpoints(viewpoints)
+    view = finder.find_cell(viewpoints.voxels(0), [finder.look(point) for point in shared.points])
+    assert view.ids.tolist() == [0]
+    assert view.figures.inner == 0
+    assert view.figures.bound <= 0.05
+    assert view.figures.rays > 8 * QUICK.rays  # in fewer stages than these
