@@ -95,7 +95,7 @@ def _write_report(
         analysis = replace(analysis, untraced_because=no_space)
     pictures = picture_views(tracer, analysis, longest_side=PICTURE, progress=status)
     space = None if navigable is None else space_document(navigable)
-    told = [each.strip() for each in remarks]
+    sentences = [each.strip() for each in remarks]
     subject = Subject(
         title=source.name,
         gaussians=g,
@@ -103,7 +103,7 @@ def _write_report(
         cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
         command=_command_line(command),
         version=version(),
-        facts={"path": command.scene, "lod": source.lod, **facts_found, "space": space, "remarks": told},
+        facts={"path": command.scene, "lod": source.lod, **facts_found, "space": space, "remarks": sentences},
         parameters=_parameters(command, cameras),
         seconds=dict(status.seconds),
         differs=differs,

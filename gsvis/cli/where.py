@@ -120,9 +120,9 @@ def find_place(
     if where.around is not None:
         if axis is None and source.navigable is not None:
             axis = source.navigable.up
-        middle = {} if not where.around else {"center": where.around[:3], "radius": where.around[3]}
+        center, radius = (where.around[:3], where.around[3]) if where.around else (None, None)
         try:
-            space = NavigableSpace.around(source.gaussians, **middle, up=axis)  # type: ignore[arg-type]
+            space = NavigableSpace.around(source.gaussians, center, radius, up=axis)
         except SceneError as error:
             raise SceneError(f"--around: {error}") from None
         return Place(space, "", [])

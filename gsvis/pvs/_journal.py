@@ -19,6 +19,7 @@ __all__ = [
     "name_viewpoint",
     "pack_sighting",
     "pack_view",
+    "read_packed",
     "read_sighting",
     "read_view",
     "unpack_sighting",
@@ -97,9 +98,14 @@ def name_cell(cell: int) -> str:
     return f"cell-{cell:06d}.bin"
 
 
+def read_packed(work: KeptWork, number: int, gaussians: int) -> bytes | None:
+    """Return the kept sighting of a viewpoint as it was packed; None if it is missing or its checksum is another."""
+    return work.read(name_viewpoint(number), at_most=(_SEEN + 1) * gaussians + _FREE)
+
+
 def read_sighting(work: KeptWork, number: int, gaussians: int) -> Sighting | None:
     """Return the kept sighting of a viewpoint; None if it is missing or damaged."""
-    data = work.read(name_viewpoint(number), at_most=(_SEEN + 1) * gaussians + _FREE)
+    data = read_packed(work, number, gaussians)
     return None if data is None else unpack_sighting(data, gaussians)
 
 

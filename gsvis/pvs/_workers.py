@@ -155,7 +155,10 @@ class CellTask:
         """Return the packed view of the cell."""
         sightings = self.sightings if isinstance(self.sightings, list) else self.sightings()
         found = [unpack_sighting(data, len(finder.levels.union)) for data in sightings]
-        return pack_view(finder.find_cell(self.voxels, [each for each in found if each is not None]))
+        whole = [each for each in found if each is not None]
+        if len(whole) < len(found):
+            raise GsvisError(f"cell {self.number}: a sighting of a viewpoint arrived damaged; run the same again")
+        return pack_view(finder.find_cell(self.voxels, whole))
 
 
 Task = ViewpointTask | CellTask

@@ -25,7 +25,7 @@ from gsvis.errors import OutputError, SceneError
 from gsvis.files.output import output_errors
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
-from gsvis.pvs._journal import find_kept, name_cell, name_viewpoint, pack_sighting, read_sighting, read_view
+from gsvis.pvs._journal import find_kept, name_cell, name_viewpoint, read_packed, read_view
 from gsvis.pvs._workers import (
     CellTask,
     Result,
@@ -104,10 +104,11 @@ class Work:
         """Return the task of a cell; it reads its sightings when it is given out."""
 
         def read() -> list[bytes]:
-            found = [read_sighting(self.kept, k, len(self.levels.union)) for k in self.shared.of_cell(cell).tolist()]
-            if any(each is None for each in found):
+            found = [read_packed(self.kept, k, len(self.levels.union)) for k in self.shared.of_cell(cell).tolist()]
+            whole = [each for each in found if each is not None]
+            if len(whole) < len(found):
                 raise OSError(errno.EIO, f"the journal of a viewpoint of cell {cell} was damaged")
-            return [pack_sighting(each) for each in found if each is not None]
+            return whole
 
         return CellTask(cell, self.viewpoints.voxels(cell), read)
 

@@ -211,9 +211,9 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
     assert "nothing to color" in refused(capsys, *base)
     faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)), np.ones((1, 3, 3)))
     monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
-    told = refused(capsys, *base)
-    assert "no navigable space" in told
-    assert "with --box, or give visible sets with --pvs" in told
+    message = refused(capsys, *base)
+    assert "no navigable space" in message
+    assert "with --box, or give visible sets with --pvs" in message
     assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
 
 

@@ -57,7 +57,8 @@ def allowed(repeats: int = REPEATS, error: float = ERROR) -> int:
 def capitals(part: F64, whole: F64, ratio: float | F64) -> F64:
     """The capital (R, n) of all players of R games after each of n samples, if they bet against a ratio."""
     gains = (part - ratio * whole) / (1.0 - ratio)
-    return sum(share * np.cumprod(1.0 - stake * gains, axis=1) for stake, share in STAKES)  # type: ignore[return-value]
+    players = [share * np.cumprod(1.0 - stake * gains, axis=1) for stake, share in STAKES]
+    return np.asarray(np.sum(players, axis=0))
 
 
 def violations(part: F64, whole: F64, ratio: float) -> int:

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.pvs.tiles import TILE, TileProbe, probe_tiles
 from gsvis.raycast import TAU, EllipsoidProxies, Tracer
@@ -30,10 +30,10 @@ def rooms() -> Tracer:
     return Tracer(EllipsoidProxies.from_scene(two_rooms(1200, sh_degree=0).gaussians))
 
 
-def probed(tracer: Tracer, ids: list[int] | NDArray[np.int64], rays_o: object, rays_d: object) -> TileProbe:
+def probed(tracer: Tracer, ids: list[int] | NDArray[np.int64], rays_o: ArrayLike, rays_d: ArrayLike) -> TileProbe:
     held = np.zeros(len(tracer.proxies.gaussians), bool)
     held[ids] = True
-    return probe_tiles(tracer, held, rays_o, rays_d, TAU)  # type: ignore[arg-type]
+    return probe_tiles(tracer, held, rays_o, rays_d, TAU)
 
 
 def walls() -> Tracer:

@@ -34,7 +34,7 @@ def eyes_of(space: NavigableSpace, count: int = 400) -> np.ndarray:
 
 class TestKinds:
     @pytest.mark.parametrize(("kind", "place"), PLACES, ids=[place.__name__ for _, place in PLACES])
-    def test_every_kind_is_told(self, kind: str, place: Place) -> None:
+    def test_every_kind_is_recognized(self, kind: str, place: Place) -> None:
         space = found(place)
         assert space.kind.kind == kind, space.kind
         assert str(space.kind).startswith(f"{kind}: ")
