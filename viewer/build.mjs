@@ -1,0 +1,46 @@
+// Bundle the viewer into gsvis/viewer. `--check` compares with what lies there; `--tests` bundles the tests instead.
+import { build } from "esbuild";
+import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
+import { gzipSync } from "node:zlib";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const here = dirname(fileURLToPath(import.meta.url));
+const out = join(here, "../gsvis/viewer");
+const common = { bundle: true, format: "esm", target: "es2022", write: false, charset: "utf8", legalComments: "none", absWorkingDir: here };
+
+if (process.argv.includes("--tests")) {
+  const tests = readdirSync(join(here, "test")).filter((name) => name.endsWith(".test.ts"));
+  await build({
+    ...common, write: true, platform: "node", outdir: join(here, ".tests"), outExtension: { ".js": ".mjs" },
+    entryPoints: tests.map((name) => join(here, "test", name)),
+  });
+} else {
+  const bundled = await build({
+    ...common, minify: true, outdir: out,
+    entryPoints: {
+      "gsvis-viewer": join(here, "src/core/index.ts"),
+      network: join(here, "src/core/network.worker.ts"),
+      sort: join(here, "src/core/sort.worker.ts"),
+      page: join(here, "src/page/index.ts"),
+    },
+  });
+  const files = bundled.outputFiles.map((file) => ({ path: file.path, bytes: Buffer.from(file.contents) }));
+  for (const name of ["view.html", "list.html", "page.css"]) {
+    files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
+  }
+  let differ = 0;
+  mkdirSync(out, { recursive: true });
+  for (const { path, bytes } of files) {
+    const name = path.slice(out.length + 1);
+    if (process.argv.includes("--check")) {
+      let old = Buffer.alloc(0);
+      try { old = readFileSync(path); } catch { /* absent: differs */ }
+      if (!old.equals(bytes)) { differ += 1; console.error(`gsvis/viewer/${name} is not what its sources build: npm run build`); }
+    } else {
+      writeFileSync(path, bytes);
+      console.log(`${name}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
+    }
+  }
+  if (differ) process.exit(1);
+}

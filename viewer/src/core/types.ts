@@ -1,0 +1,117 @@
+// What passes between the parts of the viewer: a source gives a header and batches, the renderer draws them.
+// Frames are those of the scene: OpenCV cameras (+x right, +y down, +z forward), quaternions wxyz, world from camera.
+
+/** Numbers that define the tables of base colors and terms; `colors` of WELCOME (docs/streaming.md). */
+export interface ColorTables {
+  variant: "rgb" | "hsl";
+  precision: { name: string; base: number; scale: number; axis: number; center: number; decay: number; intensity: number };
+  base: [number, number][];
+  scales: [number, number];
+  decays: [number, number];
+  intensity: number;
+}
+
+/** Spherical harmonics of a bare scene: `bands` of (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`. */
+export interface HarmonicTables {
+  degree: 1 | 2 | 3;
+  low: number[];
+  high: number[];
+}
+
+/** A quality level; levels are listed lowest first. */
+export interface Level {
+  name: string;
+  count: number;
+}
+
+/** What is known of a scene before its first Gaussian. */
+export interface Header {
+  gaussians: number;
+  terms: number;
+  chunks: number;
+  levels: Level[];
+  termBits: number;
+  colors: ColorTables;
+  harmonics: HarmonicTables | null;
+  up: [number, number, number];
+  metersPerUnit: number;
+  identity: string;
+}
+
+/**
+ * What has arrived, decoded as far as the CPU needs it. Slots number the Gaussians in the order of their arrival, from 0 on; terms and
+ * rows of chunks are numbered in the same way. All arrays may be transferred.
+ */
+export interface Batch {
+  first: number; // slot of the first Gaussian here
+  ids: Uint32Array; // (G)
+  records: Uint32Array; // (4 G), 16 bytes of the wire each
+  rows: Uint32Array; // (G), the row of each Gaussian's chunk
+  means: Float32Array; // (3 G)
+  firstRow: number;
+  chunks: Float32Array; // (8 C): origin xyz, low, step xyz, stride
+  chunkLevels: Uint8Array; // (2 C): first and last level
+  firstTerm: number;
+  terms: Uint32Array; // (2 M), the bits of each term's record, lowest first
+  owners: Uint32Array; // (M), slots
+  gone: Uint32Array; // (D), slots that others have replaced
+  harmonics: Uint8Array | null; // (3 K G) of a bare scene, K coefficients of R, G, B each
+}
+
+/** Where an eye is, and what it sees: tangents of the angles from the axis to the four borders. */
+export interface Pose {
+  position: [number, number, number];
+  rotation: [number, number, number, number];
+}
+
+export interface View {
+  left: number;
+  right: number;
+  up: number;
+  down: number;
+}
+
+/** A pinhole camera; centers of pixels lie at +0.5. */
+export interface Camera extends Pose {
+  width: number;
+  height: number;
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+}
+
+/** How a source fares. `complete`: everything that this pose needs is here. */
+export type SourceState =
+  | { kind: "connecting" }
+  | { kind: "streaming" }
+  | { kind: "complete" }
+  | { kind: "waiting"; seconds: number; message: string } // the connection is lost; next try in `seconds`
+  | { kind: "failed"; message: string }; // does not try again
+
+export interface Traffic {
+  bytes: number; // received so far
+  rate: number; // bytes a second of late
+  gaussians: number;
+  terms: number;
+  replaced: number;
+  reconnects: number;
+}
+
+export interface SourceEvents {
+  header(header: Header, fresh: boolean): void; // fresh: drop everything drawn so far
+  batch(batch: Batch): void;
+  state(state: SourceState): void;
+  traffic(traffic: Traffic): void;
+}
+
+/** A stream, a static site, or a bare scene; works in its own Worker. */
+export interface Source {
+  start(events: SourceEvents): void;
+  pose(pose: Pose): void;
+  view(view: View): void;
+  close(): void;
+}
+
+/** What the colors show. `color` is the scene itself. */
+export type Paint = "color" | "opacity" | "level" | "arrival" | "terms" | "depth";
