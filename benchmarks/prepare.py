@@ -1,8 +1,8 @@
 """How long does `gsvis prepare` take from a PLY with nothing made before, and does `--dry-run` say so beforehand?
 
 Every scene is written as a PLY; the command is then asked for its estimate and run, both as a user runs them, and the
-proportional set size (PSS) of all their processes is sampled. The machine's load before each is kept beside its figures: times
-on a busy machine say little.
+proportional set size (PSS) of all their processes is sampled. The machine's load before each is kept beside its
+figures: times on a busy machine say little.
 
 Given: scenes, defaults of the command.
 Measured: seconds from start to exit, peak PSS, and the estimate over what came.
@@ -25,7 +25,7 @@ from _harness import add_arguments, realdata, write_result
 from _memory import pss, tree
 
 EVERY = 0.2  # seconds between samples of memory
-SCENES = {  # name: file under the scenes' folder, LOD, target in seconds, GB
+SCENES = {  # name: file under the scenes' folder, LOD, target in seconds
     "flowers": ("flowers_sh2/lod-meta.json", 3, 60.0),
     "nika LOD 2": ("nika_sh3/lod-meta.json", 2, 120.0),
     "nika": ("nika_sh3/lod-meta.json", 0, 600.0),
