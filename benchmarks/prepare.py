@@ -6,7 +6,7 @@ figures: times on a busy machine say little.
 
 Given: scenes, defaults of the command.
 Measured: seconds from start to exit, peak PSS, and the estimate over what came.
-Defaults chosen on: showroom LOD 3 and flowers LOD 3 (rays, faces, steps); nika and the scene of 100k had no part in it.
+Defaults chosen on: showroom LOD 3 and flowers LOD 3 (rays, faces, steps); nika had no part in it.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from _memory import pss, tree
 
 EVERY = 0.2  # seconds between samples of memory
 SCENES = {  # name: file under the scenes' folder, LOD, target in seconds
-    "flowers": ("flowers_sh2/lod-meta.json", 3, 60.0),
-    "nika LOD 2": ("nika_sh3/lod-meta.json", 2, 120.0),
-    "nika": ("nika_sh3/lod-meta.json", 0, 600.0),
-    "showroom": ("showroom/lod-meta.json", 3, 720.0),
+    "flowers LOD 3": ("flowers_sh2/lod-meta.json", 3, 60.0),
+    "flowers LOD 2": ("flowers_sh2/lod-meta.json", 2, 120.0),
+    "nika LOD 0": ("nika_sh3/lod-meta.json", 0, 600.0),
+    "showroom LOD 3": ("showroom/lod-meta.json", 3, 720.0),
 }
 
 
