@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.pvs._kernels import bound as kernels
 
 __all__ = ["STAKES", "staged_bound", "upper_bound"]
 
@@ -119,6 +120,7 @@ def staged_bound(stages: Sequence[tuple[ArrayLike, ArrayLike]], *, error: float 
 
 def _log_capital(parts: F64, wholes: F64, ratio: float) -> float:
     """Return the logarithm of the capital of all players who bet that the true ratio is below `ratio`, in [0, 1)."""
-    gains = (parts - ratio * wholes) / (1.0 - ratio)
-    logs = [math.log(share) + float(np.log1p(-stake * gains).sum()) for stake, share in STAKES]
-    return float(np.logaddexp.reduce(logs))
+    stakes, shares = np.array(STAKES).T
+    logs = np.empty(len(stakes))
+    kernels.log_capitals(parts, wholes, ratio, stakes, logs)
+    return float(np.logaddexp.reduce(logs + np.log(shares)))

@@ -1,0 +1,30 @@
+"""Kernel of the bound by betting. Arrays are checked and contiguous."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+_TOGETHER = (
+    16  # factors between two logarithms: each lies in [0.05, 1e16], so their product neither vanishes nor overflows
+)
+
+
+@njit(cache=True, nogil=True)
+def log_capitals(parts, wholes, ratio, stakes, out):
+    """Write to out (K,) the logarithm of what a capital of 1 has grown to, for each of K stakes (K,).
+
+    parts (n,) and wholes (n,) are samples; ratio in [0, 1) is the claim that is bet against.
+    """
+    scale = 1.0 / (1.0 - ratio)
+    for k in range(len(stakes)):
+        stake = stakes[k] * scale
+        total, product, count = 0.0, 1.0, 0
+        for i in range(len(parts)):
+            product *= 1.0 - stake * (parts[i] - ratio * wholes[i])
+            count += 1
+            if count == _TOGETHER:
+                total += math.log(product)
+                product, count = 1.0, 0
+        out[k] = total + math.log(product)
