@@ -33,11 +33,16 @@ from gsvis.train.levels import SUBSETS
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
-# Measured on nika LOD 0 and showroom LOD 3 (docs/design/022), in times of one view of the whole scene at that size.
 _clock = time.perf_counter  # tests set another
-_PRUNED_VIEW = 1.4  # a look that chooses, the mean over rounds; wide, docs/design/034
-_STEP, _STEP_SHARE = 0.3, 0.9  # a training step: fixed part, and part proportional to the level's share of the scene
+
+# Measured on nika LOD 0, showroom LOD 3 and flowers LOD 2 (docs/design/022), in times of one narrow view of the scene.
+_WIDE_VIEW = 1.5  # a view to train on: smaller, but wide
+_PRUNED_VIEW = 3.0  # a look that chooses, the mean over rounds; wide, docs/design/034
+_STEP_SHARE, _STEP_SH = 3.3, 3.3  # a training step of all Gaussians, and what 16 coefficients of SH add
 _WEIGHED_VIEW = 2.0  # a view that measures importance
+
+_LEVELS_START = 8.0  # seconds until torch and the kernels of training are loaded
+_STEP = 0.03  # seconds of each training step
 # Seconds for each Gaussian and core.
 _BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
 _TERM_OF_CELL = 6e-8  # seconds for each term that a cell sees
@@ -172,9 +177,11 @@ class _Estimator:
         )
         # A round looks at half as many views; the first costs as much as three rounds.
         left = 1.0 if not (begun / SUBSETS).exists() else 0.0
-        steps = config.iterations * sum(_STEP + _STEP_SHARE * c / self.counts[-1] for c in self.counts[:-1])
-        looks = views.count * (1.0 + left * 0.5 * (rounds + 2) * _PRUNED_VIEW) + steps
+        looks = views.count * (_WIDE_VIEW + left * 0.5 * (rounds + 2) * _PRUNED_VIEW)
+        of_all = _STEP_SHARE + _STEP_SH * (self.levels.union.sh_degree + 1) ** 2 / 16.0
+        looks += config.iterations * of_all * sum(self.counts[:-1]) / self.counts[-1]
         seconds = looks * self.view_seconds(views)
+        seconds += _LEVELS_START + _STEP * config.iterations * (len(self.counts) - 1)
         state = "to do" if left else "begun"
         what = f"{sizes}; {config.iterations:,} steps each"
         self.found.append(StageEstimate("levels", state, what, seconds, nbytes))

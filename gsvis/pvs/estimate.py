@@ -31,6 +31,10 @@ __all__ = ["Estimate", "estimate_pvs"]
 
 _clock = time.perf_counter  # tests set another
 
+_BUDGET = 6.0  # seconds after which no further cell is tried
+_MOST_TRIED = 12
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the cells spread the tried ones evenly, however many they are
+
 _BITS = 2.0  # bits for each visible Gaussian of a cell: its set and its classes
 _DISK_PER_GAUSSIAN = 6  # order and direction sets
 _START = 4.0  # seconds until worker processes are ready, for viewpoints and for cells
@@ -78,7 +82,7 @@ def estimate_pvs(
     sample: int = 2,
     progress: Progress = silent,
 ) -> Estimate:
-    """Estimate the cost of `build_pvs` from `sample` cells and their viewpoints. Writes nothing.
+    """Estimate the cost of `build_pvs` from a few cells and their viewpoints. Writes nothing.
 
     Args:
         g: The scene, or its levels.
@@ -87,7 +91,7 @@ def estimate_pvs(
         path: The file that `build_pvs` would write.
         config: Options; None means `PvsConfig()`.
         workers: The workers; None means this process.
-        sample: Number of cells to try.
+        sample: Least number of cells to try; more are tried while that takes a few seconds.
         progress: Called with stage "trying".
 
     Raises:
@@ -100,8 +104,12 @@ def estimate_pvs(
     levels, cells = work.levels, len(grid)
     count = fitting_workers(levels, config, workers)
     seen, finished = work.find_kept()
-    some = np.unique(np.linspace(0, cells - 1, min(sample, cells) + 2).astype(int)[1:-1]).tolist() or [0]
-    progress("trying", 0, len(some))
+    least = min(sample, cells)
+    some = list(
+        dict.fromkeys((cells * (np.arange(1, 4 * max(least, _MOST_TRIED)) * _GOLDEN % 1.0)).astype(int).tolist())
+    )
+    some = some[: max(least, min(_MOST_TRIED, cells))]
+    progress("trying", 0, least)
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
     shared = work.shared
@@ -110,8 +118,9 @@ def estimate_pvs(
         return finder.look(shared.points[k], lower=bool(shared.lower[k]))
 
     looking = finding = 0.0
-    looks, held, kept, visible = 0, 0, 0, 0
-    for done, cell in enumerate(some, 1):
+    looks, held, kept, visible, tried, start = 0, 0, 0, 0, 0, _clock()
+    while tried < least or (tried < len(some) and _clock() - start < _BUDGET):
+        cell, tried = some[tried], tried + 1
         began = _clock()
         sightings = [look(k) for k in shared.of_cell(cell).tolist()]
         middle = _clock()
@@ -121,10 +130,10 @@ def estimate_pvs(
         held += sum(len(pack_sighting(each)) for each in sightings)
         kept += len(pack_view(view))
         visible += len(view.ids)
-        progress("trying", done, len(some))
+        progress("trying", min(tried, least), least)
     forget_scene()
     viewpoints = len(shared)
-    seconds = looking / looks * (viewpoints - len(seen)) + finding / len(some) * (cells - len(finished))
+    seconds = looking / looks * (viewpoints - len(seen)) + finding / tried * (cells - len(finished))
     processes = count > 1 and workers.executor is None
     rest = (2.0 * _START if processes else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
     return Estimate(
@@ -135,8 +144,8 @@ def estimate_pvs(
         workers=count,
         seconds=seconds / speed_up(count, workers) + rest,
         memory=expected_memory(levels, config, count if processes else 1),
-        visible=visible / len(some),
-        disk=int(_BITS / 8.0 * visible / len(some) * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
-        working_disk=int(held / looks * viewpoints + kept / len(some) * cells)
+        visible=visible / tried,
+        disk=int(_BITS / 8.0 * visible / tried * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
+        working_disk=int(held / looks * viewpoints + kept / tried * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
     )
