@@ -80,6 +80,7 @@ PAGES = {
         "Visible sets",
         (
             "pvs_whole",
+            "prepare",
             "pvs_build",
             "look",
             "pvs_memory",
