@@ -154,6 +154,23 @@ def test_after_a_kill_it_comes_back_with_what_it_holds(package: Path, program: P
     assert [said["held"] for said in lines if said["event"] == "opened"] == [held]
 
 
+def test_a_token_goes_as_the_first_message_and_refusals_have_their_words(
+    package: Path, program: Path, tmp_path: Path
+) -> None:
+    with serving(package, token="correct") as server:
+        with client_of(program, server.url, tmp_path, "correct") as client:
+            until(lambda: client.held > 0)
+        for path, more, words in (
+            ("", ("wrong",), "a token is needed"),
+            ("", (), "a token is needed"),
+            ("/elsewhere", ("correct",), "no such scene"),
+        ):
+            with client_of(program, server.url + path, tmp_path, *more) as client:
+                until(lambda: client.state["kind"] == "failed")
+                assert (client.state["code"], words in client.state["message"]) == (4, True)
+                assert [said["kind"] for said in client.of("state")] == ["connecting", "failed"]
+
+
 class Tee:
     """Between a client and a server: keeps what the server said on each connection, and cuts the first ones."""
 
