@@ -5,3 +5,4 @@ export type { Pick, Picked } from "./picking.ts";
 export type { Precision } from "./renderer.ts";
 export type * from "./types.ts";
 export { type Eye, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions } from "./viewer.ts";
+export type { XrSession } from "./xr.ts";
