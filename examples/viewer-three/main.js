@@ -12,8 +12,9 @@ const renderer = new THREE.WebGLRenderer({ antialias: false });
 document.body.append(renderer.domElement);
 const scene = new THREE.Scene();
 const camera = new THREE.PerspectiveCamera(60, 1, 0.05, 1000);
-// As the splats were trained: 0.3 pixels of blur without correction, 1/255 the least alpha, colors above 1 kept.
-scene.add(new SparkRenderer({ renderer, preBlurAmount: 0.3, blurAmount: 0, maxStdDev: 3.33, minAlpha: 1 / 255, accumExtSplats: true }));
+// As the splats were trained: 0.3 pixels of blur without correction, 1/255 the least alpha, order by depth, colors above 1 kept.
+const asTrained = { preBlurAmount: 0.3, blurAmount: 0, maxStdDev: 3.33, minAlpha: 1 / 255, sortRadial: false, accumExtSplats: true };
+scene.add(new SparkRenderer({ renderer, ...asTrained }));
 const controls = new SparkControls({ canvas: renderer.domElement });
 
 const frame = new THREE.Group(); // turns the scene's up axis to that of three.js
