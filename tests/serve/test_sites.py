@@ -21,8 +21,8 @@ def site(tmp_path: Path) -> Path:
     folder = tmp_path / "room"
     folder.mkdir()
     names = ["records.bin", "linked.bin", "../secret.bin", "absent.bin"]
-    files = [{"name": name, "bytes": len(RECORDS)} for name in names]
-    about = {"format": "gsvis-static", "version": 1, "header": {"gaussians": 65536}, "files": files}
+    files = {str(k): {"name": name, "bytes": len(RECORDS)} for k, name in enumerate(names)}
+    about = {"format": "gsvis-static", "version": 1, "gaussians": 65536, "files": files}
     (folder / "scene.json").write_text(json.dumps(about))
     (folder / "records.bin").write_bytes(RECORDS)
     (folder / "unnamed.bin").write_bytes(b"x")
