@@ -34,6 +34,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
+  gsvis view scene.gsvis                     in the browser; any scene
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
@@ -186,6 +187,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.serve import run_serve
 
         run_serve(command)
+    elif isinstance(command, arguments.View):
+        from gsvis.cli.view import run_view
+
+        run_view(command)
     elif isinstance(command, arguments.Simulate):
         from gsvis.cli.simulate import run_simulate
 
