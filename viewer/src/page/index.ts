@@ -1,0 +1,27 @@
+// Starts the page: the list of scenes, or one scene.
+
+import * as gsvis from "../core/index.ts";
+import { readAddress } from "./address.ts";
+import { make, meta } from "./dom.ts";
+import { showList } from "./list.ts";
+import { NO_SCENE } from "./messages.ts";
+import { Notices } from "./notice.ts";
+import { ThemeChoice } from "./theme.ts";
+import { ViewPage } from "./view.ts";
+
+if (document.querySelector("#scenes")) {
+  void showList();
+} else {
+  const page = readAddress(location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") });
+  if (page.scene) {
+    new ViewPage(page.scene, page, {
+      makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
+      makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(scene.url, token ? { token } : {}) : gsvis.staticSource(scene.url)),
+    });
+  } else {
+    const notices = new Notices({ retry: () => location.reload(), token: () => undefined });
+    new ThemeChoice(() => undefined);
+    document.querySelector("main")?.replaceChildren(notices.card, make("p"));
+    notices.stop(NO_SCENE);
+  }
+}

@@ -1,0 +1,447 @@
+// The page of one scene: puts canvas, navigation and panels together, and keeps them in step with the viewer.
+
+import type { Header, Source } from "../core/types.ts";
+import { Actions } from "./actions.ts";
+import type { PageAddress, SceneAddress } from "./address.ts";
+import { Dock, TitleBar, toolBar } from "./bars.ts";
+import { begin, guessMeter, rigFromView, survey } from "./begin.ts";
+import type { Surroundings } from "./begin.ts";
+import { make } from "./dom.ts";
+import { Facts } from "./facts.ts";
+import { Gamepads } from "./gamepad.ts";
+import { FloorGround } from "./ground.ts";
+import { readHash, writeHash } from "./hash.ts";
+import type { View } from "./hash.ts";
+import { Help } from "./help.ts";
+import { Joystick } from "./joystick.ts";
+import { Keyboard } from "./keyboard.ts";
+import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_WEBGL } from "./messages.ts";
+import { MODES, Navigator } from "./navigator.ts";
+import type { Held, Mode } from "./navigator.ts";
+import { Notices } from "./notice.ts";
+import { Panel } from "./panel.ts";
+import { Pointers } from "./pointer.ts";
+import { DEGREES, NORMAL_FOV, rigFromTarget, rotation } from "./rig.ts";
+import { readSettings } from "./settings.ts";
+import type { Settings } from "./settings.ts";
+import { Side } from "./side.ts";
+import { StatisticsCard } from "./statistics.ts";
+import { ThemeChoice } from "./theme.ts";
+import { frameFromUp } from "./vector.ts";
+import type { ViewerLike, ViewerOptions } from "./viewer-like.ts";
+import { describePick, describeWhy } from "./why-card.ts";
+
+export interface Core {
+  makeViewer(canvas: HTMLCanvasElement, options: ViewerOptions): ViewerLike;
+  makeSource(scene: SceneAddress, token: string | null): Source;
+}
+
+const LOOKS_MS = 250; // between two looks at the statistics
+const REST_MS = 300; // after which a view at rest enters the address
+const LONGEST_FRAME = 0.25; // seconds of motion in one frame
+const CLIMB_M = 0.7; // from square to square of a floor
+
+export class ViewPage {
+  private readonly root: HTMLElement;
+  private canvas = make("canvas");
+  private viewer: ViewerLike | null = null;
+  private header: Header | null = null;
+  private readonly navigator = new Navigator(frameFromUp([0, 0, 1]), rigFromTarget([0, 0, 0], [1, 0, 0], frameFromUp([0, 0, 1]), NORMAL_FOV));
+  private readonly facts: Facts;
+  private surroundings: Surroundings = { floor: null, cells: null };
+  private settings: Settings = { views: [], background: null };
+  private readonly ready: Promise<unknown>;
+  private views: View[] = [];
+  private view = 0;
+  private placed = false;
+  private inspecting = false;
+  private running = false;
+  private last = 0;
+  private restTimer = 0;
+  private ownHash = "";
+  private token: string | null;
+
+  private readonly actions = new Actions();
+  private readonly theme: ThemeChoice;
+  private readonly title: TitleBar;
+  private readonly dock: Dock;
+  private readonly side = new Side(() => this.actions.changed());
+  private readonly panel: Panel;
+  private readonly figures = new StatisticsCard();
+  private readonly help: Help;
+  private readonly notices: Notices;
+  private readonly mark = make("i", { class: "mark", hidden: true, "aria-hidden": "true" });
+  private readonly spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
+  private readonly joystick = new Joystick(() => this.wake());
+  private keyboard: Keyboard | null = null;
+  private readonly gamepads: Gamepads;
+
+  constructor(private readonly scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
+    this.root = document.querySelector("main") ?? document.body.appendChild(make("main"));
+    this.token = page.token;
+    this.facts = new Facts(scene.facts);
+    this.theme = new ThemeChoice(() => this.showBackground());
+    this.notices = new Notices({ retry: () => this.restart(), token: (token) => this.restart((this.token = token)) });
+    this.gamepads = new Gamepads((action) => this.actions.run(action), () => this.wake());
+    this.defineActions();
+    this.title = new TitleBar(scene.name, scene.facts ? new URL("../../", scene.facts).href : null);
+    this.dock = new Dock(this.actions, {
+      mode: () => this.navigator.mode, setMode: (mode) => this.setMode(mode),
+      views: () => ({ count: this.views.length, label: this.views[this.view]?.name ?? `${this.view + 1} of ${this.views.length}` }),
+    });
+    this.panel = new Panel({
+      viewer: () => this.viewer, actions: this.actions, theme: this.theme,
+      fov: { degrees: () => this.navigator.shown.fovY / DEGREES, choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.wake()) },
+      pace: { factor: () => this.navigator.pace, choose: (factor) => void (this.navigator.pace = factor) },
+    });
+    this.help = new Help(this.actions);
+    this.build();
+    this.ready = this.prepare();
+    this.open();
+    setInterval(() => this.look(), LOOKS_MS);
+  }
+
+  private build(): void {
+    const reduced = matchMedia("(prefers-reduced-motion: reduce)");
+    const calm = (): void => void (this.navigator.calm = reduced.matches);
+    reduced.addEventListener("change", calm);
+    calm();
+    document.title = `${this.scene.name} · gsvis`;
+    if (this.page.bare) document.documentElement.dataset.bare = "";
+    this.root.replaceChildren(
+      this.canvas, this.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
+      this.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken, this.help.element,
+    );
+    this.setMode("orbit");
+    this.panel.fill(null);
+    this.actions.watch(() => this.dock.refresh());
+    window.addEventListener("hashchange", () => this.followHash());
+    document.addEventListener("fullscreenchange", () => this.actions.changed());
+    window.addEventListener("resize", () => this.viewer?.resize());
+  }
+
+  /** Load settings and facts; neither can stop the scene from being shown. */
+  private async prepare(): Promise<void> {
+    const settings = async (): Promise<void> => {
+      if (!this.page.settings) return;
+      try {
+        const response = await fetch(this.page.settings);
+        if (!response.ok) throw new Error(`settings: the server answered ${response.status}`);
+        this.settings = readSettings(await response.json());
+      } catch (error) {
+        this.notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
+      }
+    };
+    [this.surroundings] = await Promise.all([survey(this.facts), settings()]);
+  }
+
+  /** Open the scene in a fresh canvas. */
+  private open(): void {
+    this.canvas.replaceWith((this.canvas = make("canvas", {
+      tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
+    })));
+    this.listen(this.canvas);
+    try {
+      this.viewer = this.core.makeViewer(this.canvas, { source: this.core.makeSource(this.scene, this.token), background: this.background });
+    } catch (error) {
+      const message = error instanceof Error ? error.message : String(error);
+      this.showState("failed", "Stopped", 0);
+      this.notices.stop(offersWebGL() ? explainFailure(message) : { ...NO_WEBGL, detail: message });
+      return;
+    }
+    const { viewer } = this;
+    viewer.addEventListener("header", () => void this.takeHeader(viewer));
+    viewer.addEventListener("state", () => this.takeState());
+    viewer.addEventListener("contextlost", () => this.notices.say(LOST_CONTEXT, true));
+    viewer.addEventListener("contextrestored", () => this.notices.say(""));
+    this.takeState();
+    if (viewer.header) void this.takeHeader(viewer);
+  }
+
+  private restart(_token?: string): void {
+    this.viewer?.dispose();
+    this.viewer = null;
+    this.notices.clear();
+    this.open();
+    this.canvas.focus();
+  }
+
+  private listen(canvas: HTMLCanvasElement): void {
+    const { navigator } = this;
+    new Pointers(canvas, {
+      navigator, wake: () => this.wake(),
+      click: (x, y, event) => {
+        if (this.inspecting || event.altKey) void this.inspect(x, y);
+      },
+      doubleClick: (x, y) => void this.goTo(x, y),
+    });
+    this.keyboard?.stop();
+    this.keyboard = new Keyboard(canvas, {
+      actions: this.actions, mode: () => navigator.mode, wake: () => this.wake(), view: (index) => this.goToView(index),
+      zoom: (factor) => (navigator.zoom(factor), this.wake()),
+      pickCenter: () => void this.inspect(canvas.clientWidth / 2, canvas.clientHeight / 2),
+      escape: () => this.side.close() || this.stopInspecting(),
+    });
+  }
+
+  private async takeHeader(viewer: ViewerLike): Promise<void> {
+    const header = viewer.header;
+    if (!header) return;
+    await this.ready;
+    if (this.viewer !== viewer) return;
+    this.header = header;
+    const { navigator, surroundings } = this;
+    navigator.reframe(frameFromUp(header.up));
+    navigator.meter = guessMeter(header, surroundings.cells);
+    if (surroundings.floor) navigator.standOn(new FloorGround(surroundings.floor, CLIMB_M * navigator.meter));
+    if (!this.placed) this.place();
+    this.sendCamera();
+    this.panel.fill(header);
+    this.actions.changed();
+    this.showBackground();
+  }
+
+  private place(): void {
+    const first = begin(location.hash, this.settings.views, this.navigator.frame, this.surroundings);
+    this.views = this.settings.views;
+    this.placed = true;
+    this.navigator.mode = first.mode;
+    this.navigator.place(first.rig);
+    this.setMode(first.mode);
+    const start = begin("", this.settings.views, this.navigator.frame, this.surroundings).rig;
+    this.home = () => this.navigator.flyTo(start);
+    if (first.problem) this.notices.say(first.problem);
+  }
+
+  private home: () => void = () => undefined;
+
+  private takeState(): void {
+    const state = this.viewer?.statistics.state;
+    if (!state || !this.viewer) return;
+    document.documentElement.dataset.state = state.kind;
+    if (state.kind === "failed") {
+      const code = "code" in state && typeof state.code === "number" ? state.code : undefined;
+      this.notices.stop(explainFailure(state.message, code));
+    } else {
+      this.notices.clear();
+    }
+    if (state.kind === "waiting") this.notices.say("The connection is lost. What has arrived stays; the rest comes when the server is back.", true);
+    else if (this.notices.line.textContent?.startsWith("The connection is lost")) this.notices.say("Connected again.");
+    if (state.kind === "complete") this.spoken.textContent = "All that can be seen from here has arrived.";
+    this.look();
+  }
+
+  /** Show what has changed in the figures. */
+  private look(): void {
+    if (!this.viewer || document.hidden) return;
+    const now = this.viewer.statistics;
+    this.showState(now.state.kind, describeState(now.state, now.gaussians), this.header ? now.gaussians / this.header.gaussians : 0);
+    if (!this.figures.element.hidden) this.figures.show(now, this.header);
+  }
+
+  private showState(kind: string, text: string, share: number): void {
+    this.title.show(kind, text, share);
+    document.documentElement.dataset.state = kind;
+  }
+
+  private get background(): [number, number, number] {
+    return this.settings.background ?? this.theme.background;
+  }
+
+  private showBackground(): void {
+    if (this.viewer) this.viewer.background = this.background;
+  }
+
+  // Motion
+
+  private wake(): void {
+    if (this.running) return;
+    this.running = true;
+    this.last = performance.now();
+    requestAnimationFrame((now) => this.tick(now));
+  }
+
+  private tick(now: number): void {
+    const seconds = Math.min(Math.max((now - this.last) / 1000, 0), LONGEST_FRAME);
+    this.last = now;
+    const moved = this.navigator.step(seconds, this.held());
+    if (moved) this.sendCamera();
+    if (moved || this.keyboard?.busy || this.joystick.busy || this.gamepads.connected) {
+      requestAnimationFrame((next) => this.tick(next));
+    } else {
+      this.running = false;
+    }
+  }
+
+  private held(): Held {
+    const held = this.keyboard?.held() ?? { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: false };
+    const pad = this.gamepads.read();
+    held.ahead += this.joystick.ahead;
+    held.aside += this.joystick.aside;
+    if (!pad) return held;
+    for (const axis of ["ahead", "aside", "above", "turn", "tilt"] as const) held[axis] += pad[axis];
+    return { ...held, fast: held.fast || pad.fast };
+  }
+
+  private sendCamera(): void {
+    const { shown, frame } = this.navigator;
+    if (!this.viewer || !this.placed) return;
+    this.viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
+    this.mark.hidden = true;
+    clearTimeout(this.restTimer);
+    this.restTimer = window.setTimeout(() => this.rest(), REST_MS);
+  }
+
+  private rest(): void {
+    this.panel.refresh();
+    this.writeAddress();
+  }
+
+  private writeAddress(): void {
+    if (!this.placed) return;
+    this.ownHash = writeHash(this.navigator.shown, this.navigator.frame, this.navigator.mode);
+    try {
+      history.replaceState(null, "", this.ownHash);
+    } catch {
+      // too many changes for this browser, or a page from a disk: the view is not in the address
+    }
+  }
+
+  private followHash(): void {
+    if (location.hash === this.ownHash) return;
+    const asked = readHash(location.hash);
+    if (asked instanceof Error) return this.notices.say(BAD_HASH);
+    if (!asked) return;
+    if (asked.mode) this.setMode(asked.mode);
+    this.navigator.flyTo(rigFromView(asked, this.navigator.frame));
+    this.wake();
+  }
+
+  private setMode(mode: Mode): void {
+    this.navigator.setMode(mode);
+    document.documentElement.dataset.mode = mode;
+    this.spoken.textContent = `Way to move: ${mode}`;
+    if (this.placed) this.writeAddress();
+    this.dock.refresh();
+    this.wake();
+  }
+
+  private goToView(index: number): void {
+    const view = this.views[index];
+    if (!view) return;
+    this.view = index;
+    this.navigator.flyTo(rigFromView(view, this.navigator.frame));
+    this.spoken.textContent = `View ${view.name ?? index + 1}`;
+    this.actions.changed();
+    this.wake();
+  }
+
+  private async goTo(x: number, y: number): Promise<void> {
+    const pick = await this.viewer?.pick(x, y);
+    if (!pick) return;
+    this.navigator.goTo(pick.position);
+    this.wake();
+  }
+
+  // Looking into the scene
+
+  private async inspect(x: number, y: number): Promise<void> {
+    const { viewer, facts } = this;
+    const pick = await viewer?.pick(x, y);
+    if (!viewer || viewer !== this.viewer) return;
+    if (!pick) {
+      this.side.open("why", "Why is this here?", make("p", { class: "empty" }, "Nothing is here: no Gaussian reaches this pixel."));
+      return;
+    }
+    this.mark.style.setProperty("left", `${x}px`);
+    this.mark.style.setProperty("top", `${y}px`);
+    this.mark.hidden = false;
+    const summary = describePick(pick, this.header);
+    const pending = make("p", { class: "empty" }, "Asking the server …");
+    this.side.open("why", "Why is this here?", summary, ...(this.scene.facts ? [pending] : []));
+    this.spoken.textContent = `Gaussian ${pick.id}`;
+    if (!this.scene.facts) return;
+    const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);
+    if (!this.side.shows("why") || !pending.isConnected) return;
+    const place = { rig: this.navigator.shown, frame: this.navigator.frame };
+    pending.replaceWith(...(why ? describeWhy(why, pick, cells, place) : [make("p", { class: "empty" }, "The server knows no more about it.")]));
+  }
+
+  private stopInspecting(): boolean {
+    if (!this.inspecting) return false;
+    this.actions.run("inspect");
+    return true;
+  }
+
+  // What buttons and keys do
+
+  private defineActions(): void {
+    const { actions } = this;
+    const root = document.documentElement;
+    const several = (): boolean => this.views.length > 1;
+    const step = (by: number): void => this.goToView((this.view + by + this.views.length) % Math.max(this.views.length, 1));
+    actions.add({ id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: () => this.inspecting, run: () => {
+      this.inspecting = !this.inspecting;
+      this.canvas.classList.toggle("inspecting", this.inspecting);
+      this.notices.say(this.inspecting ? "Click a point of the scene to see why it is here." : "");
+    } });
+    actions.add({ id: "options", label: "Options", key: "o", icon: "options", pressed: () => this.side.shows("options"), run: () => {
+      if (this.side.shows("options")) this.side.close();
+      else this.side.open("options", "Options", this.panel.element);
+      this.panel.refresh();
+    } });
+    actions.add({ id: "statistics", label: "Statistics", key: "t", icon: "statistics", pressed: () => !this.figures.element.hidden, run: () => {
+      this.figures.element.hidden = !this.figures.element.hidden;
+      this.look();
+    } });
+    actions.add({ id: "share", label: "Copy link to this view", key: "c", icon: "share", run: () => void this.share() });
+    actions.add({ id: "picture", label: "Save picture", key: "p", icon: "picture", run: () => void this.savePicture() });
+    actions.add({ id: "paint", label: "Next meaning of colors", key: "g", run: () => {
+      const paint = this.panel.nextPaint();
+      if (paint) this.notices.say(`Color shows: ${paint}`);
+    } });
+    actions.add({ id: "home", label: "First view", key: "r", icon: "home", run: () => (this.home(), (this.view = 0), this.wake()) });
+    actions.add({ id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => step(-1) });
+    actions.add({ id: "next", label: "Next view", key: ".", icon: "next", available: several, run: () => step(1) });
+    actions.add({ id: "mode", label: "Next way to move", key: "m", run: () => this.setMode(MODES[(MODES.indexOf(this.navigator.mode) + 1) % MODES.length]) });
+    actions.add({ id: "full", label: "Full screen", key: "f", icon: "full", available: () => document.fullscreenEnabled === true,
+      pressed: () => document.fullscreenElement !== null,
+      run: () => void (document.fullscreenElement ? document.exitFullscreen() : root.requestFullscreen()).catch(() => this.notices.say("The browser does not allow full screen here.")) });
+    actions.add({ id: "theme", label: "Dark or light", key: "l", run: () => {
+      this.theme.choose(this.theme.dark ? "light" : "dark");
+      this.panel.refresh();
+    } });
+    actions.add({ id: "hide", label: "Hide or show everything but the scene", key: "x", run: () => {
+      if (root.dataset.bare === undefined) root.dataset.bare = "";
+      else delete root.dataset.bare;
+    } });
+    actions.add({ id: "vr", label: "Virtual reality", key: "v", icon: "headset", available: () => false, run: () => undefined });
+    actions.add({ id: "help", label: "Help", key: "?", icon: "help", run: () => this.help.open() });
+  }
+
+  private async share(): Promise<void> {
+    this.writeAddress();
+    try {
+      await navigator.clipboard.writeText(location.href);
+      this.notices.say("The link to this view is copied.");
+    } catch {
+      this.notices.say("The address of this page holds the view; copy it from there.");
+    }
+  }
+
+  private async savePicture(): Promise<void> {
+    const { viewer } = this;
+    if (!viewer) return;
+    const url = URL.createObjectURL(await viewer.screenshot());
+    const link = make("a", { href: url, download: `${this.scene.name.replace(/[^\w.-]+/g, "_") || "scene"}.png` });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(url), 10_000);
+    this.notices.say("The picture is saved.");
+  }
+}
+
+function offersWebGL(): boolean {
+  const context = make("canvas", { width: 1, height: 1 }).getContext("webgl2");
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return context !== null;
+}

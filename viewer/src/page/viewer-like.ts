@@ -1,0 +1,55 @@
+// What the page needs of the core's `Viewer`; its tests pass a stand-in.
+
+import type { Header, Paint, Pose, Source, SourceState } from "../core/types.ts";
+
+export interface PageCamera extends Pose {
+  fovY: number; // radians
+}
+
+export interface Statistics {
+  fps: number;
+  frames: number;
+  drawn: number;
+  gaussians: number;
+  terms: number;
+  bytes: number;
+  rate: number;
+  firstImageSeconds: number | null;
+  state: SourceState;
+}
+
+export interface Pick {
+  slot: number;
+  id: number;
+  weight: number;
+  depth: number;
+  position: [number, number, number];
+  color: [number, number, number];
+  level: number;
+  opacity: number;
+}
+
+export type ViewerEvent = "header" | "state" | "frame" | "traffic" | "contextlost" | "contextrestored";
+
+export interface ViewerOptions {
+  source: Source;
+  background?: [number, number, number];
+  memory?: number;
+  maxPixelRatio?: number;
+}
+
+export interface ViewerLike {
+  camera: PageCamera;
+  background: [number, number, number];
+  paint: Paint;
+  levelsShown: boolean[];
+  termsShown: boolean;
+  cellsShown: boolean;
+  readonly statistics: Statistics;
+  readonly header: Header | null;
+  pick(x: number, y: number): Promise<Pick | null>;
+  screenshot(): Promise<Blob>;
+  resize(): void;
+  dispose(): void;
+  addEventListener(type: ViewerEvent, listener: (event: Event) => void): void;
+}
