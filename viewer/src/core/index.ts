@@ -1,0 +1,7 @@
+// What the module `gsvis-viewer` exports: a viewer for a canvas, and the sources it shows.
+
+export { cameraOf, viewOf } from "./camera.ts";
+export type { Pick, Picked } from "./picking.ts";
+export type { Precision } from "./renderer.ts";
+export type * from "./types.ts";
+export { type Eye, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions } from "./viewer.ts";
