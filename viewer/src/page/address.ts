@@ -1,8 +1,12 @@
 // Which scene a page shows: from its meta elements, the query, or the path. All addresses are relative to the page's.
 
-export type SceneAddress =
-  | { kind: "stream"; name: string; url: string; facts: string | null }
-  | { kind: "static"; name: string; url: string; facts: string | null };
+/** A scene: streamed, or read from files. `root` is its server's first address, null where there is none to ask. */
+export interface SceneAddress {
+  kind: "stream" | "static";
+  name: string;
+  url: string;
+  root: string | null;
+}
 
 export interface PageAddress {
   scene: SceneAddress | null;
@@ -34,8 +38,8 @@ function findScene(page: URL, content: string | null, named: string | null): Sce
   if (content) {
     const url = resolve(content, page);
     if (!url) return null;
-    if (/^wss?:/.test(url)) return { kind: "stream", name: nameOf(url), url, facts: null };
-    return { kind: "static", name: named ?? nameOf(url), url, facts: null };
+    if (/^wss?:/.test(url)) return { kind: "stream", name: nameOf(url), url, root: null };
+    return { kind: "static", name: named ?? nameOf(url), url, root: null };
   }
   const name = named ?? /\/view\/([^/]+)\/?$/.exec(page.pathname)?.[1] ?? null;
   if (!name) return null;
@@ -43,11 +47,12 @@ function findScene(page: URL, content: string | null, named: string | null): Sce
   const root = new URL(page.pathname.replace(/[^/]*\/?$/, "") + "../", page);
   const stream = new URL(`stream/${encodeURIComponent(plain)}`, root);
   stream.protocol = stream.protocol === "https:" ? "wss:" : "ws:";
-  return { kind: "stream", name: plain, url: stream.href, facts: new URL(`scenes/${encodeURIComponent(plain)}/`, root).href };
+  return { kind: "stream", name: plain, url: stream.href, root: root.href };
 }
 
 /** Return an absolute address, or null for one that no page should open. */
 function resolve(text: string, page: URL): string | null {
+  if (text === "inline:") return text; // held by the page itself
   try {
     const url = new URL(text, page);
     return /^(https?|wss?|file|blob|data):$/.test(url.protocol) ? url.href : null;
@@ -57,6 +62,7 @@ function resolve(text: string, page: URL): string | null {
 }
 
 function nameOf(url: string): string {
+  if (url === "inline:") return document.title.replace(/ · gsvis$/, "") || "Scene";
   const parts = new URL(url).pathname.split("/").filter((part) => part && !/^(scene\.json|index\.html)$/.test(part));
   return decode(parts.at(-1) ?? "Scene").replace(/\.(gsvis|json)$/, "").slice(0, 80);
 }

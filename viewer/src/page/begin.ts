@@ -1,6 +1,6 @@
 // Chooses how a visit begins: the view of the address, else the first of the settings, else a good place in the scene.
 
-import type { Header } from "../core/types.ts";
+import type { Header, Pose } from "../core/types.ts";
 import { startInCells, startOnFloor, surroundedBy } from "./start.ts";
 import type { Cells, Facts } from "./facts.ts";
 import type { Floor } from "./ground.ts";
@@ -8,7 +8,7 @@ import { readHash } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { BAD_HASH, FAR_HASH } from "./messages.ts";
 import type { Mode } from "./navigator.ts";
-import { DEGREES, NORMAL_FOV, rigFromTarget } from "./rig.ts";
+import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
 import { add, distance, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
@@ -19,32 +19,36 @@ const FAR = 20; // sizes of the scene's cells
 export interface Surroundings {
   floor: Floor | null;
   cells: Cells | null;
+  poses: readonly Pose[]; // views that the scene itself proposes
 }
 
 export interface Beginning {
   rig: Rig;
   mode: Mode;
   problem: string | null;
+  focused: boolean; // whether it is known how far away lies what is looked at
 }
 
 export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, view.fov * DEGREES);
 
 /** Ask for floor and cells; what does not come in time counts as unknown. */
-export async function survey(facts: Facts): Promise<Surroundings> {
+export async function survey(facts: Facts, poses: readonly Pose[]): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
   const [floor, cells] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late])]);
-  return { floor, cells };
+  return { floor, cells, poses };
 }
 
-export function begin(hash: string, views: readonly View[], frame: Frame, { floor, cells }: Surroundings): Beginning {
+export function begin(hash: string, views: readonly View[], frame: Frame, around: Surroundings): Beginning {
+  const { floor, cells } = around;
   const asked = readHash(hash);
-  const around = cells !== null && surroundedBy(cells, frame) !== null;
-  const mode: Mode = around ? "orbit" : floor ? "walk" : cells ? "fly" : "orbit";
-  const first = firstRig(views, frame, floor, cells);
-  if (asked instanceof Error) return { rig: first, mode, problem: BAD_HASH };
-  if (!asked) return { rig: first, mode, problem: null };
-  if (cells && isFar(asked.eye, cells)) return { rig: first, mode, problem: FAR_HASH };
-  return { rig: rigFromView(asked, frame), mode: asked.mode ?? mode, problem: null };
+  const outside = cells ? surroundedBy(cells, frame) !== null : !floor;
+  const mode: Mode = outside ? "orbit" : floor ? "walk" : "fly";
+  const focused = views.length > 0 || (cells !== null && outside);
+  const first = { rig: firstRig(views, frame, around), mode, focused, problem: null };
+  if (asked instanceof Error) return { ...first, problem: BAD_HASH };
+  if (!asked) return first;
+  if (cells && isFar(asked.eye, cells)) return { ...first, problem: FAR_HASH };
+  return { rig: rigFromView(asked, frame), mode: asked.mode ?? mode, problem: null, focused: true };
 }
 
 /** Return the scene units in a meter: as the header says, or so that the cells are about ten meters wide. */
@@ -53,8 +57,9 @@ export function guessMeter(header: Header, cells: Cells | null): number {
   return cells ? Math.max(extent(cells), 1e-3) / 10 : 1;
 }
 
-function firstRig(views: readonly View[], frame: Frame, floor: Floor | null, cells: Cells | null): Rig {
+function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }: Surroundings): Rig {
   if (views.length) return rigFromView(views[0], frame);
+  if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, 3);
   const center = cells && surroundedBy(cells, frame);
   const inside = cells && startInCells(cells, frame);
   if (center && inside) return rigFromTarget(inside.eye, center, frame, NORMAL_FOV);

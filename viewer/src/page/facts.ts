@@ -18,9 +18,6 @@ export interface Sight {
 }
 
 export interface Why {
-  levels: string[];
-  terms: number | null;
-  scales: number[];
   cells: { of: number; seeing: Sight[] } | null;
   directions: { of: number; seen: Vec3[] } | null; // unit vectors from the Gaussian to the eyes
 }
@@ -32,6 +29,10 @@ export class Facts {
 
   /** `base` is an address that ends with a slash, null where there is no server to ask. */
   constructor(private readonly base: string | null) {}
+
+  get known(): boolean {
+    return this.base !== null;
+  }
 
   async floor(): Promise<Floor | null> {
     return readFloor(await this.ask("floor"));
@@ -83,9 +84,6 @@ export function readWhy(json: unknown): Why | null {
   const seeing = (Array.isArray(cells?.seeing) ? cells.seeing : []).map(readSight).filter((sight): sight is Sight => sight !== null);
   const seen = (Array.isArray(directions?.seen) ? directions.seen : []).map((one) => vector(Array.isArray(one?.[0]) ? one[0] : one));
   return {
-    levels: Array.isArray(it.levels) ? it.levels.map(String) : [],
-    terms: typeof it.terms === "number" ? it.terms : null,
-    scales: vector(it.scales) ?? [],
     cells: cells && positive(cells.of) ? { of: cells.of, seeing } : null,
     directions: directions && positive(directions.of)
       ? { of: directions.of, seen: seen.filter((one): one is Vec3 => one !== null).map((one) => normalize(one)) } : null,

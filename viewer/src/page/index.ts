@@ -6,18 +6,21 @@ import { make, meta } from "./dom.ts";
 import { showList } from "./list.ts";
 import { NO_SCENE } from "./messages.ts";
 import { Notices } from "./notice.ts";
+import { locate } from "./scene.ts";
 import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
+import type { Core } from "./view.ts";
 
 if (document.querySelector("#scenes")) {
   void showList();
 } else {
   const page = readAddress(location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") });
   if (page.scene) {
-    new ViewPage(page.scene, page, {
+    const core: Core = {
       makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
       makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(scene.url, token ? { token } : {}) : gsvis.staticSource(scene.url)),
-    });
+    };
+    void locate(page.scene).then((scene) => new ViewPage(scene, page, core));
   } else {
     const notices = new Notices({ retry: () => location.reload(), token: () => undefined });
     new ThemeChoice(() => undefined);

@@ -77,6 +77,14 @@ export class Navigator {
     if (this.mode === "walk") this.flyTo(this.wanted);
   }
 
+  /** Say how far away lies what is looked at; the view stays. */
+  refocus(reach: number): void {
+    if (!(reach > 0) || !Number.isFinite(reach)) return;
+    this.wanted = { ...this.wanted, reach };
+    if (this.flight) this.flight.to = { ...this.flight.to, reach };
+    else this.shown = { ...this.shown, reach };
+  }
+
   setMode(mode: Mode): void {
     if (mode === this.mode) return;
     this.mode = mode;

@@ -14,6 +14,7 @@ export interface PanelTargets {
   actions: Actions;
   theme: { chosen: Theme; choose(theme: Theme): void };
   fov: { degrees(): number; choose(degrees: number): void };
+  cells: { known(): boolean; shown(): boolean; show(shown: boolean): void };
   pace: { factor(): number; choose(factor: number): void };
 }
 
@@ -42,10 +43,11 @@ export class Panel {
         add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.setPaint(paint), "chips")), this.legend,
       );
       if (header.levels.length > 1) sections.push(this.levels(viewer, header, add));
-      sections.push(section("Parts",
-        header.terms || header.harmonics ? add(toggle("View-dependent color", "Highlights that change as you move",
+      const detailed = header.terms > 0 || header.harmonics !== null;
+      if (detailed || targets.cells.known()) sections.push(section("Parts",
+        detailed ? add(toggle("View-dependent color", "Highlights that change as you move",
           () => viewer.termsShown, (shown) => void (viewer.termsShown = shown))) : null,
-        add(toggle("Cells", "The boxes that visible sets are made for", () => viewer.cellsShown, (shown) => void (viewer.cellsShown = shown))),
+        targets.cells.known() ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show)) : null,
       ));
     }
     const { fov, pace, theme, actions } = targets;

@@ -19,9 +19,12 @@ import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_WEBGL } from 
 import { MODES, Navigator } from "./navigator.ts";
 import type { Held, Mode } from "./navigator.ts";
 import { Notices } from "./notice.ts";
+import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
 import { Pointers } from "./pointer.ts";
 import { DEGREES, NORMAL_FOV, rigFromTarget, rotation } from "./rig.ts";
+import type { Rig } from "./rig.ts";
+import { holdPoses, proposedPoses } from "./scene.ts";
 import { readSettings } from "./settings.ts";
 import type { Settings } from "./settings.ts";
 import { Side } from "./side.ts";
@@ -48,15 +51,18 @@ export class ViewPage {
   private header: Header | null = null;
   private readonly navigator = new Navigator(frameFromUp([0, 0, 1]), rigFromTarget([0, 0, 0], [1, 0, 0], frameFromUp([0, 0, 1]), NORMAL_FOV));
   private readonly facts: Facts;
-  private surroundings: Surroundings = { floor: null, cells: null };
+  private surroundings: Surroundings = { floor: null, cells: null, poses: [] };
   private settings: Settings = { views: [], background: null };
   private readonly ready: Promise<unknown>;
   private views: View[] = [];
   private view = 0;
   private placed = false;
+  private focused = false;
+  private release: () => void = () => undefined;
   private inspecting = false;
   private running = false;
   private last = 0;
+  private start: Rig | null = null;
   private restTimer = 0;
   private ownHash = "";
   private token: string | null;
@@ -70,6 +76,7 @@ export class ViewPage {
   private readonly figures = new StatisticsCard();
   private readonly help: Help;
   private readonly notices: Notices;
+  private readonly overlay = new Overlay();
   private readonly mark = make("i", { class: "mark", hidden: true, "aria-hidden": "true" });
   private readonly spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
   private readonly joystick = new Joystick(() => this.wake());
@@ -79,12 +86,12 @@ export class ViewPage {
   constructor(private readonly scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
     this.root = document.querySelector("main") ?? document.body.appendChild(make("main"));
     this.token = page.token;
-    this.facts = new Facts(scene.facts);
+    this.facts = new Facts(scene.root && scene.kind === "stream" ? new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root).href : null);
     this.theme = new ThemeChoice(() => this.showBackground());
     this.notices = new Notices({ retry: () => this.restart(), token: (token) => this.restart((this.token = token)) });
     this.gamepads = new Gamepads((action) => this.actions.run(action), () => this.wake());
     this.defineActions();
-    this.title = new TitleBar(scene.name, scene.facts ? new URL("../../", scene.facts).href : null);
+    this.title = new TitleBar(scene.name, scene.root);
     this.dock = new Dock(this.actions, {
       mode: () => this.navigator.mode, setMode: (mode) => this.setMode(mode),
       views: () => ({ count: this.views.length, label: this.views[this.view]?.name ?? `${this.view + 1} of ${this.views.length}` }),
@@ -92,6 +99,7 @@ export class ViewPage {
     this.panel = new Panel({
       viewer: () => this.viewer, actions: this.actions, theme: this.theme,
       fov: { degrees: () => this.navigator.shown.fovY / DEGREES, choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.wake()) },
+      cells: { known: () => this.overlay.known, shown: () => !this.overlay.element.hidden, show: (shown) => this.showCells(shown) },
       pace: { factor: () => this.navigator.pace, choose: (factor) => void (this.navigator.pace = factor) },
     });
     this.help = new Help(this.actions);
@@ -109,7 +117,7 @@ export class ViewPage {
     document.title = `${this.scene.name} · gsvis`;
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.root.replaceChildren(
-      this.canvas, this.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
+      this.canvas, this.overlay.element, this.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
       this.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken, this.help.element,
     );
     this.setMode("orbit");
@@ -117,7 +125,7 @@ export class ViewPage {
     this.actions.watch(() => this.dock.refresh());
     window.addEventListener("hashchange", () => this.followHash());
     document.addEventListener("fullscreenchange", () => this.actions.changed());
-    window.addEventListener("resize", () => this.viewer?.resize());
+    window.addEventListener("resize", () => (this.viewer?.resize(), this.drawCells()));
   }
 
   /** Load settings and facts; neither can stop the scene from being shown. */
@@ -132,7 +140,9 @@ export class ViewPage {
         this.notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
     };
-    [this.surroundings] = await Promise.all([survey(this.facts), settings()]);
+    const known = proposedPoses(this.scene).then((poses) => survey(this.facts, poses));
+    [this.surroundings] = await Promise.all([known, settings()]);
+    this.overlay.set(this.surroundings.cells);
   }
 
   /** Open the scene in a fresh canvas. */
@@ -142,7 +152,9 @@ export class ViewPage {
     })));
     this.listen(this.canvas);
     try {
-      this.viewer = this.core.makeViewer(this.canvas, { source: this.core.makeSource(this.scene, this.token), background: this.background });
+      const { source, release } = holdPoses(this.core.makeSource(this.scene, this.token));
+      this.release = release;
+      this.viewer = this.core.makeViewer(this.canvas, { source, background: this.background });
     } catch (error) {
       const message = error instanceof Error ? error.message : String(error);
       this.showState("failed", "Stopped", 0);
@@ -154,6 +166,7 @@ export class ViewPage {
     viewer.addEventListener("state", () => this.takeState());
     viewer.addEventListener("contextlost", () => this.notices.say(LOST_CONTEXT, true));
     viewer.addEventListener("contextrestored", () => this.notices.say(""));
+    viewer.addEventListener("problem", (event) => this.notices.say(event instanceof CustomEvent ? String(event.detail) : ""));
     this.takeState();
     if (viewer.header) void this.takeHeader(viewer);
   }
@@ -196,6 +209,7 @@ export class ViewPage {
     if (surroundings.floor) navigator.standOn(new FloorGround(surroundings.floor, CLIMB_M * navigator.meter));
     if (!this.placed) this.place();
     this.sendCamera();
+    this.release();
     this.panel.fill(header);
     this.actions.changed();
     this.showBackground();
@@ -205,15 +219,22 @@ export class ViewPage {
     const first = begin(location.hash, this.settings.views, this.navigator.frame, this.surroundings);
     this.views = this.settings.views;
     this.placed = true;
+    this.focused = first.focused;
     this.navigator.mode = first.mode;
     this.navigator.place(first.rig);
     this.setMode(first.mode);
-    const start = begin("", this.settings.views, this.navigator.frame, this.surroundings).rig;
-    this.home = () => this.navigator.flyTo(start);
+    this.start = begin("", this.settings.views, this.navigator.frame, this.surroundings).rig;
     if (first.problem) this.notices.say(first.problem);
   }
 
-  private home: () => void = () => undefined;
+  /** Find out how far away lies what is looked at, where no view has said it. */
+  private async focus(): Promise<void> {
+    if (this.focused || !this.viewer) return;
+    this.focused = true;
+    const pick = await this.viewer.pick(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+    if (pick) this.navigator.refocus(pick.depth);
+    else this.focused = false;
+  }
 
   private takeState(): void {
     const state = this.viewer?.statistics.state;
@@ -227,6 +248,7 @@ export class ViewPage {
     }
     if (state.kind === "waiting") this.notices.say("The connection is lost. What has arrived stays; the rest comes when the server is back.", true);
     else if (this.notices.line.textContent?.startsWith("The connection is lost")) this.notices.say("Connected again.");
+    if (state.kind === "complete") void this.focus();
     if (state.kind === "complete") this.spoken.textContent = "All that can be seen from here has arrived.";
     this.look();
   }
@@ -288,8 +310,18 @@ export class ViewPage {
     if (!this.viewer || !this.placed) return;
     this.viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
     this.mark.hidden = true;
+    this.drawCells();
     clearTimeout(this.restTimer);
     this.restTimer = window.setTimeout(() => this.rest(), REST_MS);
+  }
+
+  private showCells(shown: boolean): void {
+    this.overlay.element.hidden = !shown;
+    this.drawCells();
+  }
+
+  private drawCells(): void {
+    this.overlay.draw(this.navigator.shown, this.navigator.frame);
   }
 
   private rest(): void {
@@ -318,10 +350,14 @@ export class ViewPage {
   }
 
   private setMode(mode: Mode): void {
+    if (mode === "orbit" && this.navigator.mode !== "orbit") this.focused = false;
     this.navigator.setMode(mode);
     document.documentElement.dataset.mode = mode;
     this.spoken.textContent = `Way to move: ${mode}`;
-    if (this.placed) this.writeAddress();
+    if (this.placed) {
+      void this.focus();
+      this.writeAddress();
+    }
     this.dock.refresh();
     this.wake();
   }
@@ -333,6 +369,12 @@ export class ViewPage {
     this.navigator.flyTo(rigFromView(view, this.navigator.frame));
     this.spoken.textContent = `View ${view.name ?? index + 1}`;
     this.actions.changed();
+    this.wake();
+  }
+
+  private goHome(): void {
+    if (this.start) this.navigator.flyTo(this.start);
+    this.view = 0;
     this.wake();
   }
 
@@ -358,9 +400,9 @@ export class ViewPage {
     this.mark.hidden = false;
     const summary = describePick(pick, this.header);
     const pending = make("p", { class: "empty" }, "Asking the server …");
-    this.side.open("why", "Why is this here?", summary, ...(this.scene.facts ? [pending] : []));
+    this.side.open("why", "Why is this here?", summary, ...(this.facts.known ? [pending] : []));
     this.spoken.textContent = `Gaussian ${pick.id}`;
-    if (!this.scene.facts) return;
+    if (!this.facts.known) return;
     const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);
     if (!this.side.shows("why") || !pending.isConnected) return;
     const place = { rig: this.navigator.shown, frame: this.navigator.frame };
@@ -396,11 +438,15 @@ export class ViewPage {
     } });
     actions.add({ id: "share", label: "Copy link to this view", key: "c", icon: "share", run: () => void this.share() });
     actions.add({ id: "picture", label: "Save picture", key: "p", icon: "picture", run: () => void this.savePicture() });
+    actions.add({ id: "cells", label: "Cells", key: "b", available: () => this.overlay.known, run: () => {
+      this.showCells(Boolean(this.overlay.element.hidden));
+      this.panel.refresh();
+    } });
     actions.add({ id: "paint", label: "Next meaning of colors", key: "g", run: () => {
       const paint = this.panel.nextPaint();
       if (paint) this.notices.say(`Color shows: ${paint}`);
     } });
-    actions.add({ id: "home", label: "First view", key: "r", icon: "home", run: () => (this.home(), (this.view = 0), this.wake()) });
+    actions.add({ id: "home", label: "First view", key: "r", icon: "home", run: () => this.goHome() });
     actions.add({ id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => step(-1) });
     actions.add({ id: "next", label: "Next view", key: ".", icon: "next", available: several, run: () => step(1) });
     actions.add({ id: "mode", label: "Next way to move", key: "m", run: () => this.setMode(MODES[(MODES.indexOf(this.navigator.mode) + 1) % MODES.length]) });

@@ -24,12 +24,14 @@ export interface Pick {
   weight: number;
   depth: number;
   position: [number, number, number];
-  color: [number, number, number];
-  level: number;
+  levels: [number, number]; // first and last
   opacity: number;
+  terms: number;
+  count: number; // Gaussians that reach the pixel
+  color?: [number, number, number];
 }
 
-export type ViewerEvent = "header" | "state" | "frame" | "traffic" | "contextlost" | "contextrestored";
+export type ViewerEvent = "header" | "state" | "frame" | "traffic" | "contextlost" | "contextrestored" | "problem";
 
 export interface ViewerOptions {
   source: Source;
@@ -44,7 +46,6 @@ export interface ViewerLike {
   paint: Paint;
   levelsShown: boolean[];
   termsShown: boolean;
-  cellsShown: boolean;
   readonly statistics: Statistics;
   readonly header: Header | null;
   pick(x: number, y: number): Promise<Pick | null>;

@@ -18,26 +18,30 @@ export interface Place {
 
 /** Return what is known without a server. */
 export function describePick(pick: Pick, header: Header | null): HTMLElement {
-  const level = header?.levels[pick.level]?.name;
-  const swatch = make("i", { class: "swatch" });
-  const rgb = pick.color.map((c) => Math.round(255 * Math.min(Math.max(c, 0), 1)));
-  swatch.style.setProperty("background", `rgb(${rgb.join(" ")})`);
+  const levels = header && header.levels.length > 1 ? pick.levels.map((level) => header.levels[level]?.name ?? String(level)) : [];
   return make("section", {},
-    make("p", { class: "headline" }, swatch, `Gaussian ${pick.id.toLocaleString("en-US")}`),
+    make("p", { class: "headline" }, pick.color ? swatch(pick.color) : null, `Gaussian ${pick.id.toLocaleString("en-US")}`),
+    make("p", {}, pick.count > 1 ? `It gives most of this pixel; ${pick.count} Gaussians reach it.` : "It alone makes this pixel."),
     facts([
       ["Share of this pixel", formatShare(pick.weight)],
       ["Opacity", formatShare(pick.opacity)],
       ["Distance", formatLength(pick.depth, header?.metersPerUnit ?? 0)],
       ["Arrived as", `number ${(pick.slot + 1).toLocaleString("en-US")}`],
-      level ? ["Level", level] : null,
+      levels.length ? ["Level", [...new Set(levels)].join(" to ")] : null,
+      header?.terms ? ["Terms of its color", String(pick.terms)] : null,
     ]),
   );
+}
+
+function swatch(color: readonly number[]): HTMLElement {
+  const shown = make("i", { class: "swatch" });
+  shown.style.setProperty("background", `rgb(${color.map((c) => Math.round(255 * Math.min(Math.max(c, 0), 1))).join(" ")})`);
+  return shown;
 }
 
 /** Return what the server knows: why it was sent, and from where it is seen. */
 export function describeWhy(why: Why, pick: Pick, cells: Cells | null, place: Place): HTMLElement[] {
   const parts: HTMLElement[] = [];
-  if (why.terms !== null) parts.push(facts([["Terms of its color", String(why.terms)], why.levels.length ? ["Levels", [...new Set(why.levels)].join(" to ")] : null]));
   if (why.cells) {
     const { of, seeing } = why.cells;
     const text = seeing.length === 0 ? "No cell sees it from inside; it was sent for what lies between."
