@@ -98,7 +98,7 @@ test("a server that accepts and says nothing is left after ten seconds", () => {
   const stage = new Stage();
   stage.connection.start();
   stage.clock.advance(10_000);
-  assert.equal(stage.state.kind === "waiting" && stage.state.message, "example.org does not answer.");
+  assert.equal(stage.state.kind === "waiting" && stage.state.message, "example.org does not answer, or does not let this page in.");
   stage.clock.advance(100);
   stage.socket.open();
   stage.clock.advance(10_000);
@@ -233,6 +233,22 @@ test("complete is said when nothing more comes, and streaming when something doe
   assert.equal(kindOf(stage), "complete");
   stage.socket.hear(batches[1]);
   assert.equal(kindOf(stage), "streaming");
+});
+
+test("a slow link has more time before complete is said", () => {
+  const stage = new Stage(), { clock } = stage;
+  stage.connection.setPose(here);
+  stage.connection.start();
+  stage.socket.open();
+  clock.advance(1000); // a round trip
+  stage.socket.hear(welcome);
+  clock.advance(5900);
+  assert.equal(kindOf(stage), "streaming");
+  stage.socket.hear(batches[0]);
+  clock.advance(3600);
+  assert.equal(kindOf(stage), "streaming");
+  clock.advance(200);
+  assert.equal(kindOf(stage), "complete");
 });
 
 test("after a sleep of the machine the connection is made anew", () => {

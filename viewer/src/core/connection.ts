@@ -40,7 +40,8 @@ const STEADY_MS = 5_000; // a stream that lasts this long was a good one
 const POSE_MS = 66, STILL_MS = 1_000; // between poses: moving, and at rest
 const VIEW_MS = 250; // how long HELLO waits for the view
 const RESIZE_MS = 400; // how long a view rests before the server is asked anew
-const QUIET_MS = 700; // without a batch: the pose has what it needs
+const QUIET_MS = 700; // without a batch, and three round trips: the pose has what it needs
+const EMPTY_MS = 3_000; // the same, where nothing at all has come
 const TRAFFIC_MS = 250;
 const ASLEEP_MS = 30_000; // a timer this late: the machine slept, and the connection with it
 const MOST_MESSAGE = 64 << 20;
@@ -67,6 +68,8 @@ export class Connection {
   private pose: Pose | null = null;
   private isNewPose = false;
   private posedAt = -Infinity;
+  private greetedAt = 0;
+  private roundTrip = 0; // from HELLO to WELCOME, milliseconds
   private wait = FIRST_WAIT_MS;
   private bad = 0;
   private isDoubted = false; // the server refused the holdings once
@@ -149,7 +152,7 @@ export class Connection {
     socket.onclose = (event) => {
       if (socket === this.socket) this.lose(this.reasonOf(event));
     };
-    this.later("open", OPEN_MS, () => this.lose(`${hostOf(this.options.url)} does not answer.`));
+    this.later("open", OPEN_MS, () => this.lose(this.silence()));
   }
 
   /** Send the token, HELLO and the pose. */
@@ -159,6 +162,7 @@ export class Connection {
     this.asked = this.view ?? USUAL;
     this.saidHoldings = held.length > 0;
     this.phase = "greeted";
+    this.greetedAt = this.clock.now();
     if (this.options.token !== null) this.send(tokenOf(this.options.token));
     this.send(hello(this.asked, this.options.reach, this.saidHoldings ? this.receiver?.about.identity : "", held));
     this.isNewPose = true;
@@ -187,6 +191,7 @@ export class Connection {
     if (!isKept) this.receiver = new Receiver(message, this.options.mostBytes);
     this.send(ack(0));
     this.phase = "streaming";
+    this.roundTrip = this.clock.now() - this.greetedAt;
     this.isDoubted = false;
     this.reconnects++;
     this.cancel("open");
@@ -313,8 +318,9 @@ export class Connection {
 
   /** Say `complete` once nothing more has come for a while; `streaming` holds until then. */
   private settle(): void {
+    const quiet = (this.receiver?.gaussians === 0 ? EMPTY_MS : QUIET_MS) + 3 * this.roundTrip;
     if (this.receiver?.isWhole) this.say({ kind: "complete" });
-    else if (this.posedAt > -Infinity) this.later("quiet", QUIET_MS, () => this.say({ kind: "complete" }));
+    else if (this.posedAt > -Infinity) this.later("quiet", quiet, () => this.say({ kind: "complete" }));
   }
 
   private say(state: SourceState): void {
@@ -335,7 +341,12 @@ export class Connection {
   private reasonOf(event: CloseEvent): string {
     if (event.reason) return `The server ended the connection: ${event.reason.slice(0, 120)}`;
     if (event.code === 1012) return "The server restarts.";
-    return this.phase === "opening" ? `${hostOf(this.options.url)} does not answer.` : "The connection to the server was lost.";
+    return this.phase === "opening" ? this.silence() : "The connection to the server was lost.";
+  }
+
+  /** A browser does not tell a server that is not there from one that refuses the page. */
+  private silence(): string {
+    return `${hostOf(this.options.url)} does not answer${this.reconnects < 0 ? ", or does not let this page in" : ""}.`;
   }
 
   /** Do work after some time, once, instead of what was to be done under this name. */
