@@ -49,6 +49,10 @@ export class Navigator {
     this.ground = new LevelGround(frame);
   }
 
+  get flying(): boolean {
+    return this.flight !== null;
+  }
+
   /** Stand there at once. */
   place(rig: Rig): void {
     this.flight = null;

@@ -7,22 +7,20 @@ import { Dock, TitleBar, toolBar } from "./bars.ts";
 import { begin, guessMeter, rigFromView, survey } from "./begin.ts";
 import type { Surroundings } from "./begin.ts";
 import { make } from "./dom.ts";
+import { Drive } from "./drive.ts";
 import { Facts } from "./facts.ts";
-import { Gamepads } from "./gamepad.ts";
 import { FloorGround } from "./ground.ts";
 import { readHash, writeHash } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
-import { Joystick } from "./joystick.ts";
-import { Keyboard } from "./keyboard.ts";
+import { Inspector } from "./inspector.ts";
 import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_WEBGL } from "./messages.ts";
-import { MODES, Navigator } from "./navigator.ts";
-import type { Held, Mode } from "./navigator.ts";
+import { MODES } from "./navigator.ts";
+import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
 import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
-import { Pointers } from "./pointer.ts";
-import { DEGREES, NORMAL_FOV, rigFromTarget, rotation } from "./rig.ts";
+import { DEGREES, rotation } from "./rig.ts";
 import type { Rig } from "./rig.ts";
 import { holdPoses, proposedPoses } from "./scene.ts";
 import { readSettings } from "./settings.ts";
@@ -32,7 +30,6 @@ import { StatisticsCard } from "./statistics.ts";
 import { ThemeChoice } from "./theme.ts";
 import { frameFromUp } from "./vector.ts";
 import type { ViewerLike, ViewerOptions } from "./viewer-like.ts";
-import { describePick, describeWhy } from "./why-card.ts";
 
 export interface Core {
   makeViewer(canvas: HTMLCanvasElement, options: ViewerOptions): ViewerLike;
@@ -40,8 +37,6 @@ export interface Core {
 }
 
 const LOOKS_MS = 250; // between two looks at the statistics
-const REST_MS = 300; // after which a view at rest enters the address
-const LONGEST_FRAME = 0.25; // seconds of motion in one frame
 const CLIMB_M = 0.7; // from square to square of a floor
 
 export class ViewPage {
@@ -49,7 +44,6 @@ export class ViewPage {
   private canvas = make("canvas");
   private viewer: ViewerLike | null = null;
   private header: Header | null = null;
-  private readonly navigator = new Navigator(frameFromUp([0, 0, 1]), rigFromTarget([0, 0, 0], [1, 0, 0], frameFromUp([0, 0, 1]), NORMAL_FOV));
   private readonly facts: Facts;
   private surroundings: Surroundings = { floor: null, cells: null, poses: [] };
   private settings: Settings = { views: [], background: null };
@@ -59,11 +53,7 @@ export class ViewPage {
   private placed = false;
   private focused = false;
   private release: () => void = () => undefined;
-  private inspecting = false;
-  private running = false;
-  private last = 0;
   private start: Rig | null = null;
-  private restTimer = 0;
   private ownHash = "";
   private token: string | null;
 
@@ -77,11 +67,10 @@ export class ViewPage {
   private readonly help: Help;
   private readonly notices: Notices;
   private readonly overlay = new Overlay();
-  private readonly mark = make("i", { class: "mark", hidden: true, "aria-hidden": "true" });
   private readonly spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
-  private readonly joystick = new Joystick(() => this.wake());
-  private keyboard: Keyboard | null = null;
-  private readonly gamepads: Gamepads;
+  private readonly inspector: Inspector;
+  private readonly drive: Drive;
+  private readonly navigator: Navigator;
 
   constructor(private readonly scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
     this.root = document.querySelector("main") ?? document.body.appendChild(make("main"));
@@ -89,7 +78,17 @@ export class ViewPage {
     this.facts = new Facts(scene.root && scene.kind === "stream" ? new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root).href : null);
     this.theme = new ThemeChoice(() => this.showBackground());
     this.notices = new Notices({ retry: () => this.restart(), token: (token) => this.restart((this.token = token)) });
-    this.gamepads = new Gamepads((action) => this.actions.run(action), () => this.wake());
+    this.drive = new Drive({
+      actions: this.actions, moved: () => this.sendCamera(), rested: () => (this.panel.refresh(), this.writeAddress()),
+      click: (x, y, withAlt) => void (this.inspector.on || withAlt ? this.inspector.inspect(x, y) : undefined),
+      doubleClick: (x, y) => void this.goTo(x, y), view: (index) => this.goToView(index),
+      escape: () => this.side.close() || this.stopInspecting(),
+    });
+    this.navigator = this.drive.navigator;
+    this.inspector = new Inspector({
+      side: this.side, facts: this.facts, viewer: () => this.viewer, header: () => this.header,
+      place: () => ({ rig: this.navigator.shown, frame: this.navigator.frame }), speak: (text) => this.speak(text),
+    });
     this.defineActions();
     this.title = new TitleBar(scene.name, scene.root);
     this.dock = new Dock(this.actions, {
@@ -98,7 +97,7 @@ export class ViewPage {
     });
     this.panel = new Panel({
       viewer: () => this.viewer, actions: this.actions, theme: this.theme,
-      fov: { degrees: () => this.navigator.shown.fovY / DEGREES, choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.wake()) },
+      fov: { degrees: () => this.navigator.shown.fovY / DEGREES, choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.drive.wake()) },
       cells: { known: () => this.overlay.known, shown: () => !this.overlay.element.hidden, show: (shown) => this.showCells(shown) },
       pace: { factor: () => this.navigator.pace, choose: (factor) => void (this.navigator.pace = factor) },
     });
@@ -110,15 +109,11 @@ export class ViewPage {
   }
 
   private build(): void {
-    const reduced = matchMedia("(prefers-reduced-motion: reduce)");
-    const calm = (): void => void (this.navigator.calm = reduced.matches);
-    reduced.addEventListener("change", calm);
-    calm();
     document.title = `${this.scene.name} · gsvis`;
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.root.replaceChildren(
-      this.canvas, this.overlay.element, this.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
-      this.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken, this.help.element,
+      this.canvas, this.overlay.element, this.inspector.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
+      this.drive.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken, this.help.element,
     );
     this.setMode("orbit");
     this.panel.fill(null);
@@ -150,7 +145,7 @@ export class ViewPage {
     this.canvas.replaceWith((this.canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
-    this.listen(this.canvas);
+    this.drive.listen(this.canvas);
     try {
       const { source, release } = holdPoses(this.core.makeSource(this.scene, this.token));
       this.release = release;
@@ -177,24 +172,6 @@ export class ViewPage {
     this.notices.clear();
     this.open();
     this.canvas.focus();
-  }
-
-  private listen(canvas: HTMLCanvasElement): void {
-    const { navigator } = this;
-    new Pointers(canvas, {
-      navigator, wake: () => this.wake(),
-      click: (x, y, event) => {
-        if (this.inspecting || event.altKey) void this.inspect(x, y);
-      },
-      doubleClick: (x, y) => void this.goTo(x, y),
-    });
-    this.keyboard?.stop();
-    this.keyboard = new Keyboard(canvas, {
-      actions: this.actions, mode: () => navigator.mode, wake: () => this.wake(), view: (index) => this.goToView(index),
-      zoom: (factor) => (navigator.zoom(factor), this.wake()),
-      pickCenter: () => void this.inspect(canvas.clientWidth / 2, canvas.clientHeight / 2),
-      escape: () => this.side.close() || this.stopInspecting(),
-    });
   }
 
   private async takeHeader(viewer: ViewerLike): Promise<void> {
@@ -249,7 +226,7 @@ export class ViewPage {
     if (state.kind === "waiting") this.notices.say("The connection is lost. What has arrived stays; the rest comes when the server is back.", true);
     else if (this.notices.line.textContent?.startsWith("The connection is lost")) this.notices.say("Connected again.");
     if (state.kind === "complete") void this.focus();
-    if (state.kind === "complete") this.spoken.textContent = "All that can be seen from here has arrived.";
+    if (state.kind === "complete") this.speak("All that can be seen from here has arrived.");
     this.look();
   }
 
@@ -276,43 +253,12 @@ export class ViewPage {
 
   // Motion
 
-  private wake(): void {
-    if (this.running) return;
-    this.running = true;
-    this.last = performance.now();
-    requestAnimationFrame((now) => this.tick(now));
-  }
-
-  private tick(now: number): void {
-    const seconds = Math.min(Math.max((now - this.last) / 1000, 0), LONGEST_FRAME);
-    this.last = now;
-    const moved = this.navigator.step(seconds, this.held());
-    if (moved) this.sendCamera();
-    if (moved || this.keyboard?.busy || this.joystick.busy || this.gamepads.connected) {
-      requestAnimationFrame((next) => this.tick(next));
-    } else {
-      this.running = false;
-    }
-  }
-
-  private held(): Held {
-    const held = this.keyboard?.held() ?? { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: false };
-    const pad = this.gamepads.read();
-    held.ahead += this.joystick.ahead;
-    held.aside += this.joystick.aside;
-    if (!pad) return held;
-    for (const axis of ["ahead", "aside", "above", "turn", "tilt"] as const) held[axis] += pad[axis];
-    return { ...held, fast: held.fast || pad.fast };
-  }
-
   private sendCamera(): void {
     const { shown, frame } = this.navigator;
     if (!this.viewer || !this.placed) return;
     this.viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
-    this.mark.hidden = true;
+    this.inspector.mark.hidden = true;
     this.drawCells();
-    clearTimeout(this.restTimer);
-    this.restTimer = window.setTimeout(() => this.rest(), REST_MS);
   }
 
   private showCells(shown: boolean): void {
@@ -322,11 +268,6 @@ export class ViewPage {
 
   private drawCells(): void {
     this.overlay.draw(this.navigator.shown, this.navigator.frame);
-  }
-
-  private rest(): void {
-    this.panel.refresh();
-    this.writeAddress();
   }
 
   private writeAddress(): void {
@@ -346,20 +287,20 @@ export class ViewPage {
     if (!asked) return;
     if (asked.mode) this.setMode(asked.mode);
     this.navigator.flyTo(rigFromView(asked, this.navigator.frame));
-    this.wake();
+    this.drive.wake();
   }
 
   private setMode(mode: Mode): void {
     if (mode === "orbit" && this.navigator.mode !== "orbit") this.focused = false;
     this.navigator.setMode(mode);
     document.documentElement.dataset.mode = mode;
-    this.spoken.textContent = `Way to move: ${mode}`;
+    this.speak(`Way to move: ${mode}`);
     if (this.placed) {
       void this.focus();
       this.writeAddress();
     }
     this.dock.refresh();
-    this.wake();
+    this.drive.wake();
   }
 
   private goToView(index: number): void {
@@ -367,50 +308,30 @@ export class ViewPage {
     if (!view) return;
     this.view = index;
     this.navigator.flyTo(rigFromView(view, this.navigator.frame));
-    this.spoken.textContent = `View ${view.name ?? index + 1}`;
+    this.speak(`View ${view.name ?? index + 1}`);
     this.actions.changed();
-    this.wake();
+    this.drive.wake();
   }
 
   private goHome(): void {
     if (this.start) this.navigator.flyTo(this.start);
     this.view = 0;
-    this.wake();
+    this.drive.wake();
   }
 
   private async goTo(x: number, y: number): Promise<void> {
     const pick = await this.viewer?.pick(x, y);
     if (!pick) return;
     this.navigator.goTo(pick.position);
-    this.wake();
+    this.drive.wake();
   }
 
-  // Looking into the scene
-
-  private async inspect(x: number, y: number): Promise<void> {
-    const { viewer, facts } = this;
-    const pick = await viewer?.pick(x, y);
-    if (!viewer || viewer !== this.viewer) return;
-    if (!pick) {
-      this.side.open("why", "Why is this here?", make("p", { class: "empty" }, "Nothing is here: no Gaussian reaches this pixel."));
-      return;
-    }
-    this.mark.style.setProperty("left", `${x}px`);
-    this.mark.style.setProperty("top", `${y}px`);
-    this.mark.hidden = false;
-    const summary = describePick(pick, this.header);
-    const pending = make("p", { class: "empty" }, "Asking the server …");
-    this.side.open("why", "Why is this here?", summary, ...(this.facts.known ? [pending] : []));
-    this.spoken.textContent = `Gaussian ${pick.id}`;
-    if (!this.facts.known) return;
-    const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);
-    if (!this.side.shows("why") || !pending.isConnected) return;
-    const place = { rig: this.navigator.shown, frame: this.navigator.frame };
-    pending.replaceWith(...(why ? describeWhy(why, pick, cells, place) : [make("p", { class: "empty" }, "The server knows no more about it.")]));
+  private speak(text: string): void {
+    this.spoken.textContent = text;
   }
 
   private stopInspecting(): boolean {
-    if (!this.inspecting) return false;
+    if (!this.inspector.on) return false;
     this.actions.run("inspect");
     return true;
   }
@@ -422,10 +343,10 @@ export class ViewPage {
     const root = document.documentElement;
     const several = (): boolean => this.views.length > 1;
     const step = (by: number): void => this.goToView((this.view + by + this.views.length) % Math.max(this.views.length, 1));
-    actions.add({ id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: () => this.inspecting, run: () => {
-      this.inspecting = !this.inspecting;
-      this.canvas.classList.toggle("inspecting", this.inspecting);
-      this.notices.say(this.inspecting ? "Click a point of the scene to see why it is here." : "");
+    actions.add({ id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: () => this.inspector.on, run: () => {
+      this.inspector.on = !this.inspector.on;
+      this.canvas.classList.toggle("inspecting", this.inspector.on);
+      this.notices.say(this.inspector.on ? "Click a point of the scene to see why it is here." : "");
     } });
     actions.add({ id: "options", label: "Options", key: "o", icon: "options", pressed: () => this.side.shows("options"), run: () => {
       if (this.side.shows("options")) this.side.close();
@@ -442,7 +363,7 @@ export class ViewPage {
       this.showCells(Boolean(this.overlay.element.hidden));
       this.panel.refresh();
     } });
-    actions.add({ id: "paint", label: "Next meaning of colors", key: "g", run: () => {
+    actions.add({ id: "paint", label: "Color shows the next", key: "g", run: () => {
       const paint = this.panel.nextPaint();
       if (paint) this.notices.say(`Color shows: ${paint}`);
     } });
