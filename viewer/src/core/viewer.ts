@@ -6,6 +6,7 @@ import { Sorter, type WorkerStart } from "./sorter.ts";
 import type { Region } from "./sorting.ts";
 import { Store } from "./store.ts";
 import type { Batch, Camera, Header, Paint, Pose, Source, SourceState, Traffic } from "./types.ts";
+import { type EyeView, frameAt, runSession, type XrSession } from "./xr.ts";
 
 /** Where the eye is, and the angle that the height of the canvas covers, in radians. */
 export interface Eye extends Pose {
@@ -69,6 +70,7 @@ export class Viewer extends EventTarget {
   #fixed: Camera | null = null;
   #levels: boolean[] = [];
   #lost = false;
+  #immersed = false;
   #waiting: Batch[] | null = null; // what arrived while the GPU is filled anew
   #dirty = true;
   #version = 0; // of the data
@@ -261,6 +263,27 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
+  /** Show the scene in an immersive session, from where the camera is, until the session ends. */
+  async enterXr(session: XrSession): Promise<void> {
+    const { up, metersPerUnit } = this.#header ?? { up: [0, 1, 0], metersPerUnit: 1 };
+    this.#immersed = true;
+    try {
+      await runSession(session, this.#gl, frameAt(this.#pose(), up, metersPerUnit), (eyes) => this.#drawEyes(eyes));
+    } finally {
+      this.#immersed = false;
+      this.redraw();
+    }
+  }
+
+  #drawEyes(eyes: EyeView[]): void {
+    if (this.#lost) return;
+    const [{ lens }] = eyes;
+    this.#source?.pose({ position: lens.position, rotation: lens.rotation });
+    this.#order(lens, 0.3);
+    for (const eye of eyes) this.#renderer.draw(eye.lens, this.#look, eye);
+    this.#count(performance.now());
+  }
+
   #say(name: ViewerEvent, detail?: string): void {
     this.dispatchEvent(new CustomEvent(name, { detail }));
   }
@@ -367,16 +390,16 @@ export class Viewer extends EventTarget {
   };
 
   #request(): void {
-    if (!this.#frame) this.#frame = requestAnimationFrame(() => this.#draw());
+    if (!this.#frame && !this.#immersed) this.#frame = requestAnimationFrame(() => this.#draw());
   }
 
   /** Have everything sorted for the camera, unless the last order will do. */
-  #order(camera: Camera): boolean {
+  #order(camera: Camera, least = 0.02): boolean {
     const last = this.#sorted;
     if (!this.#store || this.#waiting) return true;
     const turned = last ? angleBetween(last.camera, camera) : 0;
     const still = last !== null && sameCamera(last.camera, camera);
-    const slack = still ? last.region.right - camera.width : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, 0.02 + (1.5 * turned) / this.#eye.fovY));
+    const slack = still ? last.region.right - camera.width : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
     const { width, height } = camera;
     const region: Region = { left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask() };
     const done = still && last.version === this.#version && last.region.levels === this.#mask();
@@ -385,6 +408,12 @@ export class Viewer extends EventTarget {
       this.#sorter.sort(camera, region);
     }
     return done;
+  }
+
+  #count(time: number): void {
+    this.#figures.frames += 1;
+    this.#recent.push(time);
+    if (this.#recent.length > 240) this.#recent.shift();
   }
 
   #draw(): void {
@@ -400,9 +429,7 @@ export class Viewer extends EventTarget {
       }
       this.#dirty = false;
       this.#renderer.draw(camera, this.#look);
-      this.#figures.frames += 1;
-      this.#recent.push(begin);
-      if (this.#recent.length > 240) this.#recent.shift();
+      this.#count(begin);
       this.#figures.frame = performance.now() - begin;
       if (this.#figures.first === null && this.#renderer.count) this.#figures.first = (performance.now() - this.#opened) / 1000;
       this.#say("frame");
