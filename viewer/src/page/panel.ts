@@ -72,13 +72,13 @@ export class Panel {
   }
 
   /** Take the next way to color. */
-  nextPaint(): Paint | null {
+  nextPaint(): string | null {
     const viewer = this.targets.viewer();
     if (!viewer?.header) return null;
     const header = viewer.header;
     const values = PAINTS.filter((paint) => !paint.fits || paint.fits(header)).map((paint) => paint.value);
     this.setPaint(values[(values.indexOf(viewer.paint) + 1) % values.length]);
-    return viewer.paint;
+    return PAINTS.find((paint) => paint.value === viewer.paint)?.label ?? null;
   }
 
   private setPaint(paint: Paint): void {

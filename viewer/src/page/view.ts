@@ -6,6 +6,8 @@ import type { PageAddress, SceneAddress } from "./address.ts";
 import { Dock, TitleBar, toolBar } from "./bars.ts";
 import { begin, guessMeter, rigFromView, survey } from "./begin.ts";
 import type { Surroundings } from "./begin.ts";
+import { defineActions } from "./commands.ts";
+import type { Commands } from "./commands.ts";
 import { make } from "./dom.ts";
 import { Drive } from "./drive.ts";
 import { Facts } from "./facts.ts";
@@ -30,6 +32,7 @@ import { StatisticsCard } from "./statistics.ts";
 import { ThemeChoice } from "./theme.ts";
 import { frameFromUp } from "./vector.ts";
 import type { ViewerLike, ViewerOptions } from "./viewer-like.ts";
+import { Immersion } from "./xr.ts";
 
 export interface Core {
   makeViewer(canvas: HTMLCanvasElement, options: ViewerOptions): ViewerLike;
@@ -66,6 +69,7 @@ export class ViewPage {
   private readonly figures = new StatisticsCard();
   private readonly help: Help;
   private readonly notices: Notices;
+  private readonly immersion = new Immersion(() => this.actions.changed());
   private readonly overlay = new Overlay();
   private readonly spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
   private readonly inspector: Inspector;
@@ -89,7 +93,7 @@ export class ViewPage {
       side: this.side, facts: this.facts, viewer: () => this.viewer, header: () => this.header,
       place: () => ({ rig: this.navigator.shown, frame: this.navigator.frame }), speak: (text) => this.speak(text),
     });
-    this.defineActions();
+    defineActions(this.actions, this.commands());
     this.title = new TitleBar(scene.name, scene.root);
     this.dock = new Dock(this.actions, {
       mode: () => this.navigator.mode, setMode: (mode) => this.setMode(mode),
@@ -336,54 +340,77 @@ export class ViewPage {
     return true;
   }
 
-  // What buttons and keys do
-
-  private defineActions(): void {
-    const { actions } = this;
+  /** What buttons and keys can ask for. */
+  private commands(): Commands {
     const root = document.documentElement;
-    const several = (): boolean => this.views.length > 1;
-    const step = (by: number): void => this.goToView((this.view + by + this.views.length) % Math.max(this.views.length, 1));
-    actions.add({ id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: () => this.inspector.on, run: () => {
-      this.inspector.on = !this.inspector.on;
-      this.canvas.classList.toggle("inspecting", this.inspector.on);
-      this.notices.say(this.inspector.on ? "Click a point of the scene to see why it is here." : "");
-    } });
-    actions.add({ id: "options", label: "Options", key: "o", icon: "options", pressed: () => this.side.shows("options"), run: () => {
-      if (this.side.shows("options")) this.side.close();
-      else this.side.open("options", "Options", this.panel.element);
-      this.panel.refresh();
-    } });
-    actions.add({ id: "statistics", label: "Statistics", key: "t", icon: "statistics", pressed: () => !this.figures.element.hidden, run: () => {
-      this.figures.element.hidden = !this.figures.element.hidden;
-      this.look();
-    } });
-    actions.add({ id: "share", label: "Copy link to this view", key: "c", icon: "share", run: () => void this.share() });
-    actions.add({ id: "picture", label: "Save picture", key: "p", icon: "picture", run: () => void this.savePicture() });
-    actions.add({ id: "cells", label: "Cells", key: "b", available: () => this.overlay.known, run: () => {
-      this.showCells(Boolean(this.overlay.element.hidden));
-      this.panel.refresh();
-    } });
-    actions.add({ id: "paint", label: "Color shows the next", key: "g", run: () => {
-      const paint = this.panel.nextPaint();
-      if (paint) this.notices.say(`Color shows: ${paint}`);
-    } });
-    actions.add({ id: "home", label: "First view", key: "r", icon: "home", run: () => this.goHome() });
-    actions.add({ id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => step(-1) });
-    actions.add({ id: "next", label: "Next view", key: ".", icon: "next", available: several, run: () => step(1) });
-    actions.add({ id: "mode", label: "Next way to move", key: "m", run: () => this.setMode(MODES[(MODES.indexOf(this.navigator.mode) + 1) % MODES.length]) });
-    actions.add({ id: "full", label: "Full screen", key: "f", icon: "full", available: () => document.fullscreenEnabled === true,
-      pressed: () => document.fullscreenElement !== null,
-      run: () => void (document.fullscreenElement ? document.exitFullscreen() : root.requestFullscreen()).catch(() => this.notices.say("The browser does not allow full screen here.")) });
-    actions.add({ id: "theme", label: "Dark or light", key: "l", run: () => {
-      this.theme.choose(this.theme.dark ? "light" : "dark");
-      this.panel.refresh();
-    } });
-    actions.add({ id: "hide", label: "Hide or show everything but the scene", key: "x", run: () => {
-      if (root.dataset.bare === undefined) root.dataset.bare = "";
-      else delete root.dataset.bare;
-    } });
-    actions.add({ id: "vr", label: "Virtual reality", key: "v", icon: "headset", available: () => false, run: () => undefined });
-    actions.add({ id: "help", label: "Help", key: "?", icon: "help", run: () => this.help.open() });
+    return {
+      inspecting: () => this.inspector.on,
+      toggleInspecting: () => {
+        this.inspector.on = !this.inspector.on;
+        this.canvas.classList.toggle("inspecting", this.inspector.on);
+        this.notices.say(this.inspector.on ? "Click a point of the scene to see why it is here." : "");
+      },
+      optionsShown: () => this.side.shows("options"),
+      toggleOptions: () => {
+        if (this.side.shows("options")) this.side.close();
+        else this.side.open("options", "Options", this.panel.element);
+        this.panel.refresh();
+      },
+      statisticsShown: () => !this.figures.element.hidden,
+      toggleStatistics: () => {
+        this.figures.element.hidden = !this.figures.element.hidden;
+        this.look();
+      },
+      share: () => void this.share(),
+      savePicture: () => void this.savePicture(),
+      cellsKnown: () => this.overlay.known,
+      toggleCells: () => {
+        this.showCells(Boolean(this.overlay.element.hidden));
+        this.panel.refresh();
+      },
+      nextPaint: () => {
+        const label = this.panel.nextPaint();
+        if (label) this.notices.say(`Color shows: ${label}`);
+      },
+      goHome: () => this.goHome(),
+      views: () => this.views.length,
+      stepView: (by) => this.goToView((this.view + by + this.views.length) % Math.max(this.views.length, 1)),
+      nextMode: () => this.setMode(MODES[(MODES.indexOf(this.navigator.mode) + 1) % MODES.length]),
+      toggleTheme: () => {
+        this.theme.choose(this.theme.dark ? "light" : "dark");
+        this.panel.refresh();
+      },
+      toggleBare: () => {
+        if (root.dataset.bare === undefined) root.dataset.bare = "";
+        else delete root.dataset.bare;
+      },
+      vrOffered: () => this.immersion.offered && this.viewer?.enterXr !== undefined,
+      vrOn: () => this.immersion.on,
+      toggleVr: () => void this.toggleVr(),
+      help: () => this.help.open(),
+      toggleFull: () => void this.toggleFull(),
+    };
+  }
+
+  private async toggleVr(): Promise<void> {
+    try {
+      await this.immersion.toggle(async (session) => {
+        this.actions.changed();
+        await this.viewer?.enterXr?.(session);
+      });
+    } catch (error) {
+      this.notices.say(`The headset could not be used. ${error instanceof Error ? error.message : ""}`.trim());
+    }
+    this.actions.changed();
+  }
+
+  private async toggleFull(): Promise<void> {
+    try {
+      if (document.fullscreenElement) await document.exitFullscreen();
+      else await document.documentElement.requestFullscreen();
+    } catch {
+      this.notices.say("The browser does not allow full screen here.");
+    }
   }
 
   private async share(): Promise<void> {

@@ -1,5 +1,6 @@
 // What the page needs of the core's `Viewer`; its tests pass a stand-in.
 
+import type { XrSession } from "../core/index.ts";
 import type { Header, Paint, Pose, Source, SourceState } from "../core/types.ts";
 
 export interface PageCamera extends Pose {
@@ -52,5 +53,6 @@ export interface ViewerLike {
   screenshot(): Promise<Blob>;
   resize(): void;
   dispose(): void;
+  enterXr?(session: XrSession): Promise<void>;
   addEventListener(type: ViewerEvent, listener: (event: Event) => void): void;
 }
