@@ -49,7 +49,8 @@ def make_facts() -> dict[str, Any]:
     seen = [[-1.0, 0.1 * k - 1.2, 0.15 * k - 0.9] for k in range(24)]
     return {
         "cells": {
-            "origin": [0, 0, 0.4], "size": 1.0, "shape": [6, 4, 2], "up": [0, 0, 1], "boxes": boxes, "visible": [1] * 23,
+            "origin": [0, 0, 0.4], "size": 1.0, "shape": [6, 4, 2], "up": [0, 0, 1], "boxes": boxes,
+            "visible": [1] * 23,
         },
         "floor": {
             "origin": [0, 0, 0], "side": 1.0, "first": [1, 0, 0], "second": [0, 1, 0], "up": [0, 0, 1],

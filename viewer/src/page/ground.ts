@@ -35,6 +35,9 @@ export interface Floor {
   heights: Float32Array; // (columns x rows), row after row, scene units from the origin along up
 }
 
+/** Return `x` if it lies in a square, else the nearest place well inside. */
+const inside = (x: number, square: number): number => (x >= square && x < square + 1 ? x : clamp(x, square + 0.01, square + 0.99));
+
 const MOST_STEP = 0.5; // of a square: what is thinner than a square still stops a walker
 
 /** Walk over a floor: slide along what blocks, climb at most `climb` scene units from square to square. */
@@ -64,7 +67,7 @@ export class FloorGround implements Ground {
       for (let column = 0; column < columns; column++) {
         const level = heights[row * columns + column];
         if (!Number.isFinite(level)) continue;
-        const square: [number, number] = [clamp(x, column + 0.01, column + 0.99), clamp(y, row + 0.01, row + 0.99)];
+        const square: [number, number] = [inside(x, column), inside(y, row)];
         const away = Math.hypot(square[0] - x, square[1] - y, (level - height) / this.floor.side);
         if (away < best) {
           best = away;

@@ -28,7 +28,7 @@ export const FAR_HASH = "The view in the address lies outside of the scene. You 
 /** Return what to say when a source has given up. */
 export function explainFailure(message: string, code?: number): Message {
   const detail = message.slice(0, 1000);
-  if (code === 4) return { title: "This scene needs a token", text: "Enter the token that you got from whoever runs this server.", detail, token: true };
+  if (code === 4) return { title: "The server did not let this page in", text: "If it needs a token, enter the one that you got from whoever runs it.", detail, token: true };
   const known: Record<number, [string, string]> = {
     1: ["The server refused a message", "Viewer and server do not understand each other. Load the page again; it may come from an older server."],
     2: ["Viewer and server differ in version", "Load the page again without the cache, so that the viewer of this server is used."],

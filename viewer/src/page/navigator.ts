@@ -89,6 +89,11 @@ export class Navigator {
     else this.shown = { ...this.shown, reach };
   }
 
+  /** Whether a walker can stand there, give or take half a meter. */
+  canStandAt(eye: Vec3): boolean {
+    return distance(this.ground.nearest(eye), eye) < 0.5 * this.meter;
+  }
+
   setMode(mode: Mode): void {
     if (mode === this.mode) return;
     this.mode = mode;

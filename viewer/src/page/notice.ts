@@ -21,7 +21,7 @@ export class Notices {
   stop(message: Message): void {
     const parts: Node[] = [make("h2", {}, message.title), make("p", {}, message.text)];
     if (message.token) parts.push(this.tokenForm());
-    if (message.detail) parts.push(make("details", {}, make("summary", {}, "What the program said"), make("code", {}, message.detail)));
+    if (message.detail) parts.push(make("details", { open: message.token === true }, make("summary", {}, "What was said"), make("code", {}, message.detail)));
     if (message.retry) {
       const retry = make("button", { type: "button", class: "primary" }, "Try again");
       on(retry, "click", () => this.targets.retry());

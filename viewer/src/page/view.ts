@@ -201,9 +201,10 @@ export class ViewPage {
     this.views = this.settings.views;
     this.placed = true;
     this.focused = first.focused;
-    this.navigator.mode = first.mode;
+    const mode = first.mode === "walk" && !this.navigator.canStandAt(first.rig.eye) ? "fly" : first.mode;
+    this.navigator.mode = mode;
     this.navigator.place(first.rig);
-    this.setMode(first.mode);
+    this.setMode(mode);
     this.start = begin("", this.settings.views, this.navigator.frame, this.surroundings).rig;
     if (first.problem) this.notices.say(first.problem);
   }
@@ -229,6 +230,7 @@ export class ViewPage {
     }
     if (state.kind === "waiting") this.notices.say("The connection is lost. What has arrived stays; the rest comes when the server is back.", true);
     else if (this.notices.line.textContent?.startsWith("The connection is lost")) this.notices.say("Connected again.");
+    if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) this.notices.say(String(state.message));
     if (state.kind === "complete") void this.focus();
     if (state.kind === "complete") this.speak("All that can be seen from here has arrived.");
     this.look();
@@ -311,6 +313,7 @@ export class ViewPage {
     const view = this.views[index];
     if (!view) return;
     this.view = index;
+    if (this.navigator.mode === "walk" && !this.navigator.canStandAt(view.eye)) this.setMode("fly");
     this.navigator.flyTo(rigFromView(view, this.navigator.frame));
     this.speak(`View ${view.name ?? index + 1}`);
     this.actions.changed();
