@@ -10,7 +10,7 @@ import type { Place } from "./why-card.ts";
 
 export interface InspectorTargets {
   side: Side;
-  facts: Facts;
+  facts(): Facts;
   viewer(): ViewerLike | null;
   header(): Header | null;
   place(): Place;
@@ -27,7 +27,8 @@ export class Inspector {
   constructor(private readonly targets: InspectorTargets) {}
 
   async inspect(x: number, y: number): Promise<void> {
-    const { side, facts, speak } = this.targets;
+    const { side, speak } = this.targets;
+    const facts = this.targets.facts();
     const viewer = this.targets.viewer();
     const turn = ++this.asked;
     const pick = await viewer?.pick(x, y);

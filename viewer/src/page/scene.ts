@@ -4,14 +4,27 @@ import type { Pose, Source } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import type { Quat, Vec3 } from "./vector.ts";
 
+/** Where a scene is read from, and whether its server prepares it for streaming meanwhile. */
+export interface Located {
+  scene: SceneAddress;
+  preparing: boolean;
+}
+
 /** Return the address to read a scene from: a server has some scenes as streams and some as files. */
-export async function locate(scene: SceneAddress): Promise<SceneAddress> {
-  if (!scene.root || scene.kind === "static") return scene;
+export async function locate(scene: SceneAddress): Promise<Located> {
+  if (!scene.root) return { scene, preparing: false };
   const listed = await ask(scene.root);
   const rows = isFields(listed) && Array.isArray(listed.scenes) ? listed.scenes.filter(isFields) : [];
   const row = rows.find((each) => each.name === scene.name);
-  if (!row || typeof row.static !== "string" || typeof row.stream === "string") return scene;
-  return { ...scene, kind: "static", url: new URL(row.static, scene.root).href };
+  if (typeof row?.stream === "string") return { scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) }, preparing: false };
+  if (typeof row?.static !== "string") return { scene, preparing: false };
+  return { scene: { ...scene, kind: "static", url: new URL(row.static, scene.root).href }, preparing: row.preparing === true };
+}
+
+function streamUrl(path: string, root: string): string {
+  const url = new URL(path, root);
+  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+  return url.href;
 }
 
 /** Return the views that a static scene proposes; none for a stream. */

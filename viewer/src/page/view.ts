@@ -47,10 +47,10 @@ export class ViewPage {
   private canvas = make("canvas");
   private viewer: ViewerLike | null = null;
   private header: Header | null = null;
-  private readonly facts: Facts;
+  private facts: Facts;
   private surroundings: Surroundings = { floor: null, cells: null, poses: [] };
   private settings: Settings = { views: [], background: null };
-  private readonly ready: Promise<unknown>;
+  private ready: Promise<unknown>;
   private views: View[] = [];
   private view = 0;
   private placed = false;
@@ -76,10 +76,10 @@ export class ViewPage {
   private readonly drive: Drive;
   private readonly navigator: Navigator;
 
-  constructor(private readonly scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
+  constructor(private scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
     this.root = document.querySelector("main") ?? document.body.appendChild(make("main"));
     this.token = page.token;
-    this.facts = new Facts(scene.root && scene.kind === "stream" ? new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root).href : null);
+    this.facts = factsOf(scene);
     this.theme = new ThemeChoice(() => this.showBackground());
     this.notices = new Notices({ retry: () => this.restart(), token: (token) => this.restart((this.token = token)) });
     this.drive = new Drive({
@@ -90,7 +90,7 @@ export class ViewPage {
     });
     this.navigator = this.drive.navigator;
     this.inspector = new Inspector({
-      side: this.side, facts: this.facts, viewer: () => this.viewer, header: () => this.header,
+      side: this.side, facts: () => this.facts, viewer: () => this.viewer, header: () => this.header,
       place: () => ({ rig: this.navigator.shown, frame: this.navigator.frame }), speak: (text) => this.speak(text),
     });
     defineActions(this.actions, this.commands());
@@ -176,6 +176,15 @@ export class ViewPage {
     this.notices.clear();
     this.open();
     this.canvas.focus();
+  }
+
+  /** Show the same scene from elsewhere, such as a stream after it has been prepared; the view stays. */
+  change(scene: SceneAddress): void {
+    this.scene = scene;
+    this.facts = factsOf(scene);
+    this.ready = this.prepare();
+    this.restart();
+    this.notices.say("The scene is prepared: it is streamed from now on.");
   }
 
   private async takeHeader(viewer: ViewerLike): Promise<void> {
@@ -435,6 +444,11 @@ export class ViewPage {
     setTimeout(() => URL.revokeObjectURL(url), 10_000);
     this.notices.say("The picture is saved.");
   }
+}
+
+function factsOf(scene: SceneAddress): Facts {
+  const asks = scene.root !== null && scene.kind === "stream";
+  return new Facts(asks ? new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root ?? undefined).href : null);
 }
 
 function offersWebGL(): boolean {
