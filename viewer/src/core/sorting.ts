@@ -35,6 +35,7 @@ export class SortedScene {
   chunks = new Float32Array(8 * 256);
   levels = new Uint8Array(2 * 256);
   widest = new Uint16Array(256); // largest log-scale in each chunk so far
+  sizes = new Uint16Array(256); // Gaussians of each chunk that have arrived
   rowCount = 0;
   terms: Uint32Array = new Uint32Array(0);
   owners: Uint32Array = new Uint32Array(0);
@@ -99,11 +100,13 @@ export class SortedScene {
     const rows = batch.chunks.length / 8, total = batch.firstRow + rows;
     if (total > this.widest.length) {
       const room = Math.max(total, this.widest.length * 2);
-      const chunks = new Float32Array(8 * room), levels = new Uint8Array(2 * room), widest = new Uint16Array(room);
+      const chunks = new Float32Array(8 * room), levels = new Uint8Array(2 * room);
+      const widest = new Uint16Array(room), sizes = new Uint16Array(room);
       chunks.set(this.chunks);
       levels.set(this.levels);
       widest.set(this.widest);
-      Object.assign(this, { chunks, levels, widest });
+      sizes.set(this.sizes);
+      Object.assign(this, { chunks, levels, widest, sizes });
     }
     this.chunks.set(batch.chunks, 8 * batch.firstRow);
     this.levels.set(batch.chunkLevels, 2 * batch.firstRow);
@@ -119,6 +122,7 @@ export class SortedScene {
         ? Math.max(((a >>> 29) | (b << 3)) & 255, ((b >>> 26) | (c << 6)) & 255, (c >>> 23) & 255)
         : Math.max(a >>> 23, b >>> 23, c >>> 23);
       const row = rows[i];
+      this.sizes[row]++;
       if (s > widest[row]) {
         widest[row] = s;
         if (row < seen.length && seen[row] === 0) this.#camera = null;
@@ -230,31 +234,36 @@ export class SortedScene {
     this.#done = this.count;
   }
 
+  #reserveChunks(): void {
+    if (this.#classes.length >= this.rowCount) return;
+    const room = Math.ceil(this.rowCount * 1.25), classes = new Uint8Array(room), depths = new Float32Array(4 * room);
+    classes.set(this.#classes);
+    depths.set(this.#depths);
+    this.#classes = classes;
+    this.#depths = depths;
+  }
+
+  /** Make room for the Gaussians of all chunks that may be seen; keep what is found so far. */
   #reserve(): void {
-    if (this.#classes.length < this.rowCount) {
-      const room = Math.ceil(this.rowCount * 1.25), classes = new Uint8Array(room), depths = new Float32Array(4 * room);
-      classes.set(this.#classes);
-      depths.set(this.#depths);
-      this.#classes = classes;
-      this.#depths = depths;
-    }
-    if (this.#keys.length < this.count) {
-      const room = Math.ceil(this.count / PAGE) * PAGE, keys = new Uint32Array(room), places = new Uint32Array(room);
-      keys.set(this.#keys.subarray(0, this.#found));
-      places.set(this.#places.subarray(0, this.#found));
-      this.#keys = keys;
-      this.#places = places;
-      this.#within = new Uint32Array(room);
-    }
+    let most = 0;
+    for (let row = 0; row < this.rowCount; row++) if (this.#classes[row]) most += this.sizes[row];
+    if (this.#keys.length >= most) return;
+    const room = Math.ceil((most * 1.05) / 4096) * 4096, keys = new Uint32Array(room), places = new Uint32Array(room);
+    keys.set(this.#keys.subarray(0, this.#found));
+    places.set(this.#places.subarray(0, this.#found));
+    this.#keys = keys;
+    this.#places = places;
+    this.#within = new Uint32Array(room);
   }
 
   /** Return the places of what may be seen, farthest first, and their number; `room` is used if it is large enough. */
   sort(camera: Camera, region: Region, room: Uint32Array | null, unit = 2048): { order: Uint32Array; count: number } {
     const old = this.#camera, same = old !== null && sameCamera(old, camera) && sameRegion(this.#region, region);
-    this.#reserve();
+    this.#reserveChunks();
     if (!same) this.#found = this.#done = 0;
     this.#classify(camera, region, same ? this.#classed : 0);
     this.#classed = this.rowCount;
+    this.#reserve();
     this.#collect(this.#done);
     this.#camera = camera;
     this.#region = region;
@@ -286,7 +295,7 @@ export class SortedScene {
 
   /** Call `visit` for all Gaussians that may be seen in a region: its record, the index in it, chunk and place. */
   each(camera: Camera, region: Region, visit: (records: Uint32Array, i: number, row: number, place: number) => void): void {
-    this.#reserve();
+    this.#reserveChunks();
     this.#camera = null;
     this.#classify(camera, region, 0);
     for (let place = 0; place < this.count; place++) {
@@ -344,6 +353,8 @@ export class SortedScene {
       this.count += 1;
     }
     this.rowCount = rows;
+    this.sizes.fill(0);
+    for (let place = 0; place < this.count; place++) this.sizes[this.pages[Math.floor(place / PAGE)].rows[place % PAGE]]++;
     let kept = 0;
     for (let t = 0; t < this.termCount; t++) {
       if (this.placeOf(this.owners[t]) < 0) continue;

@@ -396,7 +396,8 @@ export class Viewer extends EventTarget {
   /** Have everything sorted for the camera, unless the last order will do. */
   #order(camera: Camera, least = 0.02): boolean {
     const last = this.#sorted;
-    if (!this.#store || this.#waiting) return true;
+    if (this.#waiting) return false;
+    if (!this.#store) return true;
     const turned = last ? angleBetween(last.camera, camera) : 0;
     const still = last !== null && sameCamera(last.camera, camera);
     const slack = still ? last.region.right - camera.width : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
