@@ -436,7 +436,7 @@ Command = (
     | Prepare
     | Verify
     | Unpack
-    | Serve
     | View
+    | Serve
     | Simulate
 )
