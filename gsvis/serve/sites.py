@@ -27,6 +27,7 @@ SCENE = "scene.json"
 _FORMAT = "gsvis-static"
 _MOST_JSON = 64 << 20
 _PIECE = 256 << 10  # bytes read and sent at a time
+_HASHED = re.compile(r"-[0-9a-f]{16}\.bin$")  # such a file never changes
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
 
@@ -66,10 +67,8 @@ class Site:
     @property
     def gaussians(self) -> int | None:
         """Number of Gaussians; None if `scene.json` does not say."""
-        for fields in (self.about, self.about.get("header")):
-            if isinstance(fields, dict) and isinstance(fields.get("gaussians"), int):
-                return int(fields["gaussians"])
-        return None
+        found = self.about.get("gaussians")
+        return found if isinstance(found, int) else None
 
     async def respond(self, request: Request, name: str, *, private: bool) -> Response:
         """Answer a GET or HEAD request for a file, whole or a range.
@@ -99,7 +98,8 @@ class Site:
         state = os.fstat(source.fileno())
         tag = f'"{state.st_mtime_ns:x}-{state.st_size:x}"'
         headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
-        headers["cache-control"] = "private, no-cache" if private else "no-cache"
+        whose = "private" if private else "public"
+        headers["cache-control"] = f"{whose}, max-age=31536000, immutable" if _HASHED.search(name) else "no-cache"
         kind = "application/json" if name.endswith(".json") else "application/octet-stream"
         if tag in [given.strip() for given in request.headers.get("if-none-match", "").split(",")]:
             source.close()
@@ -134,8 +134,6 @@ async def _pieces(source: BinaryIO, start: int, stop: int) -> AsyncIterator[byte
 
 
 def _names(files: Any) -> list[str]:
-    """Return the names in the list or the table of files of `scene.json`."""
-    if isinstance(files, dict):
-        return [str(name) for name in files]
-    rows = files if isinstance(files, list) else []
-    return [str(row["name"] if isinstance(row, dict) and "name" in row else row) for row in rows]
+    """Return the names of the files in `scene.json`, by what they hold."""
+    rows = files.values() if isinstance(files, dict) else ()
+    return [str(row["name"]) for row in rows if isinstance(row, dict) and "name" in row]

@@ -153,7 +153,7 @@ def test_a_request_that_fails_costs_one_line(
         return status == 500 and b"inside" not in body
 
     def fails_over_a_socket(server: Server) -> bool:
-        with raw(server) as ws:
+        with raw(server, b"") as ws:
             return close_code(ws) == 1011 and "inside" not in (ws.close_reason or "")
 
     with caplog.at_level(logging.INFO), serving(plain) as server:

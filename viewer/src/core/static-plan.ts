@@ -142,7 +142,7 @@ export function slice(blocks: Blocks, order: Order, from: number, held: Holdings
     const states = kind ? held.terms : held.records;
     let last: Run | null = null;
     for (const b of chosen[kind].sort((p, q) => p - q)) {
-      if (last !== null && joins(blocks, last, b, states, gap, bytesEach)) {
+      if (last !== null && joins(blocks, last, b, held, gap, bytesEach)) {
         for (let k = last.end; k < b; k++) states[k] = ASKED;
         last.end = b + 1;
       } else {
@@ -154,11 +154,13 @@ export function slice(blocks: Blocks, order: Order, from: number, held: Holdings
   return { runs, next };
 }
 
-function joins(blocks: Blocks, run: Run, block: number, states: Uint8Array, gap: number, bytesEach: number): boolean {
+function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number, bytesEach: number): boolean {
   const between = run.terms
     ? blocks.termStart![block] - blocks.termStart![run.end]
     : (blocks.start[block] - blocks.start[run.end]) * bytesEach;
   if (between > gap) return false;
-  for (let k = run.end; k < block; k++) if (states[k] !== NONE) return false;
+  for (let k = run.end; k < block; k++) {
+    if (run.terms ? held.terms[k] !== NONE || (held.records[k] !== HELD && held.records[k] !== ASKED) : held.records[k] !== NONE) return false;
+  }
   return true;
 }
