@@ -29,6 +29,7 @@ ROOMS = (
     "abr",
     "stream",
     "simulate",
+    "export",
     "serve",
     "report",
     "cli",

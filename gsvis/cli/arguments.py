@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
     BOX,
@@ -67,6 +68,7 @@ __all__ = [
     "Train",
     "Unpack",
     "Verify",
+    "View",
 ]
 
 
@@ -434,6 +436,7 @@ Command = (
     | Prepare
     | Verify
     | Unpack
+    | View
     | Serve
     | Simulate
 )

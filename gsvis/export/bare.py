@@ -1,0 +1,132 @@
+"""Round a bare scene to records: Gaussians that were never prepared, of SH degree 0 to 3.
+
+Geometry and the constant color become the records of a package. Higher harmonics become bytes between a low and a high
+end for each coefficient. Ends hold all but a few values in ten thousand and make zero exact; the rest is clipped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color import grids as tables
+from gsvis.color.records import PRECISIONS, Grids
+from gsvis.package.codec import ChunkTable, build_chunks, encode_records
+from gsvis.package.layout import RecordLayout
+from gsvis.package.order import PackageOrder
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.sh import SH_C0
+
+__all__ = ["BareScene", "Harmonics", "encode_scene"]
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+I64 = NDArray[np.int64]
+
+ZERO = 128
+"""The byte that stands for 0."""
+
+_SAMPLE = 1 << 16  # Gaussians from which the ends of coefficients are found
+_TAIL = 2e-4  # share of these that lie beyond the ends
+_ROWS = 1 << 15
+
+
+@dataclass(frozen=True, eq=False)
+class Harmonics:
+    """Ends of K coefficients, the same for R, G and B.
+
+    Attributes:
+        degree: 1 to 3.
+        high: (K,) what byte 255 stands for; byte 128 is 0 and byte 0 is -128/127 of it.
+    """
+
+    degree: int
+    high: F32
+
+    @classmethod
+    def from_coefficients(cls, coefficients: F32, degree: int) -> Harmonics:
+        """Return the ends for coefficients (N, K, 3)."""
+        some = np.abs(coefficients[:: max(1, len(coefficients) // _SAMPLE)])
+        high = np.quantile(some, 1.0 - _TAIL, axis=(0, 2), method="higher")
+        return cls(degree, np.maximum(high, 1e-6).astype(np.float32))
+
+    @property
+    def low(self) -> F32:
+        """(K,) what byte 0 stands for."""
+        return np.asarray(self.high.astype(np.float64) * -(ZERO / (255.0 - ZERO)), np.float32)
+
+    def encode(self, coefficients: F32, ids: I64) -> U8:
+        """Return (M, 3 K) uint8, the coefficients (N, K, 3) of ids (M,): for each coefficient R, G, B."""
+        k = len(self.high)
+        out = np.empty((len(ids), k, 3), np.uint8)
+        factors = ((255 - ZERO) / self.high)[:, None]
+        for start in range(0, len(ids), _ROWS):
+            some = coefficients[ids[start : start + _ROWS]] * factors
+            np.rint(some, out=some)
+            out[start : start + _ROWS] = np.clip(some + np.float32(ZERO), 0, 255)
+        return out.reshape(len(ids), 3 * k)
+
+    def decode(self, data: U8) -> F32:
+        """Return (M, K, 3) coefficients of bytes (M, 3 K)."""
+        low, high = self.low.astype(np.float64), self.high.astype(np.float64)
+        places = data.reshape(len(data), len(self.high), 3) / 255.0
+        return np.asarray(low[:, None] + places * (high - low)[:, None], np.float32)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return degree and ends, ready for JSON."""
+        return {"degree": self.degree, "low": self.low.tolist(), "high": self.high.tolist()}
+
+
+@dataclass(frozen=True, eq=False)
+class BareScene:
+    """N Gaussians as records, in the order of a package.
+
+    Attributes:
+        ids: (N,) place of each Gaussian in the scene.
+        gaussians: The Gaussians in this order, without harmonics.
+        table: Chunks.
+        chunk_levels: (C, 2) first and last level of each chunk.
+        records: (N, 16) uint8.
+        grids: Tables of the base colors.
+        harmonics: Ends of the higher coefficients; None in degree 0.
+    """
+
+    ids: I64
+    gaussians: Gaussians
+    table: ChunkTable
+    chunk_levels: U8
+    records: U8
+    grids: Grids
+    harmonics: Harmonics | None
+
+
+def encode_scene(levels: Levels) -> BareScene:
+    """Return the records of levels of a scene; a scene without levels is one."""
+    union = levels.union
+    order = PackageOrder.from_levels(levels)
+    ids = order.permutation
+    g = Gaussians(union.means[ids], union.quats[ids], union.scales[ids], union.opacities[ids], union.sh0[ids])
+    layout = RecordLayout.from_variant("rgb")
+    table = build_chunks(g, layout, starts=order.chunks)
+    heads = ids[table.starts[:-1]]
+    grids, places = _base_colors(g.sh0[:, 0])
+    degree = union.sh_degree
+    return BareScene(
+        ids, g, table, np.stack([levels.first[heads], levels.last[heads]], axis=1),
+        encode_records(g, places, table, layout), grids,
+        Harmonics.from_coefficients(union.shN, degree) if degree else None,
+    )  # fmt: skip
+
+
+def _base_colors(sh0: F32) -> tuple[Grids, U8]:
+    """Return the tables for constant coefficients (N, 3), and the (N, 3) places of their colors."""
+    rgb = (0.5 + SH_C0 * sh0.astype(np.float64)).astype(np.float32)
+    low, high = rgb.min(axis=0).tolist(), rgb.max(axis=0).tolist()
+    base = (low[0], high[0]), (low[1], high[1]), (low[2], high[2])
+    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
+    places = [tables.nearest(rgb[:, k], grids.base_table(k)) for k in range(3)]
+    return grids, np.stack(places, axis=1).astype(np.uint8)

@@ -1,0 +1,134 @@
+"""Rows of the cells of a static scene: for each cell the blocks that it sees, and how much each counts there.
+
+A row is a bitmap of blocks, lowest bit first; a byte for the gain of each block in it; and, where the scene has active
+terms, a byte for the share of the block's terms that are active in the cell. A scene without visible sets has one cell
+that sees everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.abr.index import extents
+from gsvis.export.blocks import GAIN_STEPS, Blocks, quantize_gains
+from gsvis.package.package import Package
+from gsvis.progress import Progress
+from gsvis.pvs.cells import CellGrid
+from gsvis.scene.gaussians import Gaussians
+from gsvis.stream.scene import class_weights
+
+__all__ = ["CellRows", "rows_of_package", "rows_of_scene"]
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+GRID_ROW = np.dtype([("box", "<u4", 3), ("bytes", "<u4")])
+"""Type of a row of `grid`: the box of a cell, and the bytes of its row in `cells`."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellRows:
+    """The cells of a scene, as written.
+
+    Attributes:
+        grid: The cells; None for one cell that sees everything.
+        top: Quarters of an octave of the gain that byte 255 stands for.
+        active: Whether rows have shares of active terms.
+        rows: The row of each cell.
+    """
+
+    grid: CellGrid | None
+    top: int
+    active: bool
+    rows: tuple[bytes, ...]
+
+    def index(self) -> NDArray[np.void]:
+        """Return (C,) of `GRID_ROW`."""
+        out = np.zeros(len(self.rows), GRID_ROW)
+        out["box"] = 0 if self.grid is None else self.grid.coords
+        out["bytes"] = [len(row) for row in self.rows]
+        return out
+
+
+def rows_of_scene(g: Gaussians, blocks: Blocks) -> CellRows:
+    """Return one row with all blocks; a Gaussian counts by its opacity times its mean cross-section."""
+    gains = blocks.sums(np.arange(len(g)), _areas(g) * g.opacities)
+    top = _top(gains)
+    return CellRows(None, top, False, (_row(gains, top, np.ones(len(blocks), np.bool_)),))
+
+
+def rows_of_package(package: Package, g: Gaussians, blocks: Blocks, progress: Progress) -> CellRows:
+    """Return a row for each cell; a Gaussian counts by its weight in the cell times its mean cross-section.
+
+    Args:
+        package: A package.
+        g: Its decoded Gaussians.
+        blocks: Its blocks.
+        progress: Called with stage "sets", in cells.
+    """
+    if package.manifest.visibility is None:
+        return rows_of_scene(g, blocks)
+    sets, areas, weights = package.visibility, _areas(g), class_weights(package.visibility)
+    top = _top(blocks.sums(np.arange(len(g)), areas))
+    shares = None if package.manifest.active_terms is None else _shares(package, blocks)
+    rows = []
+    progress("sets", 0, len(sets))
+    for cell in range(len(sets)):
+        ids, classes = sets.classes(cell)
+        gains = blocks.sums(ids, areas[ids] * weights[classes])
+        seen = np.bincount(blocks.of_ids[ids], minlength=len(blocks)) > 0
+        rows.append(_row(gains, top, seen) + (b"" if shares is None else shares(cell)[seen].tobytes()))
+        progress("sets", cell + 1, len(sets))
+    return CellRows(sets.grid, top, shares is not None, tuple(rows))
+
+
+def _shares(package: Package, blocks: Blocks) -> Callable[[int], U8]:
+    """Return a function of a cell: (B,) share of the terms of each block that are active there, in 255ths."""
+    contents, active = package.contents, package.active_terms
+    owners = np.repeat(blocks.of_ids, contents.term_counts)
+    totals = np.maximum(np.bincount(owners, minlength=len(blocks)), 1)
+
+    def shares(cell: int) -> U8:
+        found = np.bincount(owners[active.active_ids(cell)], minlength=len(blocks))
+        return np.ceil(found * 255 / totals).astype(np.uint8)
+
+    return shares
+
+
+def _row(gains: F64, top: int, seen: NDArray[np.bool_]) -> bytes:
+    return np.packbits(seen, bitorder="little").tobytes() + quantize_gains(gains[seen], top).tobytes()
+
+
+def _areas(g: Gaussians) -> F64:
+    """Return (N,) mean cross-sections, none so large that sums overflow."""
+    return np.minimum(extents(g)[1].astype(np.float64), 1e30)
+
+
+def _top(gains: F64) -> int:
+    return int(np.ceil(GAIN_STEPS * np.log2(max(gains.max(initial=0.0), 1e-300))))
+
+
+def replaced_rows(offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64]) -> bytes:
+    """Return the content of `replaced`: for each block of Gaussians that end below the highest level, what replaces them.
+
+    Args:
+        offsets: (N + 1,) of `gsvis.abr.index.nearest_replacements`.
+        ids: Their replacements.
+        blocks: The blocks.
+        ending: (E,) blocks whose Gaussians end below the highest level, ascending.
+    """
+    rows = list(_replaced(offsets, ids, blocks, ending))
+    ends = 4 * (len(rows) + 1) + np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    return ends.astype("<u4").tobytes() + b"".join(rows)
+
+
+def _replaced(
+    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64]
+) -> Iterator[bytes]:
+    for block in ending.tolist():
+        members = blocks.order[blocks.starts[block] : blocks.starts[block + 1]].tolist()
+        lists = [np.unique(blocks.of_ids[ids[offsets[g] : offsets[g + 1]]])[:255] for g in members]
+        yield bytes(len(each) for each in lists) + np.concatenate(lists).astype("<u4").tobytes()

@@ -1,0 +1,354 @@
+"""Write the static form of a scene: files that a page reads by ranges of bytes, from any file server.
+
+docs/static.md describes the files to the byte. The names of the data files hold the hash of their content, so they never
+change and may be cached for ever. `scene.json` names them and is written last: a reader sees the old scene or the new
+one. The same scene gives the same files; a killed run resumes, as files that are whole are not written again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.abr.index import nearest_replacements
+from gsvis.color.records import Grids
+from gsvis.errors import FormatError
+from gsvis.export.bare import BareScene, encode_scene
+from gsvis.export.blocks import BLOCK, Blocks
+from gsvis.export.cells import CellRows, replaced_rows, rows_of_package, rows_of_scene
+from gsvis.export.start import Start, start_poses
+from gsvis.files.atomic import atomic_path, remove_all_partials
+from gsvis.files.limits import digest_of, read_whole
+from gsvis.package.codec import ChunkTable
+from gsvis.package.layout import RECORD_BYTES, TermLayout
+from gsvis.package.package import Package
+from gsvis.progress import Progress, silent
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+
+__all__ = ["FORMAT", "SCENE", "VERSION", "StaticFile", "StaticOptions", "StaticScene", "check_target", "write_static"]
+
+U8 = NDArray[np.uint8]
+
+FORMAT, VERSION = "gsvis-static", 1
+SCENE = "scene.json"
+KINDS = ("chunks", "grid", "cells", "records", "blocks", "terms", "replaced", "harmonics")
+"""Files of a scene besides `scene.json`, in the order in which a page needs them."""
+
+REACH = 8
+"""Steps of 1/64 octave of a chunk's largest standard deviation."""
+
+CHUNK_ROW = np.dtype(
+    [
+        ("origin", "<f4", 3), ("step", "<f4", 3), ("low", "<i2"), ("count", "<u2"), ("stride", "u1"),
+        ("first_level", "u1"), ("last_level", "u1"), ("reach", "u1"),
+    ]
+)  # fmt: skip
+"""Type of a row of `chunks`, 32 bytes: as on the wire, and a bound of the largest standard deviation."""
+
+_OURS = re.compile(rf"(?:{'|'.join(KINDS)})-[0-9a-f]{{16}}\.bin")
+_MOST_JSON = 16 << 20
+
+
+@dataclass(frozen=True)
+class StaticFile:
+    """A data file.
+
+    Attributes:
+        name: Its name, with the first digits of the hash.
+        nbytes: Its size.
+        sha256: Hash of its content, 64 hexadecimal digits.
+    """
+
+    name: str
+    nbytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class StaticOptions:
+    """What a static scene says beside its Gaussians.
+
+    Attributes:
+        name: Name for people.
+        up: (3,) axis that points upwards; None means that of the package, or +z.
+        meters_per_unit: Meters in a scene unit, 0 if unknown; None means that of the package, or 0.
+        poses: Views to begin with, the first one at the start; None finds some.
+
+    Raises:
+        ValueError: If a number is out of its range.
+    """
+
+    name: str = "scene"
+    up: tuple[float, float, float] | None = None
+    meters_per_unit: float | None = None
+    poses: tuple[Start, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.up is not None:
+            _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))
+        if self.meters_per_unit is not None and not 0.0 <= self.meters_per_unit < np.inf:
+            raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
+
+
+@dataclass(frozen=True)
+class StaticScene:
+    """What `write_static` wrote.
+
+    Attributes:
+        path: The folder.
+        files: The data files by what they hold, a part of `KINDS`.
+        gaussians: N, the number of Gaussians.
+        terms: T, the number of terms.
+        blocks: Number of blocks.
+        cells: Number of cells, 1 without visible sets.
+        sh_degree: Degree of the harmonics, 0 for a package.
+    """
+
+    path: Path
+    files: dict[str, StaticFile] = field(repr=False)
+    gaussians: int
+    terms: int
+    blocks: int
+    cells: int
+    sh_degree: int
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all data files."""
+        return sum(file.nbytes for file in self.files.values())
+
+
+def write_static(
+    folder: str | PathLike[str],
+    scene: Package | Levels | Gaussians,
+    options: StaticOptions | None = None,
+    *,
+    progress: Progress = silent,
+) -> StaticScene:
+    """Write the static form of a package or of a bare scene.
+
+    Args:
+        folder: Folder of the scene. An older scene in it is replaced when the new one is complete.
+        scene: A package; or Gaussians or levels of any SH degree, which are rounded to records here.
+        options: Name, frame, views to begin with; None means `StaticOptions()`.
+        progress: Called with stages "order", "sets" and "export".
+
+    Raises:
+        ValueError: If the scene is empty.
+        FormatError: If the folder holds something else, or the package is damaged.
+        OSError: If the folder cannot be written.
+    """
+    target, said = _check.path("folder", folder), options or StaticOptions()
+    check_target(target)
+    parts = _package_parts(scene, progress) if isinstance(scene, Package) else _bare_parts(scene, progress)
+    if parts.blocks.starts[-1] == 0:
+        raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
+    target.mkdir(parents=True, exist_ok=True)
+    remove_all_partials(target)
+    files, contents = {}, parts.contents
+    progress("export", 0, len(contents))
+    for k, (kind, data) in enumerate(contents.items()):
+        files[kind] = _keep(target, kind, data)
+        progress("export", k + 1, len(contents))
+    document = _document(parts, files, said)
+    with atomic_path(target / SCENE) as partial:
+        partial.write_bytes(json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode())
+    _remove_others(target, files)
+    degree = 0 if parts.harmonics is None else parts.harmonics["degree"]
+    return StaticScene(
+        target, files, document["gaussians"], document["terms"], len(parts.blocks), document["cells"]["count"], degree
+    )
+
+
+def check_target(target: Path) -> None:
+    """Raise unless a static scene may be written to a folder.
+
+    Raises:
+        FormatError: If the path holds something else.
+    """
+    if target.exists() and not target.is_dir():
+        raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
+    if not target.is_dir():
+        return
+    others = sorted(p.name for p in target.iterdir() if not _OURS.fullmatch(p.name) and p.name[:1] != ".")
+    if others and not is_static(target):
+        raise FormatError(target, "", "a static scene or an empty folder", f"{others[0]!r}", "choose another name")
+
+
+def is_static(folder: Path) -> bool:
+    """Return whether a folder holds a static scene."""
+    with suppress(OSError, ValueError, FormatError, RecursionError):
+        found = json.loads(read_whole(folder / SCENE, _MOST_JSON))
+        return isinstance(found, dict) and found.get("format") == FORMAT
+    return False
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """The content of a scene before it is written."""
+
+    blocks: Blocks
+    cells: CellRows
+    contents: dict[str, Any]
+    grids: Grids
+    levels: tuple[tuple[str, int], ...]
+    chunks: int
+    terms: int
+    harmonics: dict[str, Any] | None
+    bounds: NDArray[np.float64]
+    up: tuple[float, ...] = (0.0, 0.0, 1.0)
+    meters_per_unit: float = 0.0
+
+
+def _package_parts(package: Package, progress: Progress) -> _Parts:
+    contents, manifest = package.contents, package.manifest
+    blocks = Blocks.from_chunks(contents.table, contents.chunk_levels)
+    g = contents.gaussians()
+    cells = rows_of_package(package, g, blocks, progress)
+    data: dict[str, Any] = {
+        "chunks": _chunk_rows(contents.table, contents.chunk_levels, g),
+        "grid": cells.index(),
+        "cells": b"".join(cells.rows),
+        "records": contents.records[blocks.order],
+    }
+    if manifest.terms:
+        counts = contents.term_counts[blocks.order]
+        data["blocks"] = np.add.reduceat(counts, blocks.starts[:-1], dtype=np.int64).astype("<u2")
+        data["terms"] = _term_bytes(contents.term_records, contents.term_offsets, counts, blocks)
+    ending = np.flatnonzero(contents.chunk_levels[blocks.chunks, 1] < len(manifest.names) - 1)
+    if len(ending):
+        replacements = nearest_replacements(Levels(g, contents.first, contents.last, contents.names))
+        data["replaced"] = replaced_rows(*replacements, blocks, ending)
+    levels = tuple(zip(manifest.names, manifest.counts, strict=True))
+    return _Parts(
+        blocks, cells, data, manifest.grids, levels, len(contents.table), manifest.terms, None, g.bounds(0.9),
+        manifest.info.up, manifest.info.meters_per_unit,
+    )  # fmt: skip
+
+
+def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
+    if len(scene.union if isinstance(scene, Levels) else scene) == 0:
+        raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
+    levels = scene if isinstance(scene, Levels) else Levels.single(scene)
+    progress("order", 0, 1)
+    found: BareScene = encode_scene(levels)
+    progress("order", 1, 1)
+    blocks = Blocks.from_chunks(found.table, found.chunk_levels)
+    ids, g = found.ids[blocks.order], found.gaussians
+    cells = rows_of_scene(g, blocks)
+    data: dict[str, Any] = {
+        "chunks": _chunk_rows(found.table, found.chunk_levels, g),
+        "grid": cells.index(),
+        "cells": b"".join(cells.rows),
+        "records": found.records[blocks.order],
+    }
+    ending = np.flatnonzero(found.chunk_levels[blocks.chunks, 1] < len(levels) - 1)
+    if len(ending):
+        placed = Levels(g, levels.first[found.ids], levels.last[found.ids], levels.names)
+        data["replaced"] = replaced_rows(*nearest_replacements(placed), blocks, ending)
+    harmonics = found.harmonics
+    if harmonics is not None:
+        data["harmonics"] = harmonics.encode(levels.union.shN, ids)
+    counts = tuple(zip(levels.names, levels.counts, strict=True))
+    said = None if harmonics is None else harmonics.as_dict()
+    return _Parts(blocks, cells, data, found.grids, counts, len(found.table), 0, said, g.bounds(0.9))
+
+
+def _chunk_rows(table: ChunkTable, levels: U8, g: Gaussians) -> NDArray[np.void]:
+    rows = np.zeros(len(table), CHUNK_ROW)
+    largest = np.maximum.reduceat(g.scales.max(axis=1), table.starts[:-1]) if len(table) else np.zeros(0)
+    logs = np.ceil(64.0 * np.log2(np.maximum(largest.astype(np.float64), 1e-38)) - 1e-3)
+    for name, values in (
+        ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
+        ("stride", table.strides), ("first_level", levels[:, 0]), ("last_level", levels[:, 1]),
+        ("reach", np.clip(np.ceil((logs - table.lows) / REACH), 0, 255)),
+    ):  # fmt: skip
+        rows[name] = values
+    return rows
+
+
+def _term_bytes(records: U8, offsets: NDArray[np.int64], counts: U8, blocks: Blocks) -> U8:
+    """Return, block by block, the number of terms of each Gaussian, a byte each, and then their records."""
+    n, width = len(counts), records.shape[1]
+    before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+    out = np.empty(n + width * int(before[-1]), np.uint8)
+    block_of = np.repeat(np.arange(len(blocks)), blocks.counts)
+    heads = blocks.starts[:-1] + width * before[blocks.starts[:-1]]  # where the bytes of each block begin
+    out[heads[block_of] + np.arange(n) - blocks.starts[block_of]] = counts
+    sent = np.repeat(offsets[blocks.order] - before[:-1], counts) + np.arange(before[-1])  # term at each place
+    owner = np.repeat(block_of, counts)
+    to = heads[owner] + blocks.counts[owner] + width * (np.arange(before[-1]) - before[blocks.starts[owner]])
+    for byte in range(width):
+        out[to + byte] = records[sent, byte]
+    return out
+
+
+def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
+    """Write a data file atomically, unless it is there."""
+    whole = memoryview(data if isinstance(data, bytes) else np.ascontiguousarray(data).reshape(-1).view(np.uint8))
+    digest = hashlib.sha256(whole).hexdigest()
+    file = StaticFile(f"{kind}-{digest[:16]}.bin", whole.nbytes, digest)
+    target = folder / file.name
+    with suppress(OSError, FormatError):
+        if target.stat().st_size == file.nbytes and digest_of(target) == digest:
+            return file
+    with atomic_path(target, sweep=False) as partial:
+        partial.write_bytes(whole)
+    return file
+
+
+def _remove_others(folder: Path, files: dict[str, StaticFile]) -> None:
+    kept = {file.name for file in files.values()}
+    for path in folder.iterdir():
+        if _OURS.fullmatch(path.name) and path.name not in kept:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOptions) -> dict[str, Any]:
+    layout, grid = TermLayout.from_grids(parts.grids), parts.cells.grid
+    up = parts.up if options.up is None else options.up
+    named = [files[kind].sha256 for kind in sorted(files)]
+    poses = start_poses(parts.bounds, grid, up) if options.poses is None else options.poses
+    spelled = json.dumps([named, asdict(parts.grids), parts.levels, parts.harmonics], sort_keys=True)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": options.name,
+        "gaussians": int(parts.blocks.starts[-1]),
+        "terms": parts.terms,
+        "chunks": parts.chunks,
+        "blocks": len(parts.blocks),
+        "block_gaussians": BLOCK,
+        "levels": [{"name": name, "count": int(count)} for name, count in parts.levels],
+        "record_bytes": RECORD_BYTES,
+        "term_bits": int(layout.widths.sum()),
+        "term_bytes": layout.nbytes,
+        "colors": asdict(parts.grids),
+        "harmonics": parts.harmonics,
+        "up": [float(v) for v in up],
+        "meters_per_unit": parts.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit,
+        "identity": hashlib.sha256(spelled.encode()).hexdigest(),
+        "cells": {
+            "count": len(parts.cells.rows),
+            "origin": [0.0, 0.0, 0.0] if grid is None else [float(v) for v in grid.origin],
+            "size": 0.0 if grid is None else grid.cell_size,
+            "gain_top": parts.cells.top,
+            "active": parts.cells.active,
+        },
+        "poses": [pose.as_dict() for pose in poses],
+        "files": {
+            kind: {"name": f.name, "bytes": f.nbytes, "sha256": f.sha256} for kind, f in sorted(files.items())
+        },
+    }

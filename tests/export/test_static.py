@@ -1,0 +1,304 @@
+"""The static form of a scene, read back by a reader of this file alone, as docs/static.md describes it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsvis.errors import FormatError
+from gsvis.export import StaticOptions, write_static
+from gsvis.export.bare import Harmonics
+from gsvis.export.static import CHUNK_ROW
+from gsvis.package import ChunkTable, Package, RecordLayout, decode_records
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import random_scene
+from gsvis.scene.sh import SH_C0
+from tests.package.worlds import levels_of
+from tests.stream.worlds import package_of
+
+
+class Reader:
+    """A scene read by the rules of docs/static.md."""
+
+    def __init__(self, folder: Path) -> None:
+        self.scene = json.loads((folder / "scene.json").read_bytes())
+        self.data: dict[str, bytes] = {}
+        for kind, file in self.scene["files"].items():
+            self.data[kind] = data = (folder / file["name"]).read_bytes()
+            assert len(data) == file["bytes"]
+            assert hashlib.sha256(data).hexdigest() == file["sha256"]
+            assert file["name"] == f"{kind}-{file['sha256'][:16]}.bin"
+        self.chunks = np.frombuffer(self.data["chunks"], CHUNK_ROW)
+        self.blocks: list[tuple[int, int, int]] = []  # chunk, first id, count
+        starts = np.concatenate([[0], np.cumsum(self.chunks["count"].astype(int))])
+        pairs = [(int(c["first_level"]), int(c["last_level"])) for c in self.chunks]
+        low = 0
+        while low < len(pairs):
+            high = low
+            while high < len(pairs) and pairs[high] == pairs[low]:
+                high += 1
+            for stratum in range(4):
+                for chunk in range(low, high):
+                    count = min(64, int(self.chunks["count"][chunk]) - 64 * stratum)
+                    if count > 0:
+                        self.blocks.append((chunk, int(starts[chunk]) + 64 * stratum, count))
+            low = high
+        self.starts = np.concatenate([[0], np.cumsum([count for _, _, count in self.blocks])])
+
+    @property
+    def ids(self) -> np.ndarray:
+        return np.concatenate([np.arange(first, first + count) for _, first, count in self.blocks])
+
+    def records(self) -> np.ndarray:
+        """Records by id."""
+        found = np.frombuffer(self.data["records"], np.uint8).reshape(-1, 16)
+        out = np.empty_like(found)
+        out[self.ids] = found
+        return out
+
+    def terms(self) -> list[bytes]:
+        """Records of terms by id."""
+        out: list[bytes] = [b""] * self.scene["gaussians"]
+        width, at = self.scene["term_bytes"], 0
+        for (_, first, count), terms in zip(self.blocks, np.frombuffer(self.data["blocks"], "<u2"), strict=True):
+            counts, at = self.data["terms"][at : at + count], at + count
+            assert sum(counts) == terms
+            for k, number in enumerate(counts):
+                out[first + k], at = self.data["terms"][at : at + width * number], at + width * number
+        assert at == len(self.data["terms"])
+        return out
+
+    def cells(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
+        """Visible blocks, gains and shares of active terms of each cell."""
+        grid = np.frombuffer(self.data["grid"], "<u4").reshape(-1, 4)
+        out, at, bits = [], 0, -(-len(self.blocks) // 8)
+        for row in grid:
+            data, at = self.data["cells"][at : at + row[3]], at + int(row[3])
+            seen = np.flatnonzero(np.unpackbits(np.frombuffer(data[:bits], np.uint8), bitorder="little"))
+            gains = 2.0 ** ((np.frombuffer(data[bits : bits + len(seen)], np.uint8) - 255.0 + self.top) / 4)
+            rest = data[bits + len(seen) :]
+            shares = np.frombuffer(rest, np.uint8) / 255 if self.scene["cells"]["active"] else None
+            assert len(rest) == (0 if shares is None else len(seen))
+            out.append((seen, gains, shares))
+        assert at == len(self.data["cells"])
+        return out
+
+    @property
+    def top(self) -> int:
+        return int(self.scene["cells"]["gain_top"])
+
+    def table(self) -> ChunkTable:
+        c = self.chunks
+        return ChunkTable(*(np.ascontiguousarray(c[k]) for k in ("origin", "step", "low", "stride", "count")))
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Iterator[Package]:
+    with package_of(tmp_path / "s.gsvis", 700) as made:
+        yield made
+
+
+def test_a_package_reads_back_record_by_record(package: Package, tmp_path: Path) -> None:
+    made = write_static(tmp_path / "out", package, StaticOptions(name="two rooms"))
+    read, contents = Reader(tmp_path / "out"), package.contents
+    assert sorted(read.ids) == list(range(700))
+    assert np.array_equal(read.records(), contents.records)
+    offsets, terms = contents.term_offsets, read.terms()
+    for k in range(700):
+        assert terms[k] == contents.term_records[offsets[k] : offsets[k + 1]].tobytes()
+    assert np.array_equal(np.stack([read.chunks["first_level"], read.chunks["last_level"]], 1), contents.chunk_levels)
+    assert (read.scene["name"], read.scene["up"]) == ("two rooms", [0, -1, 0])
+    assert made.nbytes == sum(len(data) for data in read.data.values())
+    assert (made.gaussians, made.terms, made.blocks) == (700, len(contents.term_records), len(read.blocks))
+
+
+def test_no_gaussian_of_a_chunk_reaches_further_than_it_says(package: Package, tmp_path: Path) -> None:
+    write_static(tmp_path / "out", package)
+    read, g = Reader(tmp_path / "out"), package.contents.gaussians()
+    bound = 2.0 ** ((read.chunks["low"].astype(float) + 8.0 * read.chunks["reach"]) / 64.0)
+    largest = np.maximum.reduceat(g.scales.max(axis=1), package.contents.table.starts[:-1])
+    assert (largest <= bound * (1 + 1e-4)).all()
+    assert (bound <= largest * 2 ** (9 / 64)).all()
+
+
+def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_weigh(package: Package, tmp_path: Path) -> None:
+    from gsvis.abr.index import extents
+    from gsvis.stream.scene import class_weights
+
+    write_static(tmp_path / "out", package)
+    read, areas = Reader(tmp_path / "out"), extents(package.contents.gaussians())[1]
+    sets, active = package.visibility, package.active_terms
+    owners = np.repeat(np.arange(700), package.contents.term_counts)
+    cells = read.cells()
+    assert len(cells) == len(sets)
+    for cell, (seen, gains, shares) in enumerate(cells):
+        ids, classes = sets.classes(cell)
+        weight = dict(zip(ids.tolist(), (class_weights(sets)[classes] * areas[ids]).tolist(), strict=True))
+        active_owners = owners[active.active_ids(cell)]
+        wanted = []
+        for block, (_, first, count) in enumerate(read.blocks):
+            members = [weight[k] for k in range(first, first + count) if k in weight]
+            if members:
+                wanted.append(block)
+                place = len(wanted) - 1
+                assert np.isclose(np.log2(gains[place]), np.log2(sum(members)), atol=0.13)
+                total = max(1, int(package.contents.term_counts[first : first + count].sum()))
+                found = int(((active_owners >= first) & (active_owners < first + count)).sum())
+                assert shares is not None
+                assert found / total <= shares[place] + 1e-9 < found / total + 1 / 255 + 1e-9
+        assert wanted == seen.tolist()
+
+
+def test_what_ends_below_the_highest_level_names_the_blocks_that_replace_it(package: Package, tmp_path: Path) -> None:
+    from gsvis.abr.index import nearest_replacements
+
+    write_static(tmp_path / "out", package)
+    read, contents = Reader(tmp_path / "out"), package.contents
+    offsets, ids = nearest_replacements(Levels(contents.gaussians(), contents.first, contents.last, contents.names))
+    block_of = np.empty(700, int)
+    block_of[read.ids] = np.repeat(np.arange(len(read.blocks)), np.diff(read.starts))
+    data = read.data["replaced"]
+    ending = [b for b, (chunk, _, _) in enumerate(read.blocks) if read.chunks["last_level"][chunk] < 2]
+    ends = np.frombuffer(data, "<u4", len(ending) + 1)
+    assert ends[-1] == len(data)
+    for k, block in enumerate(ending):
+        _, first, count = read.blocks[block]
+        at = int(ends[k])
+        lengths, at = data[at : at + count], at + count
+        for j, length in enumerate(lengths):
+            found = np.frombuffer(data, "<u4", length, at)
+            at += 4 * length
+            assert found.tolist() == sorted(set(block_of[ids[offsets[first + j] : offsets[first + j + 1]]].tolist()))
+            assert length > 0
+        assert at == ends[k + 1]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_a_bare_scene_reads_back_as_what_it_was(degree: int, tmp_path: Path) -> None:
+    g = random_scene(np.random.default_rng(1), 900, sh_degree=degree)
+    made = write_static(tmp_path, g)
+    read = Reader(tmp_path)
+    assert (made.cells, made.sh_degree, len(read.cells())) == (1, degree, 1)
+    assert [level["count"] for level in read.scene["levels"]] == [900]
+    assert read.cells()[0][0].tolist() == list(range(len(read.blocks)))
+    found = decode_records(read.records(), read.table(), RecordLayout.from_variant("rgb"))
+    apart = np.linalg.norm(found.means[:, None] - g.means[None], axis=2)
+    pairs = apart.argmin(axis=1)
+    assert sorted(pairs.tolist()) == list(range(900))
+    assert np.allclose(found.opacities, g.opacities[pairs], atol=0.5 / 255 + 1e-6)
+    assert np.allclose(np.sort(found.scales, axis=1), np.sort(g.scales[pairs], axis=1), rtol=0.04)
+    from gsvis.color.records import PRECISIONS, Grids
+
+    said = read.scene["colors"]
+    base = tuple(tuple(pair) for pair in said["base"])
+    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)  # type: ignore[arg-type]
+    rgb = np.stack([grids.base_table(k)[read.records()[:, 1 + k]] for k in range(3)], axis=1)
+    span = max(high - low for low, high in base)
+    assert np.abs(rgb - (0.5 + SH_C0 * g.sh0[pairs, 0])).max() < 0.02 * span
+    if degree == 0:
+        assert "harmonics" not in read.data
+        assert read.scene["harmonics"] is None
+        return
+    count = (degree + 1) ** 2 - 1
+    by_id = np.empty((900, 3 * count), np.uint8)
+    by_id[read.ids] = np.frombuffer(read.data["harmonics"], np.uint8).reshape(900, 3 * count)
+    low, high = (np.array(read.scene["harmonics"][key]) for key in ("low", "high"))
+    values = low[:, None] + by_id.reshape(900, count, 3) / 255 * (high - low)[:, None]
+    exact = np.clip(g.shN[pairs], low[:, None], high[:, None])
+    assert (np.abs(values - exact) <= 0.51 * (high - low)[:, None] / 255).all()
+
+
+def test_zero_harmonics_stay_zero_and_ends_hold_all_but_a_few() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=(5000, 3, 3)).astype(np.float32)
+    values[:, 1] = 0.0
+    values[0, 0, 0] = 1e6  # one that is out of reach
+    made = Harmonics.from_coefficients(values, 1)
+    back = made.decode(made.encode(values, np.arange(5000)))
+    assert np.abs(back[:, 1]).max() < 1e-12
+    assert made.high[0] < 100.0
+    assert np.abs(back[1:, 2] - np.clip(values[1:, 2], made.low[2], made.high[2])).max() < made.high[2] / 250
+
+
+def test_levels_without_a_package_keep_their_levels(tmp_path: Path) -> None:
+    levels = levels_of(500)
+    write_static(tmp_path, levels)
+    read = Reader(tmp_path)
+    assert [(each["name"], each["count"]) for each in read.scene["levels"]] == list(
+        zip(levels.names, levels.counts, strict=True)
+    )
+    assert "replaced" in read.data
+
+
+def test_the_same_scene_gives_the_same_files_and_a_new_one_replaces_the_old(tmp_path: Path) -> None:
+    g = random_scene(np.random.default_rng(1), 300, sh_degree=1)
+    write_static(tmp_path / "a", g)
+    rng = np.random.default_rng(5)
+    write_static(tmp_path / "b", g[rng.permutation(300)])
+    files = {p.name: p.read_bytes() for p in (tmp_path / "a").iterdir()}
+    assert files == {p.name: p.read_bytes() for p in (tmp_path / "b").iterdir()}
+    before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "a").iterdir() if p.suffix == ".bin"}
+    write_static(tmp_path / "a", g, StaticOptions(name="another"))
+    after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "a").iterdir() if p.suffix == ".bin"}
+    assert before == after  # what is whole is not written again
+    damaged = next(p for p in (tmp_path / "a").iterdir() if p.name.startswith("records"))
+    damaged.write_bytes(bytes(damaged.stat().st_size))
+    write_static(tmp_path / "a", g)
+    assert damaged.read_bytes() == files[damaged.name]
+    write_static(tmp_path / "a", g[:200])
+    assert len(Reader(tmp_path / "a").ids) == 200
+    assert len(list((tmp_path / "a").iterdir())) == 6
+
+
+def test_a_folder_of_something_else_and_an_empty_scene_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(FormatError, match=r"mine\.txt"):
+        write_static(tmp_path, random_scene(np.random.default_rng(1), 5))
+    with pytest.raises(FormatError, match="a file"):
+        write_static(tmp_path / "mine.txt", random_scene(np.random.default_rng(1), 5))
+    with pytest.raises(ValueError, match="at least one Gaussian"):
+        write_static(tmp_path / "none", Gaussians.empty())
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(ValueError, match="meters_per_unit"):
+        StaticOptions(meters_per_unit=-1.0)
+
+
+def test_a_package_without_sets_and_one_of_another_variant(tmp_path: Path) -> None:
+    with package_of(tmp_path / "p.gsvis", 300, stores=False) as plain:
+        assert write_static(tmp_path / "a", plain).cells == 1
+    assert Reader(tmp_path / "a").cells()[0][2] is None
+    with package_of(tmp_path / "h.gsvis", 300, "hsl") as hsl:
+        write_static(tmp_path / "b", hsl)
+        records = hsl.contents.records
+    read = Reader(tmp_path / "b")
+    assert read.scene["colors"]["variant"] == "hsl"
+    assert np.array_equal(read.records(), records)
+
+
+def start_of(document: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    from gsvis.scene.gaussians import rotations_from_quats
+
+    pose = document["poses"][0]
+    return np.array(pose["position"]), rotations_from_quats(np.array([pose["rotation"]]))[0]
+
+
+def test_it_begins_in_a_cell_upright_or_outside_of_a_bare_scene(package: Package, tmp_path: Path) -> None:
+    write_static(tmp_path / "out", package)
+    eye, turn = start_of(Reader(tmp_path / "out").scene)
+    grid = package.visibility.grid
+    assert grid.cell_at(eye[None])[0] >= 0
+    assert np.isclose(turn[:, 1] @ grid.up, 0.0, atol=1) and abs(turn[:, 2] @ np.array([0, -1.0, 0])) < 1e-4
+    assert turn[:, 1] @ np.array([0, -1.0, 0]) < -0.99  # the image's y points down
+    g = random_scene(np.random.default_rng(1), 300)
+    write_static(tmp_path / "bare", g, StaticOptions(up=(0.0, 0.0, 1.0)))
+    eye, turn = start_of(Reader(tmp_path / "bare").scene)
+    low, high = g.bounds(0.9)
+    assert ((eye < low) | (eye > high)).any()
+    assert (turn[:, 2] @ ((low + high) / 2 - eye)) > 0.99 * np.linalg.norm((low + high) / 2 - eye)

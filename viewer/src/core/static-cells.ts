@@ -1,0 +1,77 @@
+// The cells of a static scene: which cell an eye is in, where its row lies, and what that row says.
+import type { StaticScene } from "./static-scene.ts";
+
+/** What a cell sees: blocks, the logarithm (base 2) of the gain of each, and the share of its terms that are active here. */
+export interface CellRow {
+  blocks: Uint32Array;
+  gains: Float32Array;
+  shares: Uint8Array | null;
+}
+
+export class Cells {
+  private readonly boxes: Int32Array; // (3 C)
+  private readonly starts: Float64Array; // (C + 1) bytes in `cells`
+  private readonly byBox = new Map<string, number>();
+
+  constructor(private readonly scene: StaticScene, data: Uint8Array) {
+    const view = new DataView(data.buffer, data.byteOffset, data.byteLength), count = scene.cells.count;
+    this.boxes = new Int32Array(3 * count);
+    this.starts = new Float64Array(count + 1);
+    for (let k = 0; k < count; k++) {
+      for (let axis = 0; axis < 3; axis++) this.boxes[3 * k + axis] = view.getUint32(16 * k + 4 * axis, true);
+      this.starts[k + 1] = this.starts[k] + view.getUint32(16 * k + 12, true);
+      this.byBox.set(this.key(k, 0, 0, 0), k);
+    }
+    if (this.starts[count] !== scene.files.get("cells")?.bytes) throw new Error("grid: expected rows that fill the file of cells, got others; export the scene again");
+  }
+
+  /** Return the cell that holds a position; if none does, the one with the nearest center. */
+  at(position: readonly number[]): number {
+    const { origin, size, count } = this.scene.cells;
+    if (!(size > 0) || count === 1) return 0;
+    const box = position.map((v, axis) => Math.floor((v - origin[axis]) / size));
+    const found = this.byBox.get(box.join());
+    if (found !== undefined) return found;
+    let best = 0, least = Infinity;
+    for (let k = 0; k < count; k++) {
+      let square = 0;
+      for (let axis = 0; axis < 3; axis++) square += (origin[axis] + size * (this.boxes[3 * k + axis] + 0.5) - position[axis]) ** 2;
+      if (square < least) [best, least] = [k, square];
+    }
+    return best;
+  }
+
+  /** Return the cells that touch a cell at a face. */
+  beside(cell: number): number[] {
+    const found: number[] = [];
+    for (const [x, y, z] of [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]] as const) {
+      const other = this.byBox.get(this.key(cell, x, y, z));
+      if (other !== undefined && other !== cell) found.push(other);
+    }
+    return found;
+  }
+
+  /** Return where the row of a cell lies. */
+  range(cell: number): [number, number] {
+    return [this.starts[cell], this.starts[cell + 1]];
+  }
+
+  private key(cell: number, x: number, y: number, z: number): string {
+    return [this.boxes[3 * cell] + x, this.boxes[3 * cell + 1] + y, this.boxes[3 * cell + 2] + z].join();
+  }
+}
+
+/** Return the content of a row. */
+export function parseRow(scene: StaticScene, data: Uint8Array): CellRow {
+  const bits = Math.ceil(scene.blocks / 8), each = scene.cells.active ? 2 : 1, seen: number[] = [];
+  for (let b = 0; b < scene.blocks && b >> 3 < data.length; b++) if ((data[b >> 3] >> (b & 7)) & 1) seen.push(b);
+  if (data.length !== bits + each * seen.length) throw new Error(`cells: expected a row of ${bits + each * seen.length} bytes, got ${data.length}`);
+  const gains = new Float32Array(seen.length);
+  for (let k = 0; k < seen.length; k++) gains[k] = (data[bits + k] - 255 + scene.cells.gainTop) / 4;
+  return { blocks: Uint32Array.from(seen), gains, shares: scene.cells.active ? data.slice(bits + seen.length) : null };
+}
+
+/** Return a row with all blocks alike: what a cell is taken to see whose own row is lost. */
+export function everything(scene: StaticScene): CellRow {
+  return { blocks: Uint32Array.from({ length: scene.blocks }, (_, b) => b), gains: new Float32Array(scene.blocks), shares: null };
+}

@@ -1,0 +1,166 @@
+// What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring bytes.
+// The factors are those of the streaming server's policy "utility" (gsvis.abr.policies).
+import type { Blocks } from "./static-blocks.ts";
+import type { CellRow } from "./static-cells.ts";
+import type { Pose, View } from "./types.ts";
+
+export const MARGIN = 0.14; // radians by which the borders of the view move outwards
+const PERIPHERAL = Math.log2(0.1), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.1), BEYOND = Math.log2(0.05);
+const POWERS = { high: 1, medium: 1.5, low: 2 };
+const HORIZON = 3, STICKY = 1.2; // seconds; change of the rate that changes the regime
+
+export type Regime = "high" | "medium" | "low";
+
+/** States of a block's records, and of its terms. */
+export const NONE = 0, ASKED = 1, HELD = 2, LOST = 3;
+
+/** A block to fetch: its records, or its terms. */
+export interface Order {
+  blocks: Uint32Array;
+  terms: Uint8Array; // 1 for terms
+}
+
+/** A run of neighbouring blocks that one request fetches. */
+export interface Run {
+  terms: boolean;
+  first: number;
+  end: number; // behind the last block
+}
+
+export interface Holdings {
+  records: Uint8Array; // (B) states
+  terms: Uint8Array; // (B) states
+}
+
+/** Return the regime of a rate in bytes a second, given the bytes of each level of a cell; see `regime_of`. */
+export function regimeOf(rate: number, levelBytes: readonly number[], before: Regime | null): Regime {
+  const sizes: number[] = [];
+  for (const size of levelBytes) sizes.push(Math.max(size, sizes[sizes.length - 1] ?? 0));
+  const high = sizes[sizes.length - 1], medium = sizes[Math.max(sizes.length - 2, 0)];
+  const names: Regime[] = ["high", "medium", "low"];
+  const at = (budget: number): number => (budget >= high ? 0 : budget >= medium ? 1 : 2);
+  let now = at(rate * HORIZON);
+  const was = before === null ? now : names.indexOf(before);
+  if (now !== was) {
+    const held = at(now < was ? (rate * HORIZON) / STICKY : rate * HORIZON * STICKY);
+    now = (held - was) * (now - was) > 0 ? held : was;
+  }
+  return names[now];
+}
+
+/** Return the bytes of each level that a cell sees, lowest first. */
+export function levelBytes(blocks: Blocks, row: CellRow, bytesEach: number): number[] {
+  const found = new Array<number>(blocks.top + 1).fill(0);
+  for (const b of row.blocks) {
+    const c = blocks.chunk[b];
+    for (let level = blocks.levels[2 * c]; level <= blocks.levels[2 * c + 1]; level++) found[level] += blocks.size(b) * bytesEach;
+  }
+  return found;
+}
+
+/** Return five planes (normal, offset): points inside have a positive distance from all; see `FieldOfView.planes`. */
+export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
+  const [w0, x0, y0, z0] = pose.rotation, n = Math.hypot(w0, x0, y0, z0) || 1;
+  const w = w0 / n, x = x0 / n, y = y0 / n, z = z0 / n;
+  const turn = [
+    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+  ];
+  const widest = (89 * Math.PI) / 180, planes = new Float64Array(20);
+  const sides = [[view.left, 0, 1], [view.right, 0, -1], [view.up, 1, 1], [view.down, 1, -1]] as const;
+  for (let k = 0; k < 5; k++) {
+    const local = [0, 0, 1];
+    if (k < 4) {
+      const [tangent, axis, sign] = sides[k], angle = Math.min(Math.atan(tangent) + margin, widest);
+      local[axis] = sign * Math.cos(angle);
+      local[2] = Math.sin(angle);
+    }
+    for (let row = 0; row < 3; row++) {
+      const v = turn[3 * row] * local[0] + turn[3 * row + 1] * local[1] + turn[3 * row + 2] * local[2];
+      planes[4 * k + row] = v;
+      planes[4 * k + 3] -= v * pose.position[row];
+    }
+  }
+  return planes;
+}
+
+/** Return what is not held of the row of a cell, most useful first. Rows of neighbours count less (`adjacent`). */
+export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, view: View, regime: Regime, adjacent = false): Order {
+  const planes = frustum(pose, view), chunks = blocks.levels.length / 2, power = POWERS[regime];
+  const middle = Math.max(blocks.top - 1, 0);
+  const caps = { high: [blocks.top, blocks.top], medium: [middle, middle], low: [middle, 0] }[regime];
+  const least = regime === "high" ? blocks.top : 0;
+  const far = new Float32Array(chunks).fill(NaN), inside = new Uint8Array(chunks);
+  const keys = new Float32Array(2 * row.blocks.length), found: number[] = [];
+  for (let k = 0; k < row.blocks.length; k++) {
+    const b = row.blocks[k], c = blocks.chunk[b];
+    if (blocks.levels[2 * c + 1] < least) continue;
+    if (Number.isNaN(far[c])) {
+      const x = blocks.spheres[5 * c], y = blocks.spheres[5 * c + 1], z = blocks.spheres[5 * c + 2], radius = blocks.spheres[5 * c + 3];
+      const [ex, ey, ez] = pose.position;
+      far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + blocks.spheres[5 * c + 4] + 1e-12);
+      inside[c] = 1;
+      for (let p = 0; p < 20; p += 4) {
+        if (planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3] + radius < 0) inside[c] = 0;
+      }
+    }
+    let key = row.gains[k] - far[c] - Math.log2(blocks.size(b));
+    if (adjacent) key += power * ADJACENT;
+    else if (inside[c] === 0) key += power * PERIPHERAL;
+    if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) key += BEYOND;
+    if (held.records[b] === NONE) {
+      keys[2 * k] = key;
+      found.push(2 * k);
+    }
+    const share = row.shares === null ? 255 : row.shares[k];
+    if (!adjacent && blocks.termCount !== null && blocks.termCount[b] > 0 && share > 0 && held.terms[b] === NONE && held.records[b] !== LOST) {
+      keys[2 * k + 1] = key + TERMS + Math.log2(share / 255);
+      found.push(2 * k + 1);
+    }
+  }
+  const order = Uint32Array.from(found).sort((a, b) => keys[b] - keys[a] || a - b);
+  return { blocks: order.map((entry) => row.blocks[entry >> 1]), terms: Uint8Array.from(order, (entry) => entry & 1) };
+}
+
+/**
+ * Return the next runs of an order, of about `budget` bytes, and the entry behind them. Blocks between two runs join them
+ * where they take at most `gap` bytes and are not held: that is cheaper than another request.
+ */
+export function slice(blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number, bytesEach: number): { runs: Run[]; next: number } {
+  const chosen: [number[], number[]] = [[], []];
+  let size = 0, next = from;
+  for (; next < order.blocks.length && size < budget; next++) {
+    const b = order.blocks[next], kind = order.terms[next] as 0 | 1, states = kind ? held.terms : held.records;
+    if (states[b] !== NONE) continue;
+    states[b] = ASKED;
+    chosen[kind].push(b);
+    size += kind ? blocks.size(b) + blocks.scene.termBytes * blocks.termCount![b] : blocks.size(b) * bytesEach;
+  }
+  const runs: Run[] = [];
+  for (const kind of [0, 1] as const) {
+    const states = kind ? held.terms : held.records;
+    let last: Run | null = null;
+    for (const b of chosen[kind].sort((p, q) => p - q)) {
+      if (last !== null && joins(blocks, last, b, held, gap, bytesEach)) {
+        for (let k = last.end; k < b; k++) states[k] = ASKED;
+        last.end = b + 1;
+      } else {
+        last = { terms: kind === 1, first: b, end: b + 1 };
+        runs.push(last);
+      }
+    }
+  }
+  return { runs, next };
+}
+
+function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number, bytesEach: number): boolean {
+  const between = run.terms
+    ? blocks.termStart![block] - blocks.termStart![run.end]
+    : (blocks.start[block] - blocks.start[run.end]) * bytesEach;
+  if (between > gap) return false;
+  for (let k = run.end; k < block; k++) {
+    if (run.terms ? held.terms[k] !== NONE || (held.records[k] !== HELD && held.records[k] !== ASKED) : held.records[k] !== NONE) return false;
+  }
+  return true;
+}
