@@ -22,6 +22,7 @@ if (process.argv.includes("--tests")) {
       "gsvis-viewer": join(here, "src/core/index.ts"),
       network: join(here, "src/core/network.worker.ts"),
       sort: join(here, "src/core/sort.worker.ts"),
+      static: join(here, "src/core/static.worker.ts"),
       page: join(here, "src/page/index.ts"),
     },
   });

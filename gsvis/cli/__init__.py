@@ -34,6 +34,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
+  gsvis export scene.gsvis -o site           a site for any file server
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
@@ -182,6 +183,10 @@ def _run(command: Command) -> None:
         from gsvis.cli.package import run_unpack
 
         run_unpack(command)
+    elif isinstance(command, arguments.Export):
+        from gsvis.cli.export import run_export
+
+        run_export(command)
     elif isinstance(command, arguments.Serve):
         from gsvis.cli.serve import run_serve
 
