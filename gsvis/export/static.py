@@ -2,7 +2,8 @@
 
 docs/static.md describes the files to the byte. The names of the data files hold the hash of their content, so they
 never change and may be cached for ever. `scene.json` names them and is written last: a reader sees the old
-scene or the new one. The same scene gives the same files; a killed run resumes, as files that are whole are not written again.
+scene or the new one. The same scene gives the same files; a killed run resumes, as files that are whole are not written
+again.
 """
 
 from __future__ import annotations

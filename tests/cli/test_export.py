@@ -34,7 +34,7 @@ def ply(tmp_path: Path) -> Path:
 def test_a_package_becomes_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_package(tmp_path / "s.gsvis", levels_of(120), colors_of(120)[1])
     assert main(["export", str(tmp_path / "s.gsvis"), "-o", str(tmp_path / "site")]) == 0
-    output = capsys.readouterr().out
+    output = " ".join(capsys.readouterr().out.split())
     assert "120 Gaussians" in output
     assert "http.server" in output
     scene = Reader(tmp_path / "site" / "scene").scene
