@@ -324,7 +324,7 @@ test("a Gaussian that ends below the highest level goes when what replaces it is
   const arrivals = new Arrivals(blocks, held), records = file("records"), seen = new Uint8Array(blocks.count).fill(1);
   const replaced = file("replaced"), ends = new DataView(replaced.buffer, replaced.byteOffset);
   const take = (b: number): void => {
-    arrivals.addRecords({ terms: false, first: b, end: b + 1 }, records.subarray(16 * blocks.start[b], 16 * blocks.start[b + 1]), null);
+    arrivals.addRecords({ terms: false, first: b, end: b + 1, place: 0 }, records.subarray(16 * blocks.start[b], 16 * blocks.start[b + 1]), null);
   };
   let ending = 0, waiting = 0;
   for (let b = 0; b < blocks.count; b++) {
