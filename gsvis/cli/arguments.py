@@ -14,6 +14,7 @@ from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
     BOX,
@@ -69,6 +70,7 @@ __all__ = [
     "Train",
     "Unpack",
     "Verify",
+    "View",
 ]
 
 
@@ -437,6 +439,7 @@ Command = (
     | Verify
     | Unpack
     | Export
+    | View
     | Serve
     | Simulate
 )

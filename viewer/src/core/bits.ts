@@ -17,7 +17,7 @@ export function peek(words: Uint32Array, bit: number): number {
 export function take(words: Uint32Array, bit: number, width: number): number {
   const shift = bit & 31;
   if (shift + width <= 32) return (words[bit >>> 5] << (32 - shift - width)) >>> (32 - width);
-  return (peek(words, bit) & ((1 << width) - 1)) >>> 0;
+  return width === 32 ? peek(words, bit) : (peek(words, bit) & ((1 << width) - 1)) >>> 0;
 }
 
 /** Whether an id is in a packed set. */

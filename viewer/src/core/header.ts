@@ -15,7 +15,7 @@ export function parseWelcome(message: Uint8Array): Header {
     throw new ProtocolError(`message: expected WELCOME, got ${message.length} bytes of another kind`);
   }
   if (message[1] !== PROTOCOL) {
-    throw new ProtocolError(`WELCOME: expected version ${PROTOCOL}, got ${message[1]}; update`, FAULTS.version);
+    throw new ProtocolError(`WELCOME: expected version ${PROTOCOL}, got ${message[1]}`, FAULTS.version);
   }
   const text = schemaMetadata(message.subarray(8), "gsvis");
   let said: unknown;

@@ -61,8 +61,7 @@ function containerOf(key: number, words: Uint32Array): Container | null {
   }
   if (count === 0) return null;
   const plain = count > ARRAY_MOST ? BITMAP_BYTES : 2 * count;
-  // The library counts two bytes for the length of an array that it does not write.
-  const shorter = 2 + 4 * runs < (count > ARRAY_MOST ? plain : plain + 2);
+  const shorter = 2 + 4 * runs < plain;
   return { key, words, count, runs: shorter ? runs : 0, bytes: shorter ? 2 + 4 * runs : plain };
 }
 

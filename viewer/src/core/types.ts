@@ -87,7 +87,7 @@ export type SourceState =
   | { kind: "streaming"; message?: string } // `message`: what is missing and gone round
   | { kind: "complete"; message?: string }
   | { kind: "waiting"; seconds: number; message: string } // the connection is lost; next try in `seconds`
-  | { kind: "failed"; message: string }; // does not try again
+  | { kind: "failed"; message: string; code?: number }; // does not try again; `code` of ERROR: 2 another version, 4 token or origin
 
 export interface Traffic {
   bytes: number; // received so far

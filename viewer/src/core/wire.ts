@@ -67,6 +67,19 @@ export function bye(): Uint8Array<ArrayBuffer> {
   return Uint8Array.of(4, 0, 0, 0);
 }
 
+/** Whether a text can be a token: 1 to 1000 printable ASCII characters. */
+export function isToken(text: string): boolean {
+  return /^[\x20-\x7e]{1,1000}$/.test(text);
+}
+
+/** Return a TOKEN, which comes before HELLO: a page cannot set headers of a WebSocket. */
+export function tokenOf(text: string): Uint8Array<ArrayBuffer> {
+  const out = new Uint8Array(4 + text.length);
+  out.set([5, 0, text.length & 255, text.length >>> 8]);
+  for (let k = 0; k < text.length; k++) out[4 + k] = text.charCodeAt(k);
+  return out;
+}
+
 /** Return the code and the line of an ERROR. */
 export function parseError(message: Uint8Array): { code: number; line: string } {
   const length = message.length < 4 ? 0 : message[2] | (message[3] << 8);

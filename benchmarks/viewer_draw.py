@@ -1,0 +1,176 @@
+"""How fast, and how true to `gsvis render`, does the viewer draw whole scenes without a GPU, beside PlayCanvas?
+
+Both show the same Gaussians in the same Chromium, one after the other, while the camera turns to and fro.
+
+Given: showroom LOD 3 (SH 0) and nika LOD 2 (its SH fitted with terms); SwiftShader; a file of PlayCanvas by option.
+Measured: frames a second, PSNR of a still picture, milliseconds of the main thread for 50,000 Gaussians, bytes of
+    JavaScript, WebAssembly and array buffers after collection.
+Defaults chosen on: showroom LOD 3.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import io
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, realdata, write_result
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from gsvis.color.evaluate import Evaluator  # noqa: E402
+from gsvis.color.fit import FitConfig, fit_srbf  # noqa: E402
+from gsvis.color.records import quantize  # noqa: E402
+from gsvis.color.srbf import SrbfColors  # noqa: E402
+from gsvis.io import load_scene, save_scene  # noqa: E402
+from gsvis.package import in_package_order  # noqa: E402
+from gsvis.package.contents import Contents  # noqa: E402
+from gsvis.render import rasterize  # noqa: E402
+from gsvis.scene.cameras import Cameras  # noqa: E402
+from gsvis.scene.levels import Levels  # noqa: E402
+from gsvis.scene.sh import SH_C0  # noqa: E402
+from tests.viewer.batches import Batches, camera_dicts  # noqa: E402
+from tests.viewer.browser import browser_page, served, viewer_files  # noqa: E402
+
+SCENES: dict[str, tuple[str, int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]] = {
+    # name: file, LOD, eye, target, up
+    "showroom": ("showroom/lod-meta.json", 3, (0.0, 0.0, 1.6), (5.0, 1.0, 1.2), (0.0, 0.0, 1.0)),
+    "nika": ("nika_sh3/lod-meta.json", 2, (0.0, -1.0, -4.0), (0.0, -1.0, 2.0), (0.0, -1.0, 0.0)),
+}
+BATCH = 50_000
+
+
+def main() -> None:
+    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    parser.add_argument("--size", type=int, nargs=2, default=[960, 540])
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--precision", choices=("float", "half", "bytes"), default="half")
+    parser.add_argument("--playcanvas", type=Path, help="playcanvas.mjs; not compared without it")
+    parser.add_argument("--keep", type=Path, help="folder for pictures and scenes, used again where it has them")
+    options = parser.parse_args()
+    figures: list[dict[str, Any]] = []
+    details: dict[str, Any] = {"size": options.size}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        for source in (ROOT / "tests" / "viewer" / "pages", ROOT / "benchmarks" / "_viewer", viewer_files()):
+            for path in source.glob("*.[hj]*"):
+                shutil.copy(path, folder)
+        if options.playcanvas:
+            shutil.copy(options.playcanvas, folder / "playcanvas.mjs")
+        for name in options.scenes:
+            lens, truth = make_scene(folder, name, options.size)
+            figures += measure(folder, name, lens, truth, options, details)
+    write_result(options.out, (__doc__ or "").splitlines()[0], figures, details)
+
+
+def make_scene(folder: Path, name: str, size: list[int]) -> tuple[dict[str, Any], np.ndarray]:
+    """Write batches and a PLY of what they decode to; return the camera and the picture that it should show."""
+    file, lod, eye, target, up = SCENES[name]
+    cameras = Cameras.look_at([eye], [target], up=up, width=size[0], height=size[1], fov=75.0)
+    saved = folder / f"{name}.{size[0]}.npy"
+    if not saved.exists():
+        levels = in_package_order(Levels.single(load_scene(realdata() / "scenes" / file, lod)))
+        g = levels.union
+        if g.sh_degree:
+            colors = fit_srbf(g, None, FitConfig()).colors
+        else:
+            colors = SrbfColors.without_terms(np.maximum(0.5 + SH_C0 * g.sh0[:, 0], 0.0))
+        made = Contents.from_levels(levels, quantize(colors))
+        batches = Batches(made)
+        for start in range(0, len(made), BATCH):
+            batches.add(np.arange(start, min(start + BATCH, len(made))))
+        batches.save(folder / name)
+        drawn = made.gaussians()
+        save_scene(drawn, folder / f"{name}.ply")
+        seen = Evaluator(made.colors().dequantize()).colors(drawn.means, eye)
+        np.save(saved, np.clip(rasterize(drawn, cameras, colors=seen).images[0], 0.0, 1.0))
+    return camera_dicts(cameras)[0], np.load(saved)
+
+
+def psnr(image: np.ndarray, truth: np.ndarray) -> float:
+    return float(-10.0 * np.log10(np.mean((image - truth) ** 2, dtype=np.float64)))
+
+
+def measure(
+    folder: Path,
+    name: str,
+    lens: dict[str, Any],
+    truth: np.ndarray,
+    options: argparse.Namespace,
+    details: dict[str, Any],
+) -> list[dict[str, Any]]:
+    figures: list[dict[str, Any]] = []
+
+    def add(what: str, reached: float, unit: str, better: str, target: float | None = None) -> None:
+        figures.append(
+            {"name": f"{name}: {what}", "target": target, "reached": reached, "unit": unit, "better": better}
+        )
+
+    with served(folder) as address:
+        with browser_page(f"{address}/picture.html") as (page, said):
+            page.wait_for_function("window.ready")
+            appended = page.evaluate("([name, precision]) => test.open(name, { precision })", [name, options.precision])
+            shape = (lens["height"], lens["width"], 4)
+            data = base64.b64decode(page.evaluate("lens => test.canvasBytes(lens)", lens))
+            image = np.frombuffer(data, np.uint8).reshape(shape)[::-1, :, :3] / 255.0
+            save_png(folder / f"{name}-viewer.png", image)
+            spun = page.evaluate("([lens, seconds]) => test.spin(lens, seconds)", [lens, options.seconds])
+            heap = heap_bytes(page)
+            details[name] = {"statistics": spun, "append ms": appended, "heap": heap, "console": said}
+        terms = name != "showroom"
+        least = {"bytes": 36.0 if terms else 45.0}.get(options.precision, 42.0 if terms else 50.0)
+        add("PSNR", psnr(image, truth), "dB", "higher", least)
+        add("frames a second", spun["fps"], "1/s", "higher")
+        add("append 50,000, longest", max(appended), "ms", "lower", 20.0)
+        add("heap", sum(heap.values()) / 1e6, "MB", "lower", 40.0)
+        if options.playcanvas:
+            with browser_page(f"{address}/playcanvas.html") as (page, said):
+                page.set_default_timeout(240_000)
+                page.wait_for_function("window.ready")
+                page.evaluate("([url, lens]) => test.open(url, lens)", [f"{name}.ply", lens])
+                picture = page.evaluate("lens => test.picture(lens)", lens)
+                other = page.evaluate("([lens, seconds]) => test.spin(lens, seconds)", [lens, options.seconds])
+                details[name]["playcanvas"] = {**other, "console": said}
+            image = load_png(base64.b64decode(picture.split(",")[1]))
+            save_png(folder / f"{name}-playcanvas.png", image)
+            add("PlayCanvas PSNR", psnr(image, truth), "dB", "higher")
+            add("PlayCanvas frames a second", other["fps"], "1/s", "higher")
+            add("frames a second over PlayCanvas'", spun["fps"] / other["fps"], "", "higher", 2.0)
+    return figures
+
+
+def heap_bytes(page: Any) -> dict[str, float]:
+    """Bytes of the page and of each Worker, after collection."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    used = session.send("Runtime.getHeapUsage")
+    found = {"page": used["usedSize"] + used.get("backingStorageSize", 0)}
+    for k, worker in enumerate(page.workers):
+        kept = worker.evaluate("() => globalThis.gc?.() ?? performance.memory?.usedJSHeapSize ?? 0")
+        found[f"worker {k}"] = float(kept or 0)
+    return found
+
+
+def save_png(path: Path, image: np.ndarray) -> None:
+    from PIL import Image
+
+    Image.fromarray(np.rint(image * 255.0).astype(np.uint8)).save(path)
+
+
+def load_png(data: bytes) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), np.float64) / 255.0
+
+
+if __name__ == "__main__":
+    main()

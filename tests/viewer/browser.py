@@ -1,0 +1,74 @@
+"""A real browser for tests of the viewer: Chromium without a GPU, and a file server for one page."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+
+
+def chromium() -> str:
+    """Return the path of Chromium; skip where there is none."""
+    pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    found = os.environ.get("GSVIS_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if not found:
+        pytest.skip("no Chromium: install it, or set GSVIS_CHROMIUM to its path")
+    return found
+
+
+def viewer_files() -> Path:
+    """Return the folder of the built viewer; skip where it is not built."""
+    folder = Path(os.environ.get("GSVIS_VIEWER_FILES", ROOT / "gsvis" / "viewer"))
+    if not (folder / "gsvis-viewer.js").is_file():
+        pytest.skip(f"no viewer in {folder}: build it with npm run build in viewer/")
+    return folder
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+    extensions_map = {**SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Serve a folder; gives its address."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder))) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@contextmanager
+def browser_page(address: str, **context: Any) -> Iterator[tuple[Any, list[str]]]:
+    """Open an address; gives the page and what it says on its console, errors included."""
+    path = chromium()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
+        try:
+            page = browser.new_context(**context).new_page()
+            said: list[str] = []
+            page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+            page.on("pageerror", lambda error: said.append(f"error: {error}"))
+            page.goto(address)
+            yield page, said
+        finally:
+            browser.close()

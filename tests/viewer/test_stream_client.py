@@ -1,0 +1,201 @@
+"""The client of the viewer, run by node, against a real server: it holds and draws what the Python client does."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyroaring import BitMap
+
+from gsvis.color.evaluate import evaluate
+from gsvis.stream import Receiver
+from tests.serve.servers import PATIENCE, patient, serving, slow_link, until
+from tests.stream.worlds import package_of
+
+EYE = (0.25, -1.5, 0.5)
+VIEWER = Path(__file__).parents[2] / "viewer"
+ESBUILD = VIEWER / "node_modules" / ".bin" / "esbuild"
+
+pytestmark = [
+    pytest.mark.skipif(shutil.which("node") is None, reason="needs node"),
+    pytest.mark.skipif(not ESBUILD.exists(), reason="needs esbuild: npm ci in viewer/"),
+]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The client of viewer/test, bundled."""
+    out = tmp_path_factory.mktemp("client") / "client.mjs"
+    options = ["--bundle", "--platform=node", "--format=esm", "--log-level=error", f"--outfile={out}"]
+    subprocess.run([ESBUILD, VIEWER / "test" / "client.ts", *options], check=True, timeout=PATIENCE)
+    return out
+
+
+@pytest.fixture(scope="module", params=["rgb", "hsl"])
+def package(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("viewer") / "scene.gsvis"
+    package_of(folder, 4000, request.param, stores=False).close()
+    return folder
+
+
+class Client:
+    """The client in node, and what it has said."""
+
+    def __init__(self, program: Path, url: str, out: Path, *more: str) -> None:
+        command = ["node", "--experimental-websocket", "--no-warnings", str(program), "stream", url, str(out), *more]
+        self._out, self.events = out, list[dict[str, Any]]()
+        self._running = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self._running.stdout is not None
+        for line in self._running.stdout:
+            self.events.append(json.loads(line))
+
+    def of(self, event: str) -> list[dict[str, Any]]:
+        return [said for said in list(self.events) if said["event"] == event]
+
+    @property
+    def state(self) -> dict[str, Any]:
+        return (self.of("state") or [{"kind": "none"}])[-1]
+
+    @property
+    def held(self) -> int:
+        return int((self.of("batch") or [{"held": 0}])[-1]["held"])
+
+    def say(self, line: str) -> None:
+        assert self._running.stdin is not None
+        self._running.stdin.write(f"{line}\n")
+        self._running.stdin.flush()
+
+    def end(self) -> dict[str, np.ndarray]:
+        """End it and return what it drew."""
+        self.say("end")
+        assert self._running.wait(PATIENCE) == 0
+        return {name: np.array(values) for name, values in json.loads(self._out.read_text()).items()}
+
+    def close(self) -> None:
+        self._running.kill()
+        self._running.wait()
+        for pipe in (self._running.stdin, self._running.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+@contextmanager
+def client_of(program: Path, url: str, folder: Path, *more: str) -> Iterator[Client]:
+    client = Client(program, url, folder / "drawn.json", *more)
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def assert_same(drawn: dict[str, np.ndarray], receiver: Receiver | None) -> None:
+    """The client in node draws what a Python client does."""
+    assert receiver is not None
+    gaussians, colors = receiver.scene()
+    order = np.argsort(receiver.shown())
+    assert drawn["ids"].tolist() == receiver.shown()[order].tolist()
+    assert drawn["terms"].tolist() == colors.counts[order].tolist()
+    expected = {name: getattr(gaussians, name) for name in ("means", "quats", "scales", "opacities")}
+    for name, values in (expected | {"rgb": evaluate(colors, gaussians.means, EYE)}).items():
+        np.testing.assert_allclose(drawn[name], values[order], rtol=2e-6, atol=2e-6, err_msg=name)
+
+
+def test_it_draws_what_the_python_client_draws(package: Path, program: Path, tmp_path: Path) -> None:
+    with serving(package) as server:
+        other, _ = patient(server.url, package)
+        with client_of(program, server.url, tmp_path) as client:
+            until(lambda: client.state["kind"] == "complete")
+            assert_same(client.end(), other.receiver)
+            until(lambda: server.metrics.closed.value("left") == 2)
+        assert [said["fresh"] for said in client.of("header")] == [True]
+
+
+def test_after_a_kill_it_comes_back_with_what_it_holds(package: Path, program: Path, tmp_path: Path) -> None:
+    port, log = _free_port(), tmp_path / "log"
+    with (
+        slow_link(f"ws://127.0.0.1:{port}/stream", 100_000.0) as link,
+        client_of(program, link.url, tmp_path) as client,
+    ):
+        until(lambda: client.state["kind"] == "waiting")  # nobody is there yet
+        assert "does not answer" in client.state["message"]
+        with _served(package, port, tmp_path / "first"):
+            until(lambda: client.held > 500)
+        until(lambda: client.state["kind"] in ("waiting", "connecting"))
+        held = client.held
+        link.carry_freely()
+        with _served(package, port, log), serving(package) as beside:
+            other, _ = patient(beside.url, package)
+            until(lambda: client.state["kind"] == "complete")
+            drawn = client.end()
+    assert 500 < held < drawn["came"]
+    assert_same(drawn, other.receiver)
+    assert [said["fresh"] for said in client.of("header")] == [True, False]
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    assert [said["held"] for said in lines if said["event"] == "opened"] == [held]
+
+
+def test_bitmaps_are_those_of_the_reference_library(program: Path) -> None:
+    rng = np.random.default_rng(3)
+    sets: list[np.ndarray] = [np.zeros(0, np.int64), np.array([0]), np.arange(70_000), np.array([2**28 - 1])]
+    for k in range(60):
+        size, runs = int(rng.integers(1, 300_000)), int(rng.integers(1, 60))
+        edges = np.sort(rng.integers(0, size + 1, 2 * runs)).reshape(-1, 2)
+        spread = rng.choice(size, int(size * rng.random() ** (1 + k % 8)), replace=False)
+        parts = [np.arange(low, high) for low, high in edges.tolist()] if k % 3 else []
+        sets.append(np.unique(np.concatenate([spread if k % 2 else spread[:50], *parts])))
+    for entries in (2, 3, 4, 5, 4094, 4095, 4096, 4097, 8194):  # where containers change their kind
+        sets += [np.arange(0, 2 * entries, 2), np.arange(entries), np.concatenate([[0], np.arange(2, entries + 1)])]
+        sets += [np.unique(np.arange(entries) * 3 // 2), np.unique(np.arange(entries) * 5 // 4)]
+    for runs in (2046, 2047, 2048, 2049):  # where runs are as long as a bitmap
+        sets += [np.concatenate([np.arange(30 * k, 30 * k + 29) for k in range(runs)])]
+    lines = "".join(json.dumps(ids.tolist()) + "\n" for ids in sets)
+    ran = subprocess.run(
+        ["node", str(program), "bitmaps"], input=lines, capture_output=True, text=True, check=True, timeout=PATIENCE
+    )
+    for ids, found in zip(sets, ran.stdout.split("\n"), strict=False):
+        bitmap = BitMap(ids.tolist())
+        bitmap.run_optimize()
+        assert found == bytes(bitmap.serialize()).hex(), f"{len(ids)} ids"
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        return int(found.getsockname()[1])
+
+
+@contextmanager
+def _served(package: Path, port: int, log: Path) -> Iterator[None]:
+    """`gsvis serve`, killed at the end."""
+    command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", str(port), "--log-format", "json"]
+    with log.open("w") as lines:
+        running = subprocess.Popen(command, stderr=lines, stdout=subprocess.DEVNULL)
+        try:
+            _until_listening(port, lambda: running.poll() is None)
+            yield
+        finally:
+            running.kill()
+            running.wait()
+
+
+def _until_listening(port: int, is_alive: Callable[[], bool]) -> None:
+    while True:
+        assert is_alive()
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1).close()
+            return
+        except OSError:
+            time.sleep(0.1)

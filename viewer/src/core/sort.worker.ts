@@ -1,0 +1,48 @@
+// The sort Worker: keeps what has arrived, sorts it for a camera, finds what lies under a pixel.
+import { pickAt } from "./picking.ts";
+import type { SortAnswer, SortRequest } from "./sorter.ts";
+import { SortedScene } from "./sorting.ts";
+import { tablesOf, type Tables } from "./tables.ts";
+
+const port = self as unknown as DedicatedWorkerGlobalScope;
+let scene = new SortedScene("rgb");
+let tables: Tables | null = null;
+
+function answer(message: SortAnswer, transfer: Transferable[] = []): void {
+  port.postMessage(message, transfer);
+}
+
+function serve(request: SortRequest): void {
+  if (request.kind === "reset") {
+    const { colors, harmonics } = request.header;
+    scene = new SortedScene(colors.variant, harmonics ? 3 * ((harmonics.degree + 1) ** 2 - 1) : 0);
+    tables = tablesOf(colors);
+  } else if (request.kind === "append") scene.append(request.batch);
+  else if (request.kind === "sort") {
+    const begin = performance.now(), { camera, region, room } = request;
+    const { order, count } = scene.sort(camera, region, room);
+    const milliseconds = performance.now() - begin;
+    answer({ kind: "order", order, count, camera, milliseconds, places: scene.count }, [order.buffer as ArrayBuffer]);
+  } else if (request.kind === "pick") {
+    const { number, camera, x, y, levels } = request;
+    answer({ kind: "picked", number, pick: tables ? pickAt(scene, tables, camera, x, y, levels) : null });
+  } else {
+    const { batches, slots } = scene.compact();
+    answer({ kind: "renumbered", slots }, slots ? [slots.buffer as ArrayBuffer] : []);
+    for (const batch of batches) {
+      const arrays = [batch.records, batch.rows, batch.chunks, batch.terms, batch.owners, batch.harmonics];
+      const owned = new Set<ArrayBuffer>();
+      for (const array of arrays) if (array?.byteLength) owned.add(array.buffer as ArrayBuffer);
+      answer({ kind: "content", batch }, [...owned]);
+    }
+    answer({ kind: "complete" });
+  }
+}
+
+port.onmessage = (event: MessageEvent<SortRequest>) => {
+  try {
+    serve(event.data);
+  } catch (error) {
+    answer({ kind: "failed", message: error instanceof Error ? error.message : String(error) });
+  }
+};

@@ -1,0 +1,455 @@
+// A canvas and a source make a picture: appends what arrives, has it sorted, draws when something has changed.
+import { angleBetween, cameraOf, sameCamera, viewOf } from "./camera.ts";
+import type { Pick } from "./picking.ts";
+import { choosePrecision, type Look, type Precision, Renderer } from "./renderer.ts";
+import { Sorter, type WorkerStart } from "./sorter.ts";
+import type { Region } from "./sorting.ts";
+import { Store } from "./store.ts";
+import type { Batch, Camera, Header, Paint, Pose, Source, SourceState, Traffic } from "./types.ts";
+import { type EyeView, frameAt, runSession, type XrSession } from "./xr.ts";
+
+/** Where the eye is, and the angle that the height of the canvas covers, in radians. */
+export interface Eye extends Pose {
+  fovY: number;
+}
+
+/** What may be set when a viewer is made. */
+export interface ViewerOptions {
+  source?: Source;
+  background?: [number, number, number];
+  antialiased?: boolean;
+  precision?: Precision; // of the picture that is blended; the finest available up to this
+  maxPixelRatio?: number;
+  memory?: number; // bytes on the GPU
+  sortWorker?: WorkerStart;
+}
+
+/** How a viewer fares. */
+export interface Statistics {
+  fps: number; // of the last second; 0 while nothing moves
+  frames: number; // so far
+  frameMilliseconds: number; // of the main thread, last frame
+  sortMilliseconds: number; // in the Worker, last sort
+  appendMilliseconds: number; // of the main thread, last batch
+  gaussians: number; // on the GPU
+  drawn: number; // in the last picture, before those outside of it are cut off
+  replaced: number;
+  terms: number;
+  dropped: number; // did not fit into memory
+  gpuBytes: number;
+  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
+  precision: Precision;
+  state: SourceState;
+  bytes: number;
+  rate: number; // bytes a second of late
+  reconnects: number;
+}
+
+/** Events: `detail` of the last one is a sentence for people; the others say that a property has changed. */
+export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlost" | "contextrestored" | "problem";
+
+/** Raised where the browser cannot draw at all. */
+export class UnsupportedError extends Error {}
+
+const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
+const MIB = 2 ** 20;
+
+export class Viewer extends EventTarget {
+  readonly canvas: HTMLCanvasElement;
+  readonly #gl: WebGL2RenderingContext;
+  readonly #options: ViewerOptions;
+  readonly #sorter: Sorter;
+  readonly #look: Look;
+  readonly #resizes: ResizeObserver;
+  #renderer: Renderer;
+  #store: Store | null = null;
+  #source: Source | null = null;
+  #header: Header | null = null;
+  #state: SourceState = { kind: "connecting" };
+  #eye: Eye = START;
+  #fixed: Camera | null = null;
+  #levels: boolean[] = [];
+  #lost = false;
+  #immersed = false;
+  #waiting: Batch[] | null = null; // what arrived while the GPU is filled anew
+  #dirty = true;
+  #version = 0; // of the data
+  #sorted: { camera: Camera; version: number; region: Region } | null = null; // what the last order is for
+  #asked: { camera: Camera; version: number; region: Region } | null = null;
+  #frame = 0;
+  #recent: number[] = []; // times of the last frames
+  #settled: (() => void)[] = [];
+  #opened = 0;
+  #replaced = 0; // since the last compaction
+  readonly #figures = { frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null };
+  #traffic: Traffic = { bytes: 0, rate: 0, gaussians: 0, terms: 0, replaced: 0, reconnects: 0 };
+
+  /**
+   * Throws `UnsupportedError` where there is no WebGL2.
+   */
+  constructor(canvas: HTMLCanvasElement, options: ViewerOptions = {}) {
+    super();
+    this.canvas = canvas;
+    this.#options = options;
+    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" });
+    if (!gl) throw new UnsupportedError("This browser does not offer WebGL2, or graphics are switched off in it.");
+    this.#gl = gl;
+    this.#renderer = new Renderer(gl, options.precision);
+    this.#look = { background: options.background ?? [0, 0, 0], antialiased: options.antialiased ?? false, paint: "color", detailed: true };
+    this.#sorter = new Sorter(options.sortWorker);
+    this.#sorter.onOrder = ({ order, count, milliseconds }) => this.#takeOrder(order, count, milliseconds);
+    this.#sorter.onRenumbered = (slots) => this.#beginStore(slots);
+    this.#sorter.onContent = (batch) => this.#store?.append(batch, true);
+    this.#sorter.onComplete = () => this.#finishStore();
+    this.#sorter.onFailure = (message) => this.#say("problem", message);
+    canvas.addEventListener("webglcontextlost", this.#lose);
+    canvas.addEventListener("webglcontextrestored", this.#restore);
+    this.#resizes = new ResizeObserver(() => this.resize());
+    this.#resizes.observe(canvas);
+    if (options.source) this.open(options.source);
+  }
+
+  /** Show what a source gives, instead of what was shown. */
+  open(source: Source): void {
+    this.#source?.close();
+    this.#source = source;
+    this.#opened = performance.now();
+    this.#figures.first = null;
+    source.start({
+      header: (header, fresh) => { if (source === this.#source) this.#takeHeader(header, fresh); },
+      batch: (batch) => { if (source === this.#source) this.#takeBatch(batch); },
+      state: (state) => {
+        if (source !== this.#source) return;
+        this.#state = state;
+        this.#say("state");
+      },
+      traffic: (traffic) => {
+        if (source !== this.#source) return;
+        this.#traffic = traffic;
+        this.#say("traffic");
+      },
+    });
+    source.view(viewOf(this.lens));
+    source.pose(this.#pose());
+  }
+
+  /** Stop everything and free what is held. */
+  dispose(): void {
+    cancelAnimationFrame(this.#frame);
+    this.#source?.close();
+    this.#source = null;
+    this.#sorter.close();
+    this.#resizes.disconnect();
+    this.canvas.removeEventListener("webglcontextlost", this.#lose);
+    this.canvas.removeEventListener("webglcontextrestored", this.#restore);
+    this.#store?.dispose();
+    this.#renderer.dispose();
+  }
+
+  get header(): Header | null { return this.#header; }
+  get state(): SourceState { return this.#state; }
+
+  /** Where the eye is and how wide it sees; setting it draws. */
+  get camera(): Eye { return this.#eye; }
+
+  set camera(eye: Eye) {
+    const wide = eye.fovY !== this.#eye.fovY || this.#fixed;
+    this.#eye = eye;
+    this.#fixed = null;
+    if (wide) this.#source?.view(viewOf(this.lens));
+    this.#source?.pose(this.#pose());
+    this.redraw();
+  }
+
+  /** The exact camera of the canvas. Set one to draw it whatever the canvas's size on the page, until `camera` is set. */
+  get lens(): Camera {
+    if (this.#fixed) return this.#fixed;
+    const { clientWidth, clientHeight } = this.canvas, ratio = this.pixelRatio;
+    return cameraOf(this.#eye, Math.max(1, Math.round(clientWidth * ratio)), Math.max(1, Math.round(clientHeight * ratio)), this.#eye.fovY);
+  }
+
+  set lens(lens: Camera) {
+    this.#fixed = lens;
+    this.#eye = { position: lens.position, rotation: lens.rotation, fovY: 2 * Math.atan(lens.height / 2 / lens.fy) };
+    this.#source?.view(viewOf(lens));
+    this.#source?.pose(this.#pose());
+    this.redraw();
+  }
+
+  #pose(): Pose {
+    return { position: this.#eye.position, rotation: this.#eye.rotation };
+  }
+
+  /** Pixels of the picture for each CSS pixel. */
+  get pixelRatio(): number {
+    return Math.min(globalThis.devicePixelRatio || 1, this.#options.maxPixelRatio ?? (isSmall() ? 1.5 : 2));
+  }
+
+  get paint(): Paint { return this.#look.paint; }
+  set paint(paint: Paint) { this.#look.paint = paint; this.redraw(); }
+
+  /** Whether terms and spherical harmonics are shown. */
+  get termsShown(): boolean { return this.#look.detailed; }
+  set termsShown(shown: boolean) { this.#look.detailed = shown; this.redraw(); }
+
+  get background(): [number, number, number] { return this.#look.background; }
+  set background(background: [number, number, number]) { this.#look.background = background; this.redraw(); }
+
+  get antialiased(): boolean { return this.#look.antialiased; }
+  set antialiased(antialiased: boolean) { this.#look.antialiased = antialiased; this.redraw(); }
+
+  /** Which levels are drawn, lowest first: a Gaussian is, if one of its levels is. Those not named are. */
+  get levelsShown(): boolean[] { return this.#levels; }
+  set levelsShown(shown: boolean[]) { this.#levels = shown; this.redraw(); }
+
+  get statistics(): Statistics {
+    const now = performance.now(), figures = this.#figures, { bytes, rate, reconnects } = this.#traffic;
+    this.#recent = this.#recent.filter((time) => now - time < 1000);
+    return {
+      fps: this.#recent.length, frames: figures.frames, frameMilliseconds: figures.frame, sortMilliseconds: figures.sort,
+      appendMilliseconds: figures.append, gaussians: this.#store?.count ?? 0, drawn: this.#renderer.count,
+      replaced: figures.replaced, terms: this.#store?.termCount ?? 0, dropped: figures.dropped, gpuBytes: this.#renderer.bytes,
+      firstImageSeconds: figures.first, precision: this.#renderer.precision, state: this.#state, bytes, rate, reconnects,
+    };
+  }
+
+  /** Draw again with the next frame. */
+  redraw(): void {
+    this.#dirty = true;
+    this.#request();
+  }
+
+  /** Resolve when the canvas shows everything that has arrived, sorted for its camera. */
+  settled(): Promise<void> {
+    this.#request();
+    return new Promise((resolve) => this.#settled.push(resolve));
+  }
+
+  /** Return what lies under a point of the canvas, in CSS pixels from its upper left corner. */
+  pick(x: number, y: number): Promise<Pick | null> {
+    const lens = this.lens, toPixels = lens.width / (this.canvas.clientWidth || lens.width);
+    return this.#sorter.pick(lens, Math.floor(x * toPixels) + 0.5, Math.floor(y * toPixels) + 0.5, this.#mask());
+  }
+
+  /** Return the pixels of a camera, RGBA from the upper left corner; those of the canvas by default. */
+  async capture(lens: Camera = this.lens): Promise<ImageData> {
+    const before = this.#fixed;
+    this.#fixed = lens;
+    this.redraw();
+    try {
+      await this.settled();
+      return new ImageData(this.#renderer.capture(lens, this.#look), lens.width, lens.height);
+    } finally {
+      this.#fixed = before;
+      this.redraw();
+    }
+  }
+
+  /** Return a picture as PNG, of the size of the canvas or another. */
+  async screenshot(width?: number, height?: number): Promise<Blob> {
+    const image = await this.capture(width && height ? cameraOf(this.#eye, width, height, this.#eye.fovY) : this.lens);
+    const canvas = document.createElement("canvas");
+    canvas.width = image.width;
+    canvas.height = image.height;
+    canvas.getContext("2d")?.putImageData(image, 0, 0);
+    return new Promise((resolve, reject) => {
+      canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG of the picture."))), "image/png");
+    });
+  }
+
+  /** Take the size of the canvas on the page; happens by itself when it changes. */
+  resize(): void {
+    if (!this.#fixed) this.#source?.view(viewOf(this.lens));
+    this.redraw();
+  }
+
+  /** Show the scene in an immersive session, from where the camera is, until the session ends. */
+  async enterXr(session: XrSession): Promise<void> {
+    const { up, metersPerUnit } = this.#header ?? { up: [0, 1, 0], metersPerUnit: 1 };
+    this.#immersed = true;
+    try {
+      await runSession(session, this.#gl, frameAt(this.#pose(), up, metersPerUnit), (eyes) => this.#drawEyes(eyes));
+    } finally {
+      this.#immersed = false;
+      this.redraw();
+    }
+  }
+
+  #drawEyes(eyes: EyeView[]): void {
+    if (this.#lost) return;
+    const [{ lens }] = eyes;
+    this.#source?.pose({ position: lens.position, rotation: lens.rotation });
+    this.#order(lens, 0.3);
+    for (const eye of eyes) this.#renderer.draw(eye.lens, this.#look, eye);
+    this.#count(performance.now());
+  }
+
+  #say(name: ViewerEvent, detail?: string): void {
+    this.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+
+  /** Levels that are drawn, one bit each. */
+  #mask(): number {
+    return this.#levels.reduce((mask, shown, k) => (shown ? mask : mask & ~(1 << k)), 0xffff);
+  }
+
+  #takeHeader(header: Header, fresh: boolean): void {
+    this.#header = header;
+    if (fresh || !this.#store) {
+      this.#sorter.reset(header);
+      this.#figures.dropped = this.#figures.replaced = this.#replaced = 0;
+      this.#waiting = null;
+      this.#version += 1;
+      if (!this.#lost) {
+        this.#beginStore(null);
+        this.#finishStore();
+      }
+    }
+    this.#say("header");
+  }
+
+  #takeBatch(batch: Batch): void {
+    if (this.#waiting) {
+      this.#waiting.push(batch);
+      return;
+    }
+    const begin = performance.now(), store = this.#store;
+    const fitting = this.#trim(batch);
+    if (!this.#lost) store?.append(fitting);
+    this.#replaced += batch.gone.length;
+    this.#figures.replaced += batch.gone.length;
+    this.#version += 1;
+    if (batch.owners.length) this.#dirty = true;
+    this.#sorter.append(fitting);
+    this.#figures.append = performance.now() - begin;
+    if (store && !this.#lost && this.#replaced > 100_000 && this.#replaced > store.count * 0.35) this.#refill();
+    this.#request();
+  }
+
+  /** Return the batch without its Gaussians if they do not fit into the budget. */
+  #trim(batch: Batch): Batch {
+    const store = this.#store, count = batch.ids.length;
+    if (!store || count === 0) return batch;
+    const most = (this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB) / (store.perGaussian + 36);
+    if (store.count + count <= most) return batch;
+    if (this.#figures.dropped === 0) {
+      this.#say("problem", `This device's memory holds ${store.count.toLocaleString("en")} Gaussians of this scene; the others are left out.`);
+    }
+    this.#figures.dropped += count;
+    const none = new Uint32Array(0);
+    return { ...batch, ids: none, records: none, rows: none, harmonics: null };
+  }
+
+  /** Fill the GPU anew from what the Worker holds: after a lost context, or to close the gaps of what was replaced. */
+  #refill(): void {
+    this.#waiting = [];
+    this.#replaced = 0;
+    this.#sorter.content();
+  }
+
+  #beginStore(slots: Uint32Array | null): void {
+    if (!this.#header || this.#lost) return;
+    this.#store?.dispose();
+    this.#store = new Store(this.#gl, this.#header);
+    this.#store.slots = slots;
+    this.#renderer.use(this.#store);
+  }
+
+  #finishStore(): void {
+    const waiting = this.#waiting ?? [];
+    this.#waiting = null;
+    this.#sorted = this.#asked = null;
+    this.#version += 1;
+    for (const batch of waiting) this.#takeBatch(batch);
+    this.redraw();
+  }
+
+  #takeOrder(order: Uint32Array, count: number, milliseconds: number): void {
+    this.#figures.sort = milliseconds;
+    if (this.#asked && !this.#lost) {
+      this.#renderer.setOrder(order, count);
+      this.#sorted = this.#asked;
+    }
+    this.#sorter.recycle(order);
+    this.redraw();
+  }
+
+  #lose = (event: Event): void => {
+    event.preventDefault(); // otherwise it never comes back
+    this.#lost = true;
+    this.#say("contextlost");
+  };
+
+  #restore = (): void => {
+    this.#lost = false;
+    this.#renderer = new Renderer(this.#gl, this.#options.precision);
+    this.#store = null;
+    if (this.#header) this.#refill();
+    this.#say("contextrestored");
+    this.redraw();
+  };
+
+  #request(): void {
+    if (!this.#frame && !this.#immersed) this.#frame = requestAnimationFrame(() => this.#draw());
+  }
+
+  /** Have everything sorted for the camera, unless the last order will do. */
+  #order(camera: Camera, least = 0.02): boolean {
+    const last = this.#sorted;
+    if (this.#waiting) return false;
+    if (!this.#store) return true;
+    const turned = last ? angleBetween(last.camera, camera) : 0;
+    const still = last !== null && sameCamera(last.camera, camera);
+    const slack = still ? last.region.right - camera.width : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
+    const { width, height } = camera;
+    const region: Region = { left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask() };
+    const done = still && last.version === this.#version && last.region.levels === this.#mask();
+    if (!done && !this.#sorter.sorting) {
+      this.#asked = { camera, version: this.#version, region };
+      this.#sorter.sort(camera, region);
+    }
+    return done;
+  }
+
+  #count(time: number): void {
+    this.#figures.frames += 1;
+    this.#recent.push(time);
+    if (this.#recent.length > 240) this.#recent.shift();
+  }
+
+  #draw(): void {
+    this.#frame = 0;
+    if (this.#lost) return;
+    const begin = performance.now(), camera = this.lens;
+    const ordered = this.#order(camera);
+    if (this.#dirty) {
+      const { canvas } = this;
+      if (canvas.width !== camera.width || canvas.height !== camera.height) {
+        canvas.width = camera.width;
+        canvas.height = camera.height;
+      }
+      this.#dirty = false;
+      this.#renderer.draw(camera, this.#look);
+      this.#count(begin);
+      this.#figures.frame = performance.now() - begin;
+      if (this.#figures.first === null && this.#renderer.count) this.#figures.first = (performance.now() - this.#opened) / 1000;
+      this.#say("frame");
+    }
+    if (ordered) for (const resolve of this.#settled.splice(0)) resolve();
+  }
+}
+
+/** Return whether this looks like a phone: little memory, or a finger as the only pointer. */
+function isSmall(): boolean {
+  const memory = (navigator as Navigator & { deviceMemory?: number }).deviceMemory;
+  return (memory !== undefined && memory <= 4) || matchMedia("(hover: none) and (pointer: coarse)").matches;
+}
+
+/** Return what this browser can blend into, null without WebGL2. */
+export function supportedPrecision(): Precision | null {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return null;
+  const precision = choosePrecision(gl, "half");
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return precision;
+}

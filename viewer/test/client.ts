@@ -1,0 +1,93 @@
+// A client for tests/viewer: `stream URL OUT` streams and writes what it draws to OUT at its end; `bitmaps` turns sets into bitmaps.
+// Lines of JSON come out: what the source says. `pose X Y Z`, `retry` and `end` go in.
+import { writeFileSync } from "node:fs";
+import { createInterface } from "node:readline";
+import { host, REAL_CLOCK } from "../src/core/network.host.ts";
+import type { Order, Report } from "../src/core/network.host.ts";
+import type { Socket } from "../src/core/connection.ts";
+import { add } from "../src/core/bits.ts";
+import { serialize } from "../src/core/roaring.ts";
+import { streamSource } from "../src/core/stream-source.ts";
+import { colorSeen, decodeRecord, decodeTerm, tablesOf } from "../src/core/tables.ts";
+import type { Splat, Term } from "../src/core/tables.ts";
+import type { Batch, Header } from "../src/core/types.ts";
+
+const say = (event: Record<string, unknown>) => process.stdout.write(`${JSON.stringify(event)}\n`);
+
+/** A Worker of this thread: what passes is copied or moved as between threads. */
+function nearWorker(): Worker {
+  const worker = { onmessage: null as ((event: MessageEvent<Report>) => void) | null, onerror: null, postMessage: (order: Order) => take(structuredClone(order)) };
+  const post = (report: Report, transfer: ArrayBuffer[]) => {
+    const data = structuredClone(report, { transfer });
+    worker.onmessage?.({ data } as MessageEvent<Report>);
+  };
+  const take = host(post, (url) => new WebSocket(url) as unknown as Socket, REAL_CLOCK);
+  return worker as unknown as Worker;
+}
+
+/** Everything that has come, as a renderer would keep it. */
+class Kept {
+  header: Header | null = null;
+  readonly batches: Batch[] = [];
+
+  /** Return what is drawn, by rising ids, with the colors that an eye sees. */
+  drawn(eye: [number, number, number]): Record<string, unknown> {
+    if (this.header === null) return { ids: [] };
+    const { colors } = this.header, tables = tablesOf(colors), chunks = Float32Array.from(this.batches.flatMap((batch) => [...batch.chunks]));
+    const splats: { id: number; splat: Splat; terms: Term[] }[] = [], gone = new Set<number>();
+    for (const batch of this.batches) {
+      batch.ids.forEach((id, i) => splats.push({ id, splat: decodeRecord(batch.records, i, chunks, batch.rows[i], tables), terms: [] }));
+      batch.owners.forEach((slot, i) => splats[slot].terms.push(decodeTerm(batch.terms, i, tables)));
+      batch.gone.forEach((slot) => gone.add(slot));
+    }
+    const drawn = splats.filter((_, slot) => !gone.has(slot)).sort((a, b) => a.id - b.id);
+    const levels = this.batches.flatMap((batch) => [...batch.chunkLevels]);
+    return {
+      ids: drawn.map(({ id }) => id), came: splats.length, terms: drawn.map(({ terms }) => terms.length), levels: levels.length,
+      means: drawn.map(({ splat }) => splat.mean), quats: drawn.map(({ splat }) => splat.quat), scales: drawn.map(({ splat }) => splat.scale),
+      opacities: drawn.map(({ splat }) => splat.opacity), rgb: drawn.map(({ splat, terms }) => colorSeen(splat, terms, eye, colors.variant)),
+    };
+  }
+}
+
+function stream(url: string, out: string, token: string | undefined): void {
+  const kept = new Kept(), source = streamSource(url, { worker: nearWorker, ...(token === undefined ? {} : { token }) });
+  const pose = (position: [number, number, number]) => source.pose({ position, rotation: [1, 0, 0, 0] });
+  source.view({ left: 0.84, right: 0.84, up: 0.58, down: 0.58 });
+  pose([0, 0, 0]);
+  source.start({
+    header: (header, fresh) => {
+      if (fresh) kept.batches.length = 0;
+      kept.header = header;
+      say({ event: "header", fresh, gaussians: header.gaussians });
+    },
+    batch: (batch) => {
+      kept.batches.push(batch);
+      say({ event: "batch", held: batch.first + batch.ids.length });
+    },
+    state: (state) => say({ event: "state", ...state }),
+    traffic: (traffic) => say({ event: "traffic", ...traffic }),
+  });
+  createInterface({ input: process.stdin }).on("line", (line) => {
+    const [order, ...numbers] = line.split(" ");
+    if (order === "pose") pose(numbers.map(Number) as [number, number, number]);
+    if (order === "retry") source.retry();
+    if (order !== "end") return;
+    writeFileSync(out, JSON.stringify(kept.drawn([0.25, -1.5, 0.5])));
+    source.close();
+    setTimeout(() => process.exit(0), 300);
+  });
+}
+
+/** Read lines, each a JSON list of ids, and write the bitmap of each in hexadecimal digits. */
+function bitmaps(): void {
+  createInterface({ input: process.stdin }).on("line", (line) => {
+    const ids = JSON.parse(line) as number[], set = new Uint32Array(Math.ceil((Math.max(-1, ...ids.slice(-1)) + 1) / 32));
+    for (const id of ids) add(set, id);
+    process.stdout.write(`${Buffer.from(serialize(set)).toString("hex")}\n`);
+  });
+}
+
+const [mode, url, out, token] = process.argv.slice(2);
+if (mode === "bitmaps") bitmaps();
+else stream(url, out, token);
