@@ -272,7 +272,7 @@ def test_settings_give_views_for_number_keys_and_buttons(visit: Open) -> None:
 
 
 def test_settings_that_are_not_there_are_said_and_stop_nothing(visit: Open, address: str) -> None:
-    page = visit(f"{ROOM}?settings=data:application/json,7")
+    page = visit(f"{ROOM}?settings=show%20room")
     page.wait_for_function("document.querySelector('.toast').textContent.includes('settings')")
     assert mode(page) == "walk"
 
