@@ -34,6 +34,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
+  gsvis export scene.gsvis -o site           a site for any file server
   gsvis view scene.gsvis                     in the browser; any scene
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
@@ -53,6 +54,7 @@ _RUNS = {
     "Prepare": "prepare:run_prepare",
     "Verify": "package:run_verify",
     "Unpack": "package:run_unpack",
+    "Export": "export:run_export",
     "View": "view:run_view",
     "Serve": "serve:run_serve",
     "Simulate": "simulate:run_simulate",

@@ -25,6 +25,7 @@ export interface Run {
   terms: boolean;
   first: number;
   end: number; // behind the last block
+  place: number; // of its best block in the order
 }
 
 export interface Holdings {
@@ -128,13 +129,14 @@ export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, v
  * where they take at most `gap` bytes and are not held: that is cheaper than another request.
  */
 export function slice(blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number, bytesEach: number): { runs: Run[]; next: number } {
-  const chosen: [number[], number[]] = [[], []];
+  const chosen: [number[], number[]] = [[], []], places: [Map<number, number>, Map<number, number>] = [new Map(), new Map()];
   let size = 0, next = from;
   for (; next < order.blocks.length && size < budget; next++) {
     const b = order.blocks[next], kind = order.terms[next] as 0 | 1, states = kind ? held.terms : held.records;
     if (states[b] !== NONE) continue;
     states[b] = ASKED;
     chosen[kind].push(b);
+    places[kind].set(b, next);
     size += kind ? blocks.size(b) + blocks.scene.termBytes * blocks.termCount![b] : blocks.size(b) * bytesEach;
   }
   const runs: Run[] = [];
@@ -145,13 +147,14 @@ export function slice(blocks: Blocks, order: Order, from: number, held: Holdings
       if (last !== null && joins(blocks, last, b, held, gap, bytesEach)) {
         for (let k = last.end; k < b; k++) states[k] = ASKED;
         last.end = b + 1;
+        last.place = Math.min(last.place, places[kind].get(b)!);
       } else {
-        last = { terms: kind === 1, first: b, end: b + 1 };
+        last = { terms: kind === 1, first: b, end: b + 1, place: places[kind].get(b)! };
         runs.push(last);
       }
     }
   }
-  return { runs, next };
+  return { runs: runs.sort((a, b) => a.place - b.place), next };
 }
 
 function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number, bytesEach: number): boolean {

@@ -15,8 +15,8 @@ const TURN = 0.087; // radians by which the head turns before all is ranked agai
 const MOVE = 0.1; // share of the side of a cell by which it moves
 const CONNECTIONS = 6;
 const SLICE_SECONDS = 0.2;
-const [LEAST_SLICE, MOST_SLICE] = [64 << 10, 512 << 10];
-const [LEAST_GAP, MOST_GAP] = [1 << 10, 16 << 10];
+const [LEAST_SLICE, MOST_SLICE] = [32 << 10, 512 << 10];
+const [LEAST_GAP, MOST_GAP] = [1 << 10, 2 << 10]; // more would cost a slow link more than requests do
 const KEPT_ROWS = 64; // cells
 
 const NOTHING: Order = { blocks: new Uint32Array(0), terms: new Uint8Array(0) };
@@ -268,7 +268,7 @@ export class StaticSession {
       const size = this.blocks.termStart![b + 1] - this.blocks.termStart![b], own = data.subarray(at, at + size);
       at += size;
       if (this.held.records[b] !== HELD) continue;
-      this.events.batch(this.arrivals.addTerms({ terms: true, first: b, end: b + 1 }, own));
+      this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own));
     }
     return true;
   }
