@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
@@ -57,6 +58,7 @@ __all__ = [
     "Color",
     "Command",
     "Convert",
+    "Export",
     "Inspect",
     "Levels",
     "Prepare",
@@ -436,6 +438,7 @@ Command = (
     | Prepare
     | Verify
     | Unpack
+    | Export
     | View
     | Serve
     | Simulate
