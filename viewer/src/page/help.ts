@@ -7,7 +7,7 @@ import { icon } from "./icons.ts";
 
 const MOVING: [string, string][] = [
   ["Drag", "turn around, or look around"],
-  ["Right button or Shift and drag", "move sideways"],
+  ["Right button", "move sideways; also Shift and drag"],
   ["Wheel", "nearer, farther"],
   ["Double click", "go there"],
   ["W A S D, Q E", "move; with Shift faster"],

@@ -47,7 +47,7 @@ export function explainFailure(message: string, code?: number): Message {
 export function describeState(state: SourceState, gaussians: number): string {
   switch (state.kind) {
     case "connecting": return "Connecting …";
-    case "streaming": return gaussians ? `Loading · ${formatCount(gaussians)} Gaussians` : "Loading …";
+    case "streaming": return gaussians ? `Loading · ${formatCount(gaussians)}` : "Loading …";
     case "complete": return `${formatCount(gaussians)} Gaussians`;
     case "waiting": return state.seconds >= 1 ? `Offline · next try in ${Math.ceil(state.seconds)} s` : "Offline · trying again";
     case "failed": return "Stopped";

@@ -18,15 +18,18 @@ export const PAINTS: readonly PaintChoice[] = [
 
 export const LEGENDS: Record<Paint, { text: string; low?: string; high?: string }> = {
   color: { text: "The scene in its own colors." },
-  level: { text: "The quality level that each Gaussian first belongs to.", low: "low", high: "high" },
+  level: { text: "The quality level that each Gaussian last belongs to.", low: "low", high: "high" },
   arrival: { text: "The order in which the Gaussians have come.", low: "first", high: "last" },
   opacity: { text: "How much light each Gaussian takes.", low: "faint", high: "solid" },
   terms: { text: "How many terms of view-dependent color each Gaussian has.", low: "none", high: "many" },
-  depth: { text: "The distance from your eye.", low: "near", high: "far" },
+  depth: { text: "The distance from your eye.", low: "far", high: "near" },
 };
+
+const RAMP = ["#211c5c", "#2b5e9e", "#299e8f", "#a8cc4d", "#fce86b"]; // as the core draws them
 
 /** Return the CSS color of a level in the picture of levels. */
 export function levelColor(level: number, levels: number): string {
-  const t = levels > 1 ? level / (levels - 1) : 1;
-  return `hsl(${Math.round(220 - 190 * t)} 75% 55%)`;
+  const t = levels > 1 ? (4 * level) / (levels - 1) : 4;
+  const low = Math.min(Math.floor(t), 3);
+  return `color-mix(in srgb, ${RAMP[low + 1]} ${Math.round(100 * (t - low))}%, ${RAMP[low]})`;
 }

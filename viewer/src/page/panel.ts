@@ -57,8 +57,8 @@ export class Panel {
         add(slider("pace", "Pace", { low: -2, high: 2, step: 0.5, text: (x) => `${Number((2 ** x).toFixed(2))} ×` },
           () => Math.log2(pace.factor()), (x) => pace.choose(2 ** x))),
       ),
-      add(choices<Theme>("theme", "Appearance", [{ value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" }],
-        () => theme.chosen, (chosen) => theme.choose(chosen))),
+      section("Appearance", add(choices<Theme>("theme", "Appearance", [{ value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" }],
+        () => theme.chosen, (chosen) => theme.choose(chosen)))),
       make("div", { class: "actions" }, ...["statistics", "share", "picture", "full", "help"].map((id) => actionButton(actions, id, true))),
     );
     this.element.replaceChildren(...sections);

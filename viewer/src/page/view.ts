@@ -117,7 +117,8 @@ export class ViewPage {
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.root.replaceChildren(
       this.canvas, this.overlay.element, this.inspector.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
-      this.drive.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken, this.help.element,
+      this.drive.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken,
+      make("p", { id: "keys", class: "hidden" }, "Drag or use the arrow keys to look around, W A S D to move, question mark for help."), this.help.element,
     );
     this.setMode("orbit");
     this.panel.fill(null);
