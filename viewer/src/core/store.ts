@@ -127,7 +127,7 @@ export class Store {
     }
     this.heads.reserve(room);
     this.terms.reserve(this.termCount + count, this.header.terms);
-    for (let k = 0; k < count; k++) {
+    for (let k = 0, marked = -1; k < count; k++) {
       const place = this.placeOf(batch.owners[k]);
       if (place < 0) continue; // not drawn: out of memory, or gone since
       data[4 * k] = batch.terms[2 * k];
@@ -135,6 +135,8 @@ export class Store {
       data[4 * k + 2] = this.#firsts[place];
       this.#firsts[place] = this.termCount + k + 1;
       const row = Math.floor(place / ROW);
+      if (row === marked) continue;
+      marked = row;
       this.#changed.add(row);
       this.stale.add(row);
     }
