@@ -1,5 +1,5 @@
 // Bundle the viewer into gsvis/viewer. `--check` compares with what lies there; `--tests` bundles the tests instead.
-import { build } from "esbuild";
+import { build, transform } from "esbuild";
 import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { dirname, join } from "node:path";
@@ -22,13 +22,16 @@ if (process.argv.includes("--tests")) {
       "gsvis-viewer": join(here, "src/core/index.ts"),
       network: join(here, "src/core/network.worker.ts"),
       sort: join(here, "src/core/sort.worker.ts"),
+      static: join(here, "src/core/static.worker.ts"),
       page: join(here, "src/page/index.ts"),
     },
   });
   const files = bundled.outputFiles.map((file) => ({ path: file.path, bytes: Buffer.from(file.contents) }));
-  for (const name of ["view.html", "list.html", "page.css"]) {
+  for (const name of ["view.html", "list.html"]) {
     files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
   }
+  const style = await transform(readFileSync(join(here, "src/page/page.css"), "utf8"), { loader: "css", minify: true, target: common.target, charset: "utf8" });
+  files.push({ path: join(out, "page.css"), bytes: Buffer.from(style.code) });
   let differ = 0;
   mkdirSync(out, { recursive: true });
   for (const { path, bytes } of files) {

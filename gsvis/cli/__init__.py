@@ -34,10 +34,32 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
+  gsvis export scene.gsvis -o site           a site for any file server
+  gsvis view scene.gsvis                     in the browser; any scene
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
 gsvis COMMAND --help lists options; gsvis --version prints the version."""
+
+_RUNS = {
+    "Inspect": "inspect:run_inspect",
+    "Analyze": "analyze:run_analyze",
+    "Render": "render:run_render",
+    "Pvs": "pvs:run_pvs",
+    "PvsReport": "pvs_report:run_pvs_report",
+    "Color": "color:run_color",
+    "Train": "train:run_train",
+    "Levels": "levels:run_levels",
+    "Convert": "convert:run_convert",
+    "Prepare": "prepare:run_prepare",
+    "Verify": "package:run_verify",
+    "Unpack": "package:run_unpack",
+    "Export": "export:run_export",
+    "View": "view:run_view",
+    "Serve": "serve:run_serve",
+    "Simulate": "simulate:run_simulate",
+}
+"""Module and function of each command, by the name of its arguments."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -136,64 +158,10 @@ def version() -> str:
 
 
 def _run(command: Command) -> None:
-    from gsvis.cli import arguments
+    from importlib import import_module  # a command imports what it needs alone
 
-    if isinstance(command, arguments.Inspect):
-        from gsvis.cli.inspect import run_inspect
-
-        run_inspect(command)
-    elif isinstance(command, arguments.Analyze):
-        from gsvis.cli.analyze import run_analyze
-
-        run_analyze(command)
-    elif isinstance(command, arguments.Render):
-        from gsvis.cli.render import run_render
-
-        run_render(command)
-    elif isinstance(command, arguments.Pvs):
-        from gsvis.cli.pvs import run_pvs
-
-        run_pvs(command)
-    elif isinstance(command, arguments.PvsReport):
-        from gsvis.cli.pvs_report import run_pvs_report
-
-        run_pvs_report(command)
-    elif isinstance(command, arguments.Color):
-        from gsvis.cli.color import run_color
-
-        run_color(command)
-    elif isinstance(command, arguments.Train):
-        from gsvis.cli.train import run_train
-
-        run_train(command)
-    elif isinstance(command, arguments.Levels):
-        from gsvis.cli.levels import run_levels
-
-        run_levels(command)
-    elif isinstance(command, arguments.Prepare):
-        from gsvis.cli.prepare import run_prepare
-
-        run_prepare(command)
-    elif isinstance(command, arguments.Verify):
-        from gsvis.cli.package import run_verify
-
-        run_verify(command)
-    elif isinstance(command, arguments.Unpack):
-        from gsvis.cli.package import run_unpack
-
-        run_unpack(command)
-    elif isinstance(command, arguments.Serve):
-        from gsvis.cli.serve import run_serve
-
-        run_serve(command)
-    elif isinstance(command, arguments.Simulate):
-        from gsvis.cli.simulate import run_simulate
-
-        run_simulate(command)
-    else:
-        from gsvis.cli.convert import run_convert
-
-        run_convert(command)
+    module, run = _RUNS[type(command).__name__].split(":")
+    getattr(import_module(f"gsvis.cli.{module}"), run)(command)
 
 
 def _explain(error: Exception) -> tuple[str, int]:

@@ -250,6 +250,11 @@ class VisibilityStore:
                 return int(other), float(distance)
         raise self._fault("section 'ever'", "a Gaussian that some cell sees", f"Gaussian {gaussian}, which none sees")
 
+    def seers(self, gaussian: int) -> NDArray[np.int64]:
+        """Return the (S,) cells that see a Gaussian, ascending."""
+        place = int(self._places[self.check_gaussian(gaussian)])
+        return np.array([cell for cell in range(len(self)) if _has(self._words(cell), place)], np.int64)
+
     def class_of(self, gaussian: int, cell: int) -> int:
         """Return the weight class of a Gaussian from a cell; -1 if the cell does not see it."""
         return int(self._levels(self.check_cell(cell))[self._places[self.check_gaussian(gaussian)]]) - 1

@@ -1,55 +1,63 @@
-"""The addresses of a server, as an ASGI application: streams, files of packages, health, metrics.
+"""The addresses of a server, as an ASGI application: pages, streams, files of packages, facts, health, metrics.
 
-    /                                   the scenes, as JSON
+    /                                   the scenes: a page for browsers, JSON for everybody else
+    /view/NAME, /viewer/FILE            the viewer's page and its files
     /stream, /stream/NAME               WebSocket: the protocol of docs/streaming.md
     /packages/NAME/manifest.json        files of a package, for clients that fetch parts themselves
-    /packages/NAME/parts/HASH.arrow
+    /packages/NAME/parts/HASH.arrow     and HASH.bin
+    /scenes/NAME/why/ID                 facts for a viewer, as JSON; also /scenes/NAME/cells and /scenes/NAME/floor
+    /scenes/NAME/FILE                   files of a static scene
     /healthz, /metrics
 
-With a token, all addresses but `/healthz` require it: as `Authorization: Bearer TOKEN`, or as `?token=TOKEN` if a
-browser cannot set headers. The server refuses a WebSocket from a page of another origin, unless that origin is allowed.
+With a token, all addresses but `/healthz` require it: as `Authorization: Bearer TOKEN`, as a cookie that the server
+sets for a page opened with `?token=TOKEN`, or over a WebSocket as its first message. The server refuses pages of other
+origins, unless they are allowed. Over a WebSocket it accepts first, because a page cannot read why a handshake fails.
 Requests by an unknown host name get 421, except for `/healthz`: a page could have made its own name point here.
 """
 
 from __future__ import annotations
 
 import errno
-import hmac
 import itertools
 import logging
-from collections.abc import Mapping
+import re
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, field
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlencode
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gsvis.abr.config import AbrConfig
 from gsvis.errors import FormatError, ProtocolError
-from gsvis.serve._addresses import Proxies, is_known_host, owner_of
-from gsvis.serve._log import LOGGER, EventLog
+from gsvis.serve._addresses import Proxies, owner_of
+from gsvis.serve._entry import Cors, Entry
+from gsvis.serve._front import HEALTH, Front
+from gsvis.serve._log import EventLog
+from gsvis.serve._peer import SocketPeer
 from gsvis.serve._protocols import GUARD
+from gsvis.serve._questions import FACTS, Questions
 from gsvis.serve.clock import Clock
 from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.limits import Limits, Pace, Seats
 from gsvis.serve.metrics import CONTENT_TYPE, Metrics
+from gsvis.serve.pages import Pages, wants_page
 from gsvis.serve.parts import respond
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream.wire import FAULTS, ServerFault
+from gsvis.serve.sites import SCENE
+from gsvis.stream import Token, parse_client
+from gsvis.stream.wire import CLOSE_CODES, FAULTS, POLICY, ServerFault
 
 __all__ = ["AppConfig", "build_app"]
 
-_ENDED = 1012  # close code of uvicorn when the server stops
-_LEFT = (1000, 1001)
-_HEALTH = "/healthz"
 _SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)  # errors that pass
+_LIST, _VIEW = "list.html", "view.html"
+_ID = re.compile(r"[0-9]{1,10}")
 
 
 @dataclass(frozen=True)
@@ -93,31 +101,51 @@ class _App:
         setting: Setting,
     ) -> None:
         self.scenes, self.config, self.metrics, self.log, self.setting = scenes, config, metrics, log, setting
-        self.numbers = itertools.count(1)
+        self.numbers, self.questions = itertools.count(1), Questions()
         self.seats, self.proxies = Seats(config.limits), Proxies(config.proxies)
+        self.entry, self.pages = Entry(config.token, config.origins), Pages(origins=config.origins)
 
     async def stream(self, socket: WebSocket) -> None:
         """Serve one client, from its request to its end."""
-        number, peer = next(self.numbers), self.place(socket)
-        name = socket.path_params.get("name") or next(iter(self.scenes))
-        if not self.admits(socket):
-            return await self.deny(socket, number, "token", "a token is needed\n", 401)
-        if not _same_origin(socket, self.config.origins):
-            line = "pages of this origin may not stream from here\n"
-            return await self.deny(socket, number, "origin", line, 403, _why_not_origin(socket))
-        if name not in self.scenes:
-            return await self.deny(socket, number, "unknown", "no such scene\n", 404)
+        number, clock = next(self.numbers), self.setting.clock
+        name, began = socket.path_params.get("name") or next(iter(self.scenes)), clock.now()
         await socket.accept()
-        served, owner = self.scenes[name], owner_of(self.address(socket))
+        if not self.entry.allows(socket):
+            line = "pages of this origin may not stream from here"
+            return await self.turn_away(socket, number, "origin", line, why=_why_not_origin(socket))
+        if not self.entry.admits(socket) and not await self.is_token_sent(socket, number):
+            return None
+        served, owner = self.scenes.get(name), owner_of(self.address(socket))
+        if served is None:
+            return await self.turn_away(socket, number, "unknown", "no such scene")
         if served.fault:
-            return await self.turn_away(socket, number, "damaged", "the scene is damaged on the server", "refused")
+            return await self.turn_away(socket, number, "damaged", "the scene is damaged on the server")
+        if served.opened is None:
+            return await self.turn_away(socket, number, "static", f"not streamed; read scenes/{served.name}/{SCENE}")
         if why := self.seats.why_not(owner):
             return await self.turn_away(socket, number, why, "too many clients; try again later", "too-many")
-        self.log("accepted", client=number, peer=peer, scene=name, clients=self.seats.taken)
-        await self.serve(socket, served, number, owner)
+        self.log("accepted", client=number, peer=self.place(socket), scene=name, clients=self.seats.taken)
+        await self.serve(socket, served, number, owner, self.config.limits.handshake_s - (clock.now() - began))
         return None
 
-    async def serve(self, socket: WebSocket, served: ServedScene, number: int, owner: str) -> None:
+    async def is_token_sent(self, socket: WebSocket, number: int) -> bool:
+        """Return whether the first message is the right TOKEN; turn the client away otherwise."""
+        said: object = None
+        if self.entry.token_in(socket) is None:
+            receiving = SocketPeer(socket).receive()
+            try:
+                said = parse_client(await self.setting.clock.within(self.config.limits.handshake_s, receiving))
+            except (TimeoutError, ProtocolError):
+                pass
+            except GoneError:
+                self.metrics.refused.add(of="lost")
+                return False
+        if isinstance(said, Token) and self.entry.is_right(said.text):
+            return True
+        await self.turn_away(socket, number, "token", "a token is needed")
+        return False
+
+    async def serve(self, socket: WebSocket, served: ServedScene, number: int, owner: str, greet_s: float) -> None:
         """Serve a client that is accepted; it takes a seat after its HELLO."""
         guard = socket.scope.get("extensions", {}).get(GUARD)
 
@@ -129,46 +157,78 @@ class _App:
                     guard.stream()
             return why
 
-        connection = Connection(_Peer(socket), served, self.setting, number, seat)
+        connection = Connection(SocketPeer(socket), served, self.setting, number, seat, greet_s=max(greet_s, 0.0))
         try:
             await connection.run()
         finally:
             self.seats.leave(owner, connection)
             self.metrics.clients.set(self.seats.taken)
 
-    async def deny(
-        self, socket: WebSocket, number: int, reason: str, line: str, status: int, why: str | None = None
+    async def turn_away(
+        self, socket: WebSocket, number: int, reason: str, line: str, fault: str = "refused", *, why: str | None = None
     ) -> None:
-        """Refuse a stream with an HTTP answer."""
+        """Refuse an accepted stream with an error of the protocol, the only answer that a page can read."""
         self.metrics.refused.add(of=reason)
         self.log("refused", logging.WARNING, client=number, peer=self.place(socket), reason=reason, why=why)
-        await socket.send_denial_response(PlainTextResponse(line, status))
-
-    async def turn_away(self, socket: WebSocket, number: int, reason: str, line: str, fault: str) -> None:
-        """Refuse a stream with an error of the protocol."""
-        self.metrics.refused.add(of=reason)
-        self.log("refused", logging.WARNING, client=number, peer=self.place(socket), reason=reason)
+        code = FAULTS[fault]
         try:
-            await socket.send_bytes(ServerFault(FAULTS[fault], line).to_bytes())
-            await socket.close(1013, reason)
+            await socket.send_bytes(ServerFault(code, line).to_bytes())
+            await socket.close(CLOSE_CODES.get(code, POLICY), reason)
         except (WebSocketDisconnect, RuntimeError):
             pass  # the client has gone already
 
     async def index(self, request: Request) -> Response:
-        """Return the scenes as JSON; addresses are relative, since a proxy may serve them under a prefix."""
-        if not self.admits(request):
+        """Return the scenes; addresses are relative, since a proxy may serve them under a prefix."""
+        if not self.entry.admits(request):
             return self.unauthorized(request)
+        if wants_page(request):
+            return self.enter(request) if "token" in request.query_params else self.pages.page(request, _LIST)
         rows = [
             {
                 "name": served.name,
                 "state": "refused" if served.fault else "ready",
-                "gaussians": served.opened.about.gaussians if served.opened else None,
-                "stream": f"stream/{served.name}",
-                "manifest": f"packages/{served.name}/manifest.json",
+                "gaussians": served.gaussians,
+                "view": f"view/{served.name}",
+                "stream": None if served.site else f"stream/{served.name}",
+                "manifest": None if served.site else f"packages/{served.name}/manifest.json",
+                "static": f"scenes/{served.name}/{SCENE}" if served.site else None,
             }
             for served in self.scenes.values()
         ]
-        return JSONResponse({"format": "gsvis-server", "version": 1, "scenes": rows})
+        answer = {"format": "gsvis-server", "version": 1, "scenes": rows}
+        return JSONResponse(answer, headers={"vary": "Accept", "cache-control": "no-cache"})
+
+    def enter(self, request: Request) -> Response:
+        """Answer a browser that shows the token: keep it as a cookie, and go on without it in the address."""
+        fields = [(key, value) for key, value in request.query_params.multi_items() if key != "token"]
+        name = next((value for key, value in fields if key == "scene"), "")
+        query = urlencode([(key, value) for key, value in fields if key != "scene"])
+        to = f"view/{quote(name, safe='')}" if name in self.scenes else "./"
+        response = self.pages.enter(f"{to}?{query}" if query else to)
+        is_proxied = request.client is not None and request.client.host in self.proxies
+        is_secure = is_proxied and request.headers.get("x-forwarded-proto") == "https"
+        if self.config.token is not None:
+            self.entry.set_cookie(response, is_secure=is_secure or request.url.scheme == "https")
+        return response
+
+    async def view(self, request: Request) -> Response:
+        """Return the viewer's page of a scene."""
+        name, shown = request.path_params["name"], request.query_params
+        if not self.entry.admits(request):
+            return self.unauthorized(request)
+        if "token" in shown:  # the cookie has to come from the first folder, or it would not count there
+            fields = [(key, value) for key, value in shown.multi_items() if key != "scene"]
+            to = "../?" + urlencode([*fields, ("scene", name)])
+            return Response(status_code=303, headers={"location": to, "referrer-policy": "no-referrer"})
+        if name not in self.scenes:
+            return self.pages.say("No such scene", f"This server has no scene {name[:100]!r}.", 404)
+        return self.pages.page(request, _VIEW)
+
+    async def viewer_file(self, request: Request) -> Response:
+        """Return a file of the viewer."""
+        if not self.entry.admits(request):
+            return self.unauthorized(request)
+        return self.pages.file(request, request.path_params["file"])
 
     async def health(self, request: Request) -> Response:
         """Answer 200 while a scene is served."""
@@ -178,21 +238,55 @@ class _App:
 
     async def counts(self, request: Request) -> Response:
         """Answer with metrics for Prometheus."""
-        if not self.admits(request):
+        if not self.entry.admits(request):
             return self.unauthorized(request)
         return Response(self.metrics.text(), media_type=CONTENT_TYPE)
 
     async def file(self, request: Request) -> Response:
         """Return a file of a package."""
-        if not self.admits(request):
+
+        async def read(served: ServedScene) -> Response:
+            name = request.path_params.get("part") or "manifest.json"
+            return await respond(request, served.path, name, private=self.config.token is not None)
+
+        return await self.answer(request, read)
+
+    async def site_file(self, request: Request) -> Response:
+        """Return a file of a static scene."""
+
+        async def read(served: ServedScene) -> Response:
+            if served.site is None:
+                return PlainTextResponse("no such file\n", 404)
+            name = request.path_params["file"]
+            return await served.site.respond(request, name, private=self.config.token is not None)
+
+        return await self.answer(request, read)
+
+    async def fact(self, request: Request) -> Response:
+        """Return facts about a scene as JSON: why a Gaussian is there, or the last part of the address."""
+
+        async def find(served: ServedScene) -> Response:
+            if served.opened is None or served.fault:
+                return PlainTextResponse("nothing is known of this scene\n", 404)
+            given = request.path_params.get("id")
+            if given is None:
+                return await self.questions.answer(served, request.url.path.rpartition("/")[2])
+            if not _ID.fullmatch(given):
+                return PlainTextResponse("no such Gaussian\n", 404)
+            return await self.questions.answer(served, "why", int(given))
+
+        return await self.answer(request, find)
+
+    async def answer(self, request: Request, read: Callable[[ServedScene], Awaitable[Response]]) -> Response:
+        """Answer a request about a scene; count it, and log a fault of the scene."""
+        if not self.entry.admits(request):
             return self.unauthorized(request)
         served = self.scenes.get(request.path_params["name"])
-        name = request.path_params.get("part") or "manifest.json"
         if served is None:
             response: Response = PlainTextResponse("no such scene\n", 404)
         else:
             try:
-                response = await respond(request, served.path, name, private=self.config.token is not None)
+                response = await read(served)
             except FormatError as error:
                 self.metrics.faults.add(of=served.name)
                 self.log("damaged", logging.ERROR, scene=served.name, why=str(error))
@@ -200,7 +294,8 @@ class _App:
             except OSError as error:
                 response = self.unread(served, error)
         self.metrics.parts.add(of=str(response.status_code))
-        self.metrics.parts_bytes.add(len(response.body))
+        if request.method == "GET":
+            self.metrics.parts_bytes.add(int(response.headers.get("content-length", 0)))
         return response
 
     def unread(self, served: ServedScene, error: OSError) -> Response:
@@ -210,16 +305,6 @@ class _App:
             return PlainTextResponse("the server is busy; try again later\n", 503, {"retry-after": "1"})
         self.metrics.faults.add(of=served.name)
         return PlainTextResponse("this file cannot be read on the server\n", 500)
-
-    def admits(self, asked: HTTPConnection) -> bool:
-        """Return whether the request has the token; true if none is required."""
-        token = self.config.token
-        if token is None:
-            return True
-        kind, _, shown = asked.headers.get("authorization", "").partition(" ")
-        if kind.lower() != "bearer":
-            shown = asked.query_params.get("token", "")
-        return hmac.compare_digest(shown.strip().encode("utf-8", "replace"), token.encode())
 
     def address(self, asked: HTTPConnection) -> str:
         """Return the address of a client: that of its socket, or the one that trusted proxies report."""
@@ -235,54 +320,9 @@ class _App:
         """Answer 401: the token is missing or wrong."""
         self.metrics.refused.add(of="token")
         self.log("refused", logging.WARNING, peer=self.place(request), reason="token")
+        if wants_page(request):
+            return self.pages.ask_token()
         return PlainTextResponse("a token is needed\n", 401, {"www-authenticate": "Bearer"})
-
-
-class _Peer:
-    """A WebSocket of Starlette, with the interface that a connection needs."""
-
-    def __init__(self, socket: WebSocket) -> None:
-        self._socket = socket
-
-    async def receive(self) -> bytes:
-        message = await self._socket.receive()
-        if message["type"] == "websocket.disconnect":
-            code = message.get("code", 1005)
-            raise GoneError(
-                "ending" if code == _ENDED else "too-large" if code == 1009 else "left" if code in _LEFT else "lost"
-            )
-        data = message.get("bytes")
-        if data is None:
-            raise ProtocolError("message: expected bytes, got text")
-        return bytes(data)
-
-    async def send(self, data: bytes) -> None:
-        try:
-            await self._socket.send_bytes(data)
-        except (WebSocketDisconnect, RuntimeError) as error:
-            raise GoneError("lost") from error
-
-    async def close(self, reason: str) -> None:
-        try:
-            await self._socket.close(1008, reason)
-        except (WebSocketDisconnect, RuntimeError) as error:
-            raise GoneError("lost") from error
-
-    def abort(self) -> None:
-        guard = self._socket.scope.get("extensions", {}).get(GUARD)
-        if guard is not None:
-            guard.cut()
-
-
-def _same_origin(socket: WebSocket, allowed: tuple[str, ...]) -> bool:
-    """Return whether the origin of a request is allowed. Programs send no Origin; a page sends its own."""
-    origin = socket.headers.get("origin")
-    if origin is None or "*" in allowed or origin in allowed:
-        return True
-    try:
-        return urlsplit(origin).netloc.lower() == socket.headers.get("host", "").lower() != ""
-    except ValueError:  # such as "http://["
-        return False
 
 
 def _why_not_origin(socket: WebSocket) -> str:
@@ -290,58 +330,6 @@ def _why_not_origin(socket: WebSocket) -> str:
     return (
         f"Origin is {origin}, Host is {host}; a proxy in front has to pass Host on, or name the origin with --origins"
     )
-
-
-class _Front:
-    """Refuse requests by unknown host names, and log a failing request in one line."""
-
-    def __init__(self, inner: ASGIApp, app: _App) -> None:
-        self._inner, self._app = inner, app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._inner(scope, receive, send)
-            return
-        if self._is_good(scope):
-            await self._pass_on(scope, receive, send)
-            return
-        app, asked = self._app, HTTPConnection(scope)
-        app.metrics.refused.add(of="host")
-        why = f"Host is {asked.headers.get('host')}; name it with --hosts if it is this server"
-        app.log("refused", logging.WARNING, peer=app.place(asked), reason="host", why=why)
-        answer = PlainTextResponse("this server is not known by this name\n", 421)
-        if scope["type"] == "websocket":
-            await WebSocket(scope, receive, send).send_denial_response(answer)
-        else:
-            await answer(scope, receive, send)
-
-    async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
-        begun = False
-
-        async def watched(message: Message) -> None:
-            nonlocal begun
-            begun = True
-            await send(message)
-
-        try:
-            await self._inner(scope, receive, watched)
-        except WebSocketDisconnect:
-            pass  # the client has gone before its answer
-        except Exception as error:
-            peer = self._app.place(HTTPConnection(scope))
-            self._app.log("failed", logging.ERROR, peer=peer, why=f"{type(error).__name__}: {error}")
-            LOGGER.debug("request of %s", peer, exc_info=error)
-            with suppress(Exception):
-                if scope["type"] == "websocket":
-                    await send({"type": "websocket.close", "code": 1011})
-                elif not begun:
-                    await PlainTextResponse("the server failed; try again later\n", 500)(scope, receive, send)
-
-    def _is_good(self, scope: Scope) -> bool:
-        host = HTTPConnection(scope).headers.get("host")
-        if host is None:  # no page sends such a request
-            return True
-        return scope["path"] == _HEALTH or is_known_host(host, self._app.config.hosts)
 
 
 def build_app(
@@ -371,14 +359,22 @@ def build_app(
     found = Starlette(
         routes=[
             Route("/", app.index, methods=["GET"]),
-            Route(_HEALTH, app.health, methods=["GET"]),
+            Route(HEALTH, app.health, methods=["GET"]),
             Route("/metrics", app.counts, methods=["GET"]),
             Route("/packages/{name}/manifest.json", app.file, methods=["GET"]),
             Route("/packages/{name}/parts/{part}", app.file, methods=["GET"]),
+            Route("/view/{name}", app.view, methods=["GET"]),
+            Route("/viewer/{file}", app.viewer_file, methods=["GET"]),
+            Route("/scenes/{name}/why/{id}", app.fact, methods=["GET"]),
+            *(Route(f"/scenes/{{name}}/{fact}", app.fact, methods=["GET"]) for fact in FACTS),
+            Route("/scenes/{name}/{file}", app.site_file, methods=["GET"]),
             WebSocketRoute("/stream", app.stream),
             WebSocketRoute("/stream/{name}", app.stream),
         ],
-        middleware=[Middleware(_Front, app)],
+        middleware=[
+            Middleware(Front, config.hosts, app.place, metrics, log),
+            Middleware(Cors, app.entry),
+        ],
     )
     found.router.redirect_slashes = False  # a redirect would lack the prefix of a proxy
     return found

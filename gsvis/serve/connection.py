@@ -25,8 +25,8 @@ from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits, Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Session, parse_client
-from gsvis.stream.wire import FAULTS, ServerFault
+from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Session, Token, parse_client
+from gsvis.stream.wire import CLOSE_CODES, FAULTS, NORMAL, POLICY, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 
@@ -44,6 +44,10 @@ class GoneError(Exception):
     """The client has closed the connection, or it broke."""
 
 
+class _ByeError(GoneError):
+    """The client has said BYE; the connection is still open."""
+
+
 class Peer(Protocol):
     """The socket of a client."""
 
@@ -55,8 +59,8 @@ class Peer(Protocol):
         """Send when there is room in the buffer of the socket; raises `GoneError`."""
         ...
 
-    async def close(self, reason: str) -> None:
-        """Close the connection and send the reason."""
+    async def close(self, reason: str, code: int) -> None:
+        """Close the connection with a code of WebSockets and a reason."""
         ...
 
     def abort(self) -> None:
@@ -127,6 +131,7 @@ class Connection:
         setting: What all connections share.
         number: Number of the client in the log.
         seat: Called after a valid HELLO; returns why this client may not stream, or "". None always allows it.
+        greet_s: Seconds for TOKEN and HELLO together; None means `Limits.handshake_s`.
 
     Attributes:
         session: The session; None before HELLO.
@@ -134,8 +139,16 @@ class Connection:
     """
 
     def __init__(
-        self, peer: Peer, served: ServedScene, setting: Setting, number: int, seat: Callable[[], str] | None = None
+        self,
+        peer: Peer,
+        served: ServedScene,
+        setting: Setting,
+        number: int,
+        seat: Callable[[], str] | None = None,
+        *,
+        greet_s: float | None = None,
     ) -> None:
+        self._greet_s = setting.limits.handshake_s if greet_s is None else greet_s
         self._peer, self._served, self._setting, self.number, self._seat = peer, served, setting, number, seat
         self.session: Session | None = None
         self.reason = ""
@@ -149,6 +162,7 @@ class Connection:
         self._planned = setting.measure()
         self._alarm: Timer | None = None
         self._has_pose, self._fresh, self._dry = False, False, False  # a pose; one not planned for; nothing to send
+        self._said_bye = False
         self._seat_gone = asyncio.Event()
 
     @property
@@ -181,17 +195,16 @@ class Connection:
             await asyncio.gather(*loops, return_exceptions=True)
             self._seat = None  # it refers to this object
             self._account(began)
-        if self.reason not in ("left", "lost", "ending"):
+        if self.reason not in ("left", "lost", "ending") or self._said_bye:
             await self._farewell(fault)
 
     async def _greet(self) -> None:
         """Read HELLO and send WELCOME."""
         limits, clock = self._setting.limits, self._setting.clock
         try:
-            data = await clock.within(limits.handshake_s, self._peer.receive())
+            said = await clock.within(self._greet_s, self._first())
         except TimeoutError:
             raise ProtocolError(f"no HELLO within {limits.handshake_s:g} s; closing", FAULTS["late"]) from None
-        said = parse_client(data, most_hello=limits.message_bytes or self._served.scene.most_hello)
         if not isinstance(said, Hello):
             raise ProtocolError(f"message: expected HELLO first, got {type(said).__name__}")
         self._alive = clock.now()
@@ -210,6 +223,12 @@ class Connection:
             "opened", client=self.number, scene=self._served.name, held=len(self.session.holdings.received) or None
         )
 
+    async def _first(self) -> object:
+        """Return the first message that is no TOKEN; one TOKEN may come before it, needed or not."""
+        most = self._setting.limits.message_bytes or self._served.scene.most_hello
+        said = parse_client(await self._peer.receive(), most_hello=most)
+        return parse_client(await self._peer.receive(), most_hello=most) if isinstance(said, Token) else said
+
     async def _listen(self) -> None:
         """Read messages of the client until it leaves."""
         clock, metrics = self._setting.clock, self._setting.metrics
@@ -223,9 +242,10 @@ class Connection:
             said = parse_client(data, most_hello=64)
             metrics.received.add(of=type(said).__name__)
             if isinstance(said, Bye):
-                raise GoneError("left")
-            if isinstance(said, Hello):
-                raise ProtocolError("HELLO: expected it once, got another")
+                raise _ByeError("left")
+            if isinstance(said, Hello | Token):
+                name = type(said).__name__.upper()
+                raise ProtocolError(f"{name}: expected it at the start, got one after HELLO")
             if isinstance(said, PoseAt) and not self._poses.take(now):
                 metrics.skipped.add()
                 continue
@@ -349,7 +369,7 @@ class Connection:
     def _judge(self, error: Exception) -> ServerFault | None:
         """Log an error and return what to report to the client; None if the client has gone."""
         if isinstance(error, GoneError):
-            self.reason = str(error) or "lost"
+            self.reason, self._said_bye = str(error) or "lost", isinstance(error, _ByeError)
             return None
         fault = ServerFault.from_error(error)
         if isinstance(error, ProtocolError):
@@ -378,14 +398,16 @@ class Connection:
         )  # fmt: skip
 
     async def _farewell(self, fault: ServerFault | None) -> None:
-        """Send the client the reason; cut the connection if it does not read."""
+        """Send the client the reason and close; cut the connection if it does not read."""
+        code = NORMAL if fault is None and self._said_bye else POLICY
 
         async def say() -> None:
             if fault is not None:
                 await self._peer.send(fault.to_bytes())
-            await self._peer.close(self.reason)
+            await self._peer.close(self.reason, code if fault is None else CLOSE_CODES.get(fault.code, POLICY))
 
         try:
             await self._setting.clock.within(_FAREWELL, say())
-        except (TimeoutError, GoneError):
-            self._peer.abort()
+        except (TimeoutError, GoneError) as error:
+            if isinstance(error, TimeoutError) or not self._said_bye:  # after BYE a client may close first
+                self._peer.abort()

@@ -18,9 +18,10 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.errors import GsvisError
 from gsvis.package import Package
 from gsvis.serve._log import LOGGER, EventLog
+from gsvis.serve.sites import Site, is_site
 from gsvis.stream import Hello, Session, StreamedScene
 
-__all__ = ["Scenes", "ServedScene", "open_scenes"]
+__all__ = ["Scenes", "ServedScene", "open_scene", "open_scenes"]
 
 
 _REACH = 100.0
@@ -31,30 +32,44 @@ _PIECE = 65536.0  # bytes that a warm-up sends in each cell
 
 @dataclass(eq=False)
 class ServedScene:
-    """A package under the name that clients ask for.
+    """A package, or a static scene, under the name that clients ask for.
 
     Attributes:
         name: Name in addresses.
-        path: Folder of the package.
-        opened: The scene, ready to send; None if it could not be opened.
+        path: Folder of the package or of the static scene.
+        opened: The scene, ready to send; None if it could not be opened, or is a static scene.
         fault: Why the scene is refused; "" while it is served. Only for the log: it may name files.
+        site: Files of a static scene, which a viewer reads by itself; None for a package.
     """
 
     name: str
     path: Path
     opened: StreamedScene | None
     fault: str = ""
+    site: Site | None = None
+
+    @property
+    def gaussians(self) -> int | None:
+        """Number of Gaussians; None if it is not known."""
+        return self.opened.about.gaussians if self.opened else self.site.gaussians if self.site else None
 
     @property
     def scene(self) -> StreamedScene:
         """The scene.
 
         Raises:
-            RuntimeError: If the scene could not be opened.
+            RuntimeError: If the scene could not be opened, or is a static one.
         """
         if self.opened is None:
             raise RuntimeError(f"{self.name} is not open")
         return self.opened
+
+    @property
+    def most_hello(self) -> int:
+        """Most bytes of a HELLO for this scene, or for a package that may take the place of a static one."""
+        if self.opened is not None:
+            return self.opened.most_hello
+        return (1 << 16) + 2 * (self.gaussians or 0)
 
     def within(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return a position clamped to a hundred times the size of the scene, where arithmetic is still accurate."""
@@ -102,6 +117,14 @@ class Scenes(Mapping[str, ServedScene]):
 
     def __init__(self, served: Iterable[ServedScene]) -> None:
         self._served = {scene.name: scene for scene in served}
+        self._former: list[ServedScene] = []
+
+    def replace(self, scene: ServedScene) -> None:
+        """Serve another scene under its name from now on; who reads the former one goes on until `close`."""
+        former = self._served.get(scene.name)
+        self._served[scene.name] = scene
+        if former is not None:
+            self._former.append(former)
 
     def __getitem__(self, name: str) -> ServedScene:
         return self._served[name]
@@ -122,7 +145,7 @@ class Scenes(Mapping[str, ServedScene]):
 
     def close(self) -> None:
         """Close the packages; the scenes must not be served after that."""
-        for scene in self.values():
+        for scene in (*self.values(), *self._former):
             if scene.opened is not None:
                 scene.opened.package.close()
 
@@ -137,7 +160,8 @@ def open_scenes(
     """Open packages; keep a damaged one as refused, so that the others can be served.
 
     Args:
-        packages: Folders of packages. The name of a scene is that of its folder without suffix.
+        packages: Folders of packages, or of static scenes (`gsvis export --format static`). The name of a scene is that
+            of its folder without suffix.
         max_cache_bytes: Most bytes of decoded data of cells, for all scenes together.
         warm: Whether to load what the first viewers would wait for; takes some seconds for a large scene.
         log: Log of events.
@@ -162,7 +186,7 @@ def open_scenes(
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
-            served = _open(name, path, max_cache_bytes // len(packages), warm)
+            served = open_scene(path, name, max_cache_bytes=max_cache_bytes // len(packages), warm=warm)
         except Exception as error:  # a reader that fails in a way of its own must not keep the others from being served
             expected = isinstance(error, GsvisError | OSError)
             why = str(error) if expected else f"{type(error).__name__}: {error}"
@@ -172,20 +196,45 @@ def open_scenes(
             found[name] = ServedScene(name, path, None, why)
             continue
         found[name] = served
-        about = served.scene.about
-        log("ready", scene=name, gaussians=about.gaussians, terms=about.terms, cells=len(served.scene.index.grid))
-    if first is not None and all(served.opened is None for served in found.values()):
+        _report(served, log)
+    if first is not None and all(served.fault for served in found.values()):
         raise first
     return Scenes(found.values())
 
 
-def _open(name: str, path: Path, max_cache_bytes: int, warm: bool) -> ServedScene:
-    package = Package.open(path)
+def open_scene(
+    path: str | PathLike[str], name: str = "", *, max_cache_bytes: int = 512 << 20, warm: bool = False
+) -> ServedScene:
+    """Open one package or static scene.
+
+    Args:
+        path: The folder.
+        name: Name in addresses; "" takes that of the folder without suffix.
+        max_cache_bytes: Most bytes of decoded data of cells.
+        warm: Whether to load what the first viewers would wait for.
+
+    Raises:
+        GsvisError: If it cannot be opened.
+        OSError: If it cannot be opened, because of the file system.
+    """
+    folder = _check.path("path", path)
+    name = name or folder.resolve().name.partition(".")[0] or "scene"
+    if is_site(folder):
+        return ServedScene(name, folder, None, site=Site(folder))
+    package = Package.open(folder)
     try:
-        served = ServedScene(name, path, StreamedScene.open(package, max_cache_bytes=max_cache_bytes))
+        served = ServedScene(name, folder, StreamedScene.open(package, max_cache_bytes=max_cache_bytes))
         if warm:
             served.warm_up()
         return served
     except BaseException:
         package.close()
         raise
+
+
+def _report(served: ServedScene, log: EventLog) -> None:
+    if served.opened is None:
+        log("ready", scene=served.name, gaussians=served.gaussians, form="static")
+        return
+    about = served.opened.about
+    log("ready", scene=served.name, gaussians=about.gaussians, terms=about.terms, cells=len(served.opened.index.grid))

@@ -16,7 +16,7 @@ docs/streaming.md describes the messages.
 from gsvis.stream.receiver import Received, Receiver
 from gsvis.stream.scene import StreamedScene
 from gsvis.stream.session import Message, Session
-from gsvis.stream.wire import PROTOCOL, Ack, Bye, Hello, PoseAt, parse_client
+from gsvis.stream.wire import PROTOCOL, Ack, Bye, Hello, PoseAt, Token, parse_client
 
 __all__ = [
     "PROTOCOL",
@@ -29,6 +29,7 @@ __all__ = [
     "Receiver",
     "Session",
     "StreamedScene",
+    "Token",
     "parse_client",
 ]
 

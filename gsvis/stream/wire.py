@@ -7,14 +7,28 @@ memory for it. Batches are in `batch.py`. docs/streaming.md describes the messag
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.errors import ProtocolError
 
-__all__ = ["FAULTS", "MOST_HELLO", "PROTOCOL", "Ack", "Bye", "Hello", "PoseAt", "ServerFault", "parse_client"]
+__all__ = [
+    "CLOSE_CODES",
+    "FAULTS",
+    "MOST_HELLO",
+    "NORMAL",
+    "POLICY",
+    "PROTOCOL",
+    "Ack",
+    "Bye",
+    "Hello",
+    "PoseAt",
+    "ServerFault",
+    "Token",
+    "parse_client",
+]
 
 PROTOCOL = 2
 """Version of the messages."""
@@ -22,7 +36,7 @@ PROTOCOL = 2
 MOST_HELLO = 16 << 20
 """Default limit of a HELLO in bytes."""
 
-HELLO, POSE, ACK, BYE = 1, 2, 3, 4
+HELLO, POSE, ACK, BYE, TOKEN = 1, 2, 3, 4, 5
 WELCOME, BATCH, ERROR = 129, 130, 131
 
 FAULTS = {
@@ -39,12 +53,18 @@ FAULTS = {
 """Codes of ERROR, in this order: not a valid message; another version; over a limit; no token; too many connections;
 too many messages; no acknowledgement for too long; a fault of the server; the server is shutting down."""
 
+CLOSE_CODES = {FAULTS["too-many"]: 1013, FAULTS["internal"]: 1011, FAULTS["ending"]: 1012}
+"""Close codes of a WebSocket after an ERROR, by its code; `POLICY` for the others. After BYE it is `NORMAL`."""
+
+NORMAL, POLICY = 1000, 1008
+
 IDENTITY = 32
 _HELLO = struct.Struct("<BBHI6f32s")  # type, version, 0, bytes of holdings, field of view, scene of the holdings
 _POSE = struct.Struct("<B3xI3f4f")
 _ACK = struct.Struct("<B3xI")
 _BYE = struct.Struct("<B3x")
 _ERROR = struct.Struct("<BBH")  # type, code, bytes of the line
+_TOKEN = struct.Struct("<BBH")  # type, 0, bytes of the token
 _MOST_LINE = 1000
 
 
@@ -121,6 +141,31 @@ class Bye:
 
 
 @dataclass(frozen=True)
+class Token:
+    """The token of the server, before HELLO: for a page, which cannot set headers of a WebSocket.
+
+    Attributes:
+        text: 1 to 1000 printable ASCII characters.
+    """
+
+    text: str = field(repr=False)
+
+    def to_bytes(self) -> bytes:
+        """Return the TOKEN message.
+
+        Raises:
+            ValueError: If the text has another length or other characters.
+        """
+        if not _is_token(self.text.encode("utf-8", "replace")):
+            raise ValueError(f"text: expected 1 to {_MOST_LINE} printable ASCII characters, got others")
+        return _TOKEN.pack(TOKEN, 0, len(self.text)) + self.text.encode()
+
+
+def _is_token(text: bytes) -> bool:
+    return 1 <= len(text) <= _MOST_LINE and all(0x20 <= byte < 0x7F for byte in text)
+
+
+@dataclass(frozen=True)
 class ServerFault:
     """Why the server ends the connection.
 
@@ -159,7 +204,7 @@ class ServerFault:
         return cls(code, data[_ERROR.size :].decode("utf-8", "replace"))
 
 
-def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt | Ack | Bye:
+def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt | Ack | Bye | Token:
     """Return the content of a client's message.
 
     Args:
@@ -173,6 +218,8 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
     kind = data[0] if data else 0
     if kind == HELLO:
         return _hello(data, most_hello)
+    if kind == TOKEN:
+        return _token(data)
     for code, name, layout in ((POSE, "POSE", _POSE), (ACK, "ACK", _ACK), (BYE, "BYE", _BYE)):
         if kind == code:
             if len(data) != layout.size:
@@ -191,7 +238,19 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
         return Ack(_ACK.unpack(data)[1])
     if kind == BYE:
         return Bye()
-    raise ProtocolError(f"message: expected one of HELLO, POSE, ACK, BYE, got {'nothing' if not data else kind}")
+    raise ProtocolError(f"message: expected one of HELLO, POSE, ACK, BYE, TOKEN, got {'nothing' if not data else kind}")
+
+
+def _token(data: bytes) -> Token:
+    if not _TOKEN.size < len(data) <= _TOKEN.size + _MOST_LINE:
+        raise ProtocolError(
+            f"TOKEN: expected {_TOKEN.size + 1} to {_TOKEN.size + _MOST_LINE:,} bytes, got {len(data):,}"
+        )
+    _, zero, length = _TOKEN.unpack_from(data)
+    text = data[_TOKEN.size :]
+    if zero or length != len(text) or not _is_token(text):
+        raise ProtocolError("TOKEN: expected its length and printable ASCII characters, got others")
+    return Token(text.decode())
 
 
 def _hello(data: bytes, most: int) -> Hello:

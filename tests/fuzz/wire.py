@@ -30,7 +30,7 @@ from gsvis.serve.clock import ManualClock
 from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, Token, parse_client
 from gsvis.stream.batch import _ARROW, _BODY_AT, _DATA_AT, _ENDS, _IDS, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.wire import ServerFault
@@ -90,7 +90,8 @@ def hellos() -> list[bytes]:
 
 def said() -> list[Case]:
     pose = PoseAt(1234, (0.5, 1.0, -2.0), (1.0, 0.0, 0.0, 0.0)).to_bytes()
-    return [{"message.hello": message} for message in (*hellos(), pose, Ack(3).to_bytes(), Bye().to_bytes())]
+    others = pose, Ack(3).to_bytes(), Bye().to_bytes(), Token("s3cret").to_bytes()
+    return [{"message.hello": message} for message in (*hellos(), *others)]
 
 
 def in_parser(folder: Path, case: Case) -> None:

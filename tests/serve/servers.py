@@ -19,6 +19,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from gsvis.abr.classes import FieldOfView
@@ -81,6 +82,14 @@ def heard(ws: ClientConnection) -> bytes:
     data = ws.recv(timeout=PATIENCE)
     assert isinstance(data, bytes)
     return data
+
+
+def close_code(ws: ClientConnection) -> int | None:
+    """The code with which the server closes a connection, after all its messages."""
+    with suppress(ConnectionClosed):
+        while True:
+            ws.recv(timeout=PATIENCE)
+    return ws.close_code
 
 
 def until(fact: Callable[[], bool], seconds: float = PATIENCE) -> None:

@@ -23,7 +23,7 @@ class FakePeer:
     def __init__(self, *said: bytes, room: bool = True, again: Callable[[int], bytes] | None = None) -> None:
         self.said, self.room, self.again = list(said), room, again
         self.sent: list[bytes] = []
-        self.closed, self.aborted, self.heard = "", False, 0
+        self.closed, self.code, self.aborted, self.heard = "", 0, False, 0
         self.is_silent = asyncio.Event()
 
     async def receive(self) -> bytes:
@@ -42,8 +42,8 @@ class FakePeer:
             await asyncio.Event().wait()
         self.sent.append(data)
 
-    async def close(self, reason: str) -> None:
-        self.closed = reason
+    async def close(self, reason: str, code: int) -> None:
+        self.closed, self.code = reason, code
 
     def abort(self) -> None:
         self.aborted = True
@@ -131,7 +131,7 @@ def test_silence_ends_a_connection_at_its_deadline_and_not_before(
 def test_farewell(plain: Path) -> None:
     peer = FakePeer(Hello(VIEW).to_bytes(), b"\x04\0\0\0")
     connection, metrics, _ = served_to(plain, peer, limits_of())
-    assert (connection.reason, peer.closed) == ("left", "")
+    assert (connection.reason, peer.closed, peer.code, peer.aborted) == ("left", "left", 1000, False)
     assert metrics.closed.value("left") == 1
 
 

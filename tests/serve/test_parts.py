@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.errors import FormatError
+from gsvis.serve import Server
 from gsvis.serve.parts import byte_range, read_part
-from tests.serve.servers import ask, patient, serving
+from tests.serve.servers import ask, close_code, patient, raw, serving
 
 OUTSIDE = [
     "/packages/plain/parts/../manifest.json",
@@ -145,13 +146,20 @@ def test_a_request_that_fails_costs_one_line(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("the inside of it")
 
-    monkeypatch.setattr("gsvis.serve.app._App.admits", broken)
-    upgrade = {"Upgrade": "websocket", "Sec-WebSocket-Key": "A" * 22 + "==", "Sec-WebSocket-Version": "13"}
+    monkeypatch.setattr("gsvis.serve.app.Entry.admits", broken)
+
+    def fails_over_http(server: Server) -> bool:
+        status, _, body = ask(server, "/metrics")
+        return status == 500 and b"inside" not in body
+
+    def fails_over_a_socket(server: Server) -> bool:
+        with raw(server, b"") as ws:
+            return close_code(ws) == 1011 and "inside" not in (ws.close_reason or "")
+
     with caplog.at_level(logging.INFO), serving(plain) as server:
-        for path, headers in (("/metrics", {}), ("/stream", upgrade)):
+        for fails in (fails_over_http, fails_over_a_socket):
             caplog.clear()
-            status, _, body = ask(server, path, **{"Connection": "Upgrade"} if headers else {}, **headers)
-            assert (status >= 400, b"inside" in body) == (True, False)
+            assert fails(server)
             lines = [record for record in caplog.records if record.levelno >= logging.WARNING]
             assert [("the inside" in record.getMessage(), record.exc_info) for record in lines] == [(True, None)]
 

@@ -83,14 +83,14 @@ def test_a_reader_that_fails_in_a_way_of_its_own_does_not_either(
 ) -> None:
     other = tmp_path / "other.gsvis"
     shutil.copytree(plain, other)
-    opened = scenes._open
+    opened = scenes.open_scene
 
-    def fail(name: str, *arguments: Any) -> Any:
+    def fail(path: Path, name: str, **options: Any) -> Any:
         if name == "other":
             raise ZeroDivisionError("of a reader")
-        return opened(name, *arguments)
+        return opened(path, name, **options)
 
-    monkeypatch.setattr(scenes, "_open", fail)
+    monkeypatch.setattr(scenes, "open_scene", fail)
     with caplog.at_level(logging.ERROR, logger="gsvis.serve"), open_scenes([other, plain]) as found:
         assert [served.opened is None for served in found.values()] == [True, False]
         assert found["other"].fault == "ZeroDivisionError: of a reader"

@@ -14,11 +14,13 @@ import pytest
 from websockets.asyncio.server import ServerConnection
 from websockets.asyncio.server import serve as websocket_server
 from websockets.protocol import State
+from websockets.sync.client import connect
 
 from gsvis.errors import ProtocolError
 from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, fetch, open_scenes
 from gsvis.serve.connection import PoseClock
-from gsvis.stream import Receiver, Session
+from gsvis.stream import Ack, Bye, Hello, Receiver, Session, Token
+from gsvis.stream.wire import ServerFault
 from tests.serve.servers import (
     LIMITS,
     PATIENCE,
@@ -26,11 +28,13 @@ from tests.serve.servers import (
     advance_until,
     after_one_batch,
     ask,
+    close_code,
     give_up,
     has_all,
     heard,
     limits_of,
     patient,
+    phases,
     pose,
     raw,
     serving,
@@ -133,24 +137,84 @@ def test_a_token_opens_the_stream(plain: Path, caplog: pytest.LogCaptureFixture)
     assert "s3cret-word" not in repr(server.config)
 
 
+def first_answer(server: Server, *messages: bytes, name: str = "", **headers: str) -> tuple[bytes, int | None]:
+    """The first message of the server, and how it closes where it is an ERROR."""
+    with connect(server.url + name, additional_headers=headers, proxy=None, ping_interval=None) as ws:
+        for message in messages:
+            ws.send(message)
+        data = heard(ws)
+        return data, close_code(ws) if data[0] == 131 else None
+
+
+def test_a_page_shows_its_token_as_the_first_message(plain: Path, caplog: pytest.LogCaptureFixture) -> None:
+    hello, right = Hello(VIEW).to_bytes(), Token("s3cret-word").to_bytes()
+    refused = ServerFault(4, "a token is needed").to_bytes(), 1008
+    with caplog.at_level(logging.DEBUG), serving(plain, token="s3cret-word") as server:
+        assert first_answer(server, right, hello)[0][0] == 129
+        assert first_answer(server, hello) == refused
+        assert first_answer(server, Token("s3cret-wore").to_bytes(), hello) == refused
+        assert first_answer(server, b"\x05\x00\x01", hello) == refused
+        wrong = {"Authorization": "Bearer wrong"}
+        assert first_answer(server, right, hello, **wrong) == refused  # what is shown first counts
+        assert first_answer(server, hello, name="/none") == refused  # nothing is said of scenes without the token
+        assert first_answer(server, right, hello, name="/none") == (ServerFault(4, "no such scene").to_bytes(), 1008)
+        assert server.metrics.refused.value("token") == 5
+    said = [record.getMessage() for record in caplog.records if record.name.startswith(("gsvis", "uvicorn"))]
+    assert not any("s3cret" in line for line in said)
+    assert "s3cret" not in repr(Token("s3cret-word"))
+
+
+def test_a_token_that_nobody_needs_is_ignored_once(plain: Path) -> None:
+    hello, token = Hello(VIEW).to_bytes(), Token("whatever").to_bytes()
+    with serving(plain) as server:
+        assert first_answer(server, token, hello)[0][0] == 129
+        for messages in ((token, token, hello), (token, pose())):
+            data, code = first_answer(server, *messages)
+            assert (ServerFault.parse(data).code, code) == (1, 1008)
+        with raw(server) as ws:
+            assert heard(ws)[0] == 129
+            ws.send(token)
+            assert b"TOKEN: expected it at the start" in heard(ws)
+            assert close_code(ws) == 1008
+
+
+def test_a_client_that_shows_no_token_in_time_is_turned_away(plain: Path) -> None:
+    with serving(plain, token="s3cret-word") as server, connect(server.url, proxy=None, ping_interval=None) as ws:
+        until(lambda: phases(server) == ["greeting"])
+        server.clock.advance(LIMITS.handshake_s + 1.0)  # type: ignore[attr-defined]
+        assert ServerFault.parse(heard(ws)).code == 4
+        assert close_code(ws) == 1008
+
+
+def test_bye_ends_with_the_code_for_it(plain: Path) -> None:
+    with serving(plain) as server:
+        with raw(server) as ws:
+            assert heard(ws)[0] == 129
+            ws.send(Ack(0).to_bytes())
+            ws.send(Bye().to_bytes())
+            assert close_code(ws) == 1000
+        until(lambda: server.metrics.closed.value("left") == 1)
+
+
 def test_pages_of_other_origins_are_turned_away(plain: Path) -> None:
     upgrade = {"Upgrade": "websocket", "Sec-WebSocket-Key": "A" * 22 + "==", "Sec-WebSocket-Version": "13"}
     with serving(plain, origins=("https://friend.example",)) as server:
 
-        def status(origin: str) -> int:
-            from websockets.exceptions import InvalidStatus
-            from websockets.sync.client import connect
+        def answer(origin: str) -> int:
+            """Kind of the first message; a page reads no other answer."""
+            with connect(server.url, origin=origin, proxy=None) as ws:  # type: ignore[arg-type]
+                ws.send(Hello(VIEW).to_bytes())
+                data = heard(ws)
+                if data[0] == 131:
+                    assert ServerFault.parse(data) == ServerFault(4, "pages of this origin may not stream from here")
+                    assert close_code(ws) == 1008
+                return data[0]
 
-            try:
-                with connect(server.url, origin=origin, proxy=None):  # type: ignore[arg-type]
-                    return 101
-            except InvalidStatus as refused:
-                return refused.response.status_code
-
-        assert status("https://evil.example") == 403
-        assert status("null") == 403
-        assert status("https://friend.example") == 101
-        assert status(f"http://127.0.0.1:{server.port}") == 101
+        assert answer("https://evil.example") == 131
+        assert answer("null") == 131
+        assert answer("https://friend.example") == 129
+        assert answer(f"http://127.0.0.1:{server.port}") == 129
+        assert server.metrics.refused.value("origin") == 2
         assert ask(server, "/nothing", **upgrade)[0] in (403, 404)
 
 
@@ -308,8 +372,8 @@ def test_a_scene_too_large_for_the_client_names_what_to_raise(plain: Path) -> No
 def test_an_origin_that_is_none_is_turned_away_without_a_traceback(
     plain: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    upgrade = {"Upgrade": "websocket", "Sec-WebSocket-Key": "A" * 22 + "==", "Sec-WebSocket-Version": "13"}
     with caplog.at_level(logging.INFO), serving(plain) as server:
-        assert ask(server, "/stream", Connection="Upgrade", Origin="http://[", **upgrade)[0] == 403
+        with connect(server.url, origin="http://[", proxy=None) as ws:  # type: ignore[arg-type]
+            assert heard(ws)[0] == 131
         assert server.metrics.refused.value("origin") == 1
         assert not any(record.exc_info or "Traceback" in record.getMessage() for record in caplog.records)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.errors import ProtocolError
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, Token, parse_client
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import FAULTS, MOST_HELLO, ServerFault
 from tests.stream.worlds import package_of
@@ -23,13 +23,13 @@ VIEW = FieldOfView.from_degrees(80, 60, margin=8)
 NUMBER = st.floats(-1e6, 1e6, width=32)
 
 
-def said() -> list[Hello | PoseAt | Ack | Bye]:
+def said() -> list[Hello | PoseAt | Ack | Bye | Token]:
     """One of each."""
     rng = np.random.default_rng(0)
     held = Holdings(5000, 9000)
     held.add(rng.permutation(5000)[:1700], rng.permutation(9000)[:500], np.array([1, 7]))
     pose = PoseAt(123456, (1.5, -2.25, 0.125), (0.5, 0.5, -0.5, 0.5))
-    return [Hello(VIEW), Hello(VIEW, bytes(range(32)), held.to_bytes()), pose, Ack(77), Bye()]
+    return [Hello(VIEW), Hello(VIEW, bytes(range(32)), held.to_bytes()), pose, Ack(77), Bye(), Token("s3cret word")]
 
 
 def mutated(rng: np.random.Generator, data: bytes) -> bytes:
@@ -41,7 +41,7 @@ def mutated(rng: np.random.Generator, data: bytes) -> bytes:
     if kind == 1:
         return bytes(made) + rng.bytes(int(rng.integers(1, 40)))
     if kind == 2:
-        return bytes([int(rng.choice([0, 1, 2, 3, 4, 129, 130, 131, 255]))]) + rng.bytes(int(rng.integers(0, 120)))
+        return bytes([int(rng.choice([0, 1, 2, 3, 4, 5, 129, 130, 131, 255]))]) + rng.bytes(int(rng.integers(0, 120)))
     for _ in range(int(rng.integers(1, 6))):
         place = int(rng.integers(len(made)))
         if kind == 3:
@@ -115,12 +115,23 @@ def test_what_is_written_is_read() -> None:
         (PoseAt(0, (0, 0, float("nan")), (1, 0, 0, 0)).to_bytes(), "malformed", "finite"),
         (PoseAt(0, (0, 0, 0), (0, 0, 0, 0)).to_bytes(), "malformed", "rotation"),
         (b"\x03\x00\x01\x00abcd", "malformed", "zeros"),
+        (b"\x05\x00\x00\x00", "malformed", "5 to 1,004 bytes"),
+        (b"\x05\x00\x02\x00a", "malformed", "its length"),
+        (b"\x05\x01\x01\x00a", "malformed", "its length"),
+        (b"\x05\x00\x01\x00\n", "malformed", "printable"),
+        (b"\x05\x00" + (1001).to_bytes(2, "little") + bytes(1001), "malformed", "1,004 bytes"),
     ],
 )
 def test_what_is_refused_says_why(data: bytes, code: str, message: str) -> None:
     with pytest.raises(ProtocolError, match=message) as caught:
         parse_client(data)
     assert caught.value.code == FAULTS[code]
+
+
+@pytest.mark.parametrize("text", ["", "a" * 1001, "ü", "a\n"])
+def test_a_token_is_short_and_printable(text: str) -> None:
+    with pytest.raises(ValueError, match="printable"):
+        Token(text).to_bytes()
 
 
 def test_a_field_of_view_without_an_inside_is_refused() -> None:

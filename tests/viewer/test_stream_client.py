@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import shutil
 import socket
@@ -10,17 +11,22 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pyroaring import BitMap
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.sync.server import ServerConnection, serve
 
+from gsvis.abr.config import AbrConfig
 from gsvis.color.evaluate import evaluate
-from gsvis.stream import Receiver
-from tests.serve.servers import PATIENCE, patient, serving, slow_link, until
+from gsvis.stream import Hello, Receiver, parse_client
+from tests.serve.servers import PATIENCE, VIEW, patient, serving, slow_link, until
 from tests.stream.worlds import package_of
 
 EYE = (0.25, -1.5, 0.5)
@@ -148,6 +154,97 @@ def test_after_a_kill_it_comes_back_with_what_it_holds(package: Path, program: P
     assert [said["held"] for said in lines if said["event"] == "opened"] == [held]
 
 
+def test_a_token_goes_as_the_first_message_and_refusals_have_their_words(
+    package: Path, program: Path, tmp_path: Path
+) -> None:
+    with serving(package, token="correct") as server:
+        with client_of(program, server.url, tmp_path, "correct") as client:
+            until(lambda: client.held > 0)
+        for path, more, words in (
+            ("", ("wrong",), "a token is needed"),
+            ("", (), "a token is needed"),
+            ("/elsewhere", ("correct",), "no such scene"),
+        ):
+            with client_of(program, server.url + path, tmp_path, *more) as client:
+                until(lambda: client.state["kind"] == "failed")
+                assert (client.state["code"], words in client.state["message"]) == (4, True)
+                assert [said["kind"] for said in client.of("state")] == ["connecting", "failed"]
+
+
+class Tee:
+    """Between a client and a server: keeps what the server said on each connection, and cuts the first ones."""
+
+    def __init__(self, url: str, cuts: list[int]) -> None:
+        self._url, self._cuts = url, cuts
+        self.hellos: list[Hello] = []
+        self.said: list[list[bytes]] = []
+        self._listener = serve(self._carry, "127.0.0.1", 0, compression=None, ping_interval=None)
+        self.url = f"ws://127.0.0.1:{self._listener.socket.getsockname()[1]}"
+        threading.Thread(target=self._listener.serve_forever, daemon=True).start()
+
+    def close(self) -> None:
+        self._listener.shutdown()
+
+    def _carry(self, near: ServerConnection) -> None:
+        said: list[bytes] = []
+        left = self._cuts.pop(0) if self._cuts else 1 << 60
+        with connect(self._url, compression=None, proxy=None, ping_interval=None) as far:
+
+            def up() -> None:
+                with suppress(ConnectionClosed):
+                    for data in near:
+                        assert isinstance(data, bytes)
+                        if data[0] == 1:
+                            found = parse_client(data)
+                            assert isinstance(found, Hello)
+                            self.hellos.append(found)
+                        far.send(data)
+                with suppress(ConnectionClosed):
+                    far.close()
+
+            self.said.append(said)
+            threading.Thread(target=up, daemon=True).start()
+            with suppress(ConnectionClosed):
+                for data in far:
+                    assert isinstance(data, bytes)
+                    left -= len(data)
+                    if left < 0:
+                        near.socket.shutdown(socket.SHUT_RDWR)
+                        break
+                    said.append(data)
+                    near.send(data)
+
+
+def test_it_holds_what_the_python_receiver_holds_after_the_same_messages(program: Path, tmp_path: Path) -> None:
+    """Over a walk through cells, with four breaks of the connection."""
+    folder = tmp_path / "celled.gsvis"
+    package_of(folder, 4000, "hsl").close()
+    with (
+        serving(folder, abr=AbrConfig(policy="low-first", start_rate=1000.0)) as server,
+        slow_link(server.url, 30_000.0) as link,
+    ):
+        tee = Tee(link.url, [6000, 9000, 12000, 15000])
+        with client_of(program, tee.url, tmp_path) as client:
+            for k in range(12):
+                client.say(f"pose {k / 4 - 1.5} {k % 3 / 2 - 0.5} 0.2")
+                heard = server.metrics.received.value("PoseAt")
+                until(partial(_is_above, heard, lambda: server.metrics.received.value("PoseAt")))
+            until(lambda: len(tee.said) == 5 and client.state["kind"] == "complete")
+            drawn = client.end()
+        tee.close()
+    states: dict[bytes, Receiver | None] = {b"": None}
+    receiver: Receiver | None = None
+    for hello, (welcome, *batches) in zip(tee.hellos, tee.said, strict=True):
+        receiver = states[hello.holdings] or Receiver(welcome)  # the last messages before a break may not have arrived
+        assert receiver.resume(welcome)
+        states = {receiver.hello(VIEW).holdings: copy.deepcopy(receiver)}
+        for batch in batches:
+            receiver.receive(batch)
+            states[receiver.hello(VIEW).holdings] = copy.deepcopy(receiver)
+    assert_same(drawn, receiver)
+    assert drawn["came"] > len(drawn["ids"])  # some were replaced
+
+
 def test_bitmaps_are_those_of_the_reference_library(program: Path) -> None:
     rng = np.random.default_rng(3)
     sets: list[np.ndarray] = [np.zeros(0, np.int64), np.array([0]), np.arange(70_000), np.array([2**28 - 1])]
@@ -170,6 +267,10 @@ def test_bitmaps_are_those_of_the_reference_library(program: Path) -> None:
         bitmap = BitMap(ids.tolist())
         bitmap.run_optimize()
         assert found == bytes(bitmap.serialize()).hex(), f"{len(ids)} ids"
+
+
+def _is_above(before: float, value: Callable[[], float]) -> bool:
+    return value() > before
 
 
 def _free_port() -> int:

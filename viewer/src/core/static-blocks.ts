@@ -13,6 +13,7 @@ export class Blocks {
   readonly levels: Uint8Array; // (2 C) first and last level
   readonly spheres: Float32Array; // (5 C): center of each chunk, radius of all its Gaussians, mean square of their distance from the center
   readonly top: number; // the highest level
+  readonly meanRadius: number; // of the boxes of chunks
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
   termCount: Uint16Array | null = null;
 
@@ -47,6 +48,9 @@ export class Blocks {
         throw new Error(`chunks: row ${k}: expected 1 to 256 Gaussians of known levels; export the scene again`);
       }
     }
+    let sum = 0;
+    for (let k = 0; k < c; k++) sum += Math.sqrt(3 * this.spheres[5 * k + 4]);
+    this.meanRadius = Math.max(sum / Math.max(c, 1), 1e-9);
     this.count = scene.blocks;
     this.chunk = new Uint32Array(this.count);
     this.firstId = new Uint32Array(this.count);

@@ -25,6 +25,7 @@ export interface Run {
   terms: boolean;
   first: number;
   end: number; // behind the last block
+  place: number; // of its best block in the order
 }
 
 export interface Holdings {
@@ -128,13 +129,14 @@ export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, v
  * where they take at most `gap` bytes and are not held: that is cheaper than another request.
  */
 export function slice(blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number, bytesEach: number): { runs: Run[]; next: number } {
-  const chosen: [number[], number[]] = [[], []];
+  const chosen: [number[], number[]] = [[], []], places: [Map<number, number>, Map<number, number>] = [new Map(), new Map()];
   let size = 0, next = from;
   for (; next < order.blocks.length && size < budget; next++) {
     const b = order.blocks[next], kind = order.terms[next] as 0 | 1, states = kind ? held.terms : held.records;
     if (states[b] !== NONE) continue;
     states[b] = ASKED;
     chosen[kind].push(b);
+    places[kind].set(b, next);
     size += kind ? blocks.size(b) + blocks.scene.termBytes * blocks.termCount![b] : blocks.size(b) * bytesEach;
   }
   const runs: Run[] = [];
@@ -142,23 +144,26 @@ export function slice(blocks: Blocks, order: Order, from: number, held: Holdings
     const states = kind ? held.terms : held.records;
     let last: Run | null = null;
     for (const b of chosen[kind].sort((p, q) => p - q)) {
-      if (last !== null && joins(blocks, last, b, states, gap, bytesEach)) {
+      if (last !== null && joins(blocks, last, b, held, gap, bytesEach)) {
         for (let k = last.end; k < b; k++) states[k] = ASKED;
         last.end = b + 1;
+        last.place = Math.min(last.place, places[kind].get(b)!);
       } else {
-        last = { terms: kind === 1, first: b, end: b + 1 };
+        last = { terms: kind === 1, first: b, end: b + 1, place: places[kind].get(b)! };
         runs.push(last);
       }
     }
   }
-  return { runs, next };
+  return { runs: runs.sort((a, b) => a.place - b.place), next };
 }
 
-function joins(blocks: Blocks, run: Run, block: number, states: Uint8Array, gap: number, bytesEach: number): boolean {
+function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number, bytesEach: number): boolean {
   const between = run.terms
     ? blocks.termStart![block] - blocks.termStart![run.end]
     : (blocks.start[block] - blocks.start[run.end]) * bytesEach;
   if (between > gap) return false;
-  for (let k = run.end; k < block; k++) if (states[k] !== NONE) return false;
+  for (let k = run.end; k < block; k++) {
+    if (run.terms ? held.terms[k] !== NONE || (held.records[k] !== HELD && held.records[k] !== ASKED) : held.records[k] !== NONE) return false;
+  }
   return true;
 }

@@ -84,8 +84,8 @@ export interface Camera extends Pose {
 /** How a source fares. `complete`: everything that this pose needs is here. */
 export type SourceState =
   | { kind: "connecting" }
-  | { kind: "streaming" }
-  | { kind: "complete" }
+  | { kind: "streaming"; message?: string } // `message`: what is missing and gone round
+  | { kind: "complete"; message?: string }
   | { kind: "waiting"; seconds: number; message: string } // the connection is lost; next try in `seconds`
   | { kind: "failed"; message: string; code?: number }; // does not try again; `code` of ERROR: 2 another version, 4 token or origin
 

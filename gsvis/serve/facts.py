@@ -1,0 +1,158 @@
+"""Facts about a scene for a viewer, as JSON: why a Gaussian is there, which cells there are, where a walker can stand.
+
+Scene frame and units. Nothing here is needed to draw. What is slow takes turns, so that questions delay no stream much.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.store import VisibilityStore
+from gsvis.scene.icosphere import NUM_FACES, face_directions
+from gsvis.stream import StreamedScene
+
+__all__ = ["describe_cells", "describe_floor", "explain"]
+
+F64 = NDArray[np.float64]
+
+_MOST_WEIGHED = 32  # nearest cells for which the weight is looked up
+_MOST_SQUARES = 1 << 16
+_EYE_M = 1.6  # height of a walker's eye, meters
+_LOOKS = 4  # samples in a cell's height
+
+
+def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
+    """Return why a Gaussian is there: its levels, its terms, and which cells see it from which directions.
+
+    Args:
+        scene: The scene.
+        gaussian: Id of the Gaussian, as on the wire.
+
+    Raises:
+        ValueError: If there is no such Gaussian.
+        FormatError: If the package is damaged where it is read.
+    """
+    contents = scene.contents
+    if not 0 <= gaussian < len(contents):
+        raise ValueError(f"gaussian: expected an id below {len(contents):,}, got {gaussian}")
+    one = contents.gaussians(np.array([gaussian]))
+    names, chunk = contents.names, int(contents.chunks[gaussian])
+    first, last = contents.chunk_levels[chunk].tolist()
+    mean = one.means[0].astype(np.float64)
+    found: dict[str, Any] = {
+        "gaussian": gaussian,
+        "mean": _rounded(mean),
+        "scales": _rounded(one.scales[0]),
+        "opacity": round(float(one.opacities[0]), 4),
+        "levels": [names[first], names[last]],
+        "chunk": chunk,
+        "terms": int(contents.term_offsets[gaussian + 1] - contents.term_offsets[gaussian]),
+        "cells": None,
+        "directions": None,
+    }
+    sets = scene.index.sets
+    if not isinstance(sets, VisibilityStore):
+        return found  # prepared without visible sets: it is always sent
+    grid, cells = sets.grid, sets.seers(gaussian)
+    eyes = grid.centers[cells] - mean
+    distances = np.linalg.norm(eyes, axis=1)
+    order = np.argsort(distances, kind="stable")
+    rows = [_row(sets, gaussian, int(cells[k]), eyes[k], float(distances[k]), n) for n, k in enumerate(order.tolist())]
+    faces = np.flatnonzero(np.unpackbits(sets.direction_sets[gaussian], bitorder="little")[:NUM_FACES])
+    found["cells"] = {"of": len(grid), "size": grid.cell_size, "seeing": rows}
+    found["directions"] = {"of": NUM_FACES, "seen": [_rounded(row) for row in face_directions()[faces]]}
+    return found
+
+
+def _row(sets: VisibilityStore, gaussian: int, cell: int, eye: F64, distance: float, place: int) -> dict[str, Any]:
+    """Return one cell that sees a Gaussian; its weight only where it is near."""
+    weight = None
+    if place < _MOST_WEIGHED and (level := sets.class_of(gaussian, cell)) >= 0:
+        low, high = sets.class_interval(level)
+        weight = [round(low, 6), round(min(high, 1.0), 6)]
+    direction = eye / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+    return {"cell": cell, "distance": round(distance, 4), "direction": _rounded(direction), "weight": weight}
+
+
+def describe_cells(scene: StreamedScene) -> dict[str, Any]:
+    """Return the grid of cells of a scene: where eyes may be, and how many Gaussians each cell sees."""
+    grid, sets = scene.index.grid, scene.index.sets
+    counts = sets.visible_counts.tolist() if isinstance(sets, VisibilityStore) else [len(scene)] * len(grid)
+    return {
+        "origin": grid.origin.tolist(), "size": grid.cell_size, "shape": list(grid.shape), "up": grid.up.tolist(),
+        "boxes": grid.coords.tolist(), "visible": counts,
+    }  # fmt: skip
+
+
+def describe_floor(scene: StreamedScene) -> dict[str, Any] | None:
+    """Return the heights at which a walker's eye can be, over a grid of level squares; None where nothing is known.
+
+    A square belongs to the floor if a cell lies over it. The eye is in the lowest run of cells there: in its middle,
+    or 1.6 m above its lower end where the scene's unit is known and that is lower.
+
+    Returns:
+        `origin` (3,) the corner of square (0, 0) at height 0, `side` of a square, `first` and `second` the unit axes
+        along a row and from row to row, `up`, `columns`, `rows`, and `heights`, row after row, above `origin` along
+        `up`; null where nobody can stand.
+    """
+    if not isinstance(scene.index.sets, VisibilityStore):
+        return None
+    grid = scene.index.grid
+    up = grid.up
+    first, second = _level_axes(up)
+    ends = [[x, y, z] for x in (0, grid.shape[0]) for y in (0, grid.shape[1]) for z in (0, grid.shape[2])]
+    along = (grid.origin + grid.cell_size * np.array(ends, np.float64)) @ np.stack([first, second, up], axis=1)
+    low, high = along.min(axis=0), along.max(axis=0)
+    side = max(grid.cell_size, float(np.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MOST_SQUARES)))
+    columns, rows = (max(1, int(np.ceil((high[k] - low[k]) / side - 1e-6))) for k in range(2))
+    step = grid.cell_size / _LOOKS
+    levels = np.arange(low[2] + step / 2, high[2], step)
+    x, y = low[0] + side * (np.arange(columns) + 0.5), low[1] + side * (np.arange(rows) + 0.5)
+    flat = (x[None, :, None] * first + y[:, None, None] * second).reshape(-1, 3)
+    free = np.stack([_is_free(grid, flat + level * up) for level in levels], axis=1)
+    meters = scene.about.meters_per_unit
+    eye = _EYE_M / meters if meters > 0 else np.inf
+    heights = _eye_heights(free, levels, step, eye)
+    return {
+        "origin": (low[0] * first + low[1] * second).tolist(), "side": side, "first": first.tolist(),
+        "second": second.tolist(), "up": up.tolist(), "columns": columns, "rows": rows,
+        "heights": [None if np.isnan(value) else round(value, 4) for value in heights.tolist()],
+    }  # fmt: skip
+
+
+def _eye_heights(free: NDArray[np.bool_], levels: F64, step: float, eye: float) -> F64:
+    """Return the height of the eye in the lowest run of free levels of each square; NaN without one."""
+    ever = free.any(axis=1)
+    start = free.argmax(axis=1)
+    later = np.arange(free.shape[1]) > start[:, None]
+    ends = np.where((later & ~free).any(axis=1), (later & ~free).argmax(axis=1), free.shape[1])
+    bottom, top = levels[start] - step / 2, levels[ends - 1] + step / 2
+    return np.where(ever, np.minimum((bottom + top) / 2, bottom + eye), np.nan)
+
+
+def _is_free(grid: CellGrid, points: F64) -> NDArray[np.bool_]:
+    """Return whether each point lies in a cell."""
+    boxes = np.floor((points - grid.origin) / grid.cell_size).astype(np.int64)
+    inside = ((boxes >= 0) & (boxes < np.array(grid.shape))).all(axis=1)
+    filled = np.zeros(grid.shape, np.bool_)
+    filled[tuple(grid.coords.T)] = True
+    out = np.zeros(len(points), np.bool_)
+    out[inside] = filled[tuple(boxes[inside].T)]
+    return out
+
+
+def _level_axes(up: F64) -> tuple[F64, F64]:
+    """Return two unit axes across an axis, of the scene's own axes where that is one of them."""
+    helper = np.zeros(3)
+    helper[int(np.abs(up).argmin())] = 1.0
+    first = helper - up * (helper @ up)
+    first /= np.linalg.norm(first)
+    return first, np.cross(up, first)
+
+
+def _rounded(values: NDArray[np.floating[Any]]) -> list[float]:
+    return [round(float(value), 5) for value in values]

@@ -1,0 +1,184 @@
+"""The viewer's page and its files, as they lie in `gsvis/viewer`: read once, sent with strict headers.
+
+Clients can request only the files that were found there at the start; no text of a client becomes a path. A page may
+load and ask nothing but this server (Content-Security-Policy), and nothing in it runs that is not a file of ours.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+
+__all__ = ["VIEWER", "Pages", "wants_page"]
+
+VIEWER = Path(__file__).parents[1] / "viewer"
+"""Folder of the built files of the viewer."""
+
+_KINDS = {
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".json": "application/json",
+    ".webmanifest": "application/manifest+json",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".ico": "image/x-icon",
+    ".txt": "text/plain; charset=utf-8",
+}
+_LEAST_PACKED = 1024  # bytes from which compression pays
+_HTML = "text/html; charset=utf-8"
+
+_STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:26rem;margin:20vh auto;padding:0 1rem;color-scheme:light dark}"
+    "input,button{font:inherit;padding:.4rem .7rem}"
+)
+_STYLE_HASH = "'sha256-" + b64encode(hashlib.sha256(_STYLE.encode()).digest()).decode() + "'"
+
+
+@dataclass(frozen=True)
+class _File:
+    data: bytes
+    packed: bytes | None  # by gzip, where that is smaller
+    tag: str
+    kind: str
+
+
+def wants_page(request: Request) -> bool:
+    """Return whether a request prefers HTML over JSON: browsers that open an address do, programs do not."""
+    best = {"text/html": 0.0, "application/json": 0.0}
+    for entry in request.headers.get("accept", "").split(","):
+        name, *details = (part.strip().lower() for part in entry.split(";"))
+        weight = next((detail[2:].strip() for detail in details if detail.startswith("q=")), "1")
+        if name in best:
+            try:
+                best[name] = max(best[name], float(weight))
+            except ValueError:
+                continue
+    return best["text/html"] > best["application/json"]
+
+
+class Pages:
+    """The files of the viewer.
+
+    Args:
+        folder: Folder of the files, None for `VIEWER`; a missing one serves no page.
+        origins: Origins whose pages may show the viewer in a frame.
+    """
+
+    def __init__(self, folder: Path | None = None, origins: Sequence[str] = ()) -> None:
+        self._files: dict[str, _File] = {}
+        at = VIEWER if folder is None else folder
+        for path in sorted(at.iterdir()) if at.is_dir() else ():
+            if path.suffix in _KINDS and not path.is_symlink() and path.is_file():
+                self._files[path.name] = _file(path)
+        frames = " ".join(["'self'", *(("*",) if "*" in origins else origins)])
+        self._policy = "; ".join([
+            "default-src 'none'", "script-src 'self'", "worker-src 'self'", "style-src 'self'",
+            "img-src 'self' data: blob:", "connect-src 'self'", "manifest-src 'self'", "base-uri 'none'",
+            "form-action 'none'", f"frame-ancestors {frames}",
+        ])  # fmt: skip
+        self._frames = frames
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._files
+
+    def page(self, request: Request, name: str, status: int = 200) -> Response:
+        """Answer with a page, under the strict policy; 503 where the viewer is not built."""
+        if name not in self._files:
+            line = "the viewer is not built here: run `make viewer`, or install gsvis from a wheel\n"
+            return PlainTextResponse(line, 503, {"cache-control": "no-store"})
+        response = self.file(request, name)
+        if response.status_code == 200:
+            response.status_code = status
+        self._guard(response, self._policy)
+        response.headers.add_vary_header("Accept")
+        return response
+
+    def file(self, request: Request, name: str) -> Response:
+        """Answer with a file; browsers keep it and ask whether it has changed."""
+        found = self._files.get(name)
+        if found is None:
+            return PlainTextResponse("no such file\n", 404)
+        packed = found.packed if "gzip" in _codings(request) else None
+        tag = f'"{found.tag}{"-gz" if packed else ""}"'
+        headers = {
+            "etag": tag, "cache-control": "no-cache", "vary": "Accept-Encoding", "x-content-type-options": "nosniff",
+            "cross-origin-resource-policy": "same-origin",
+        }  # fmt: skip
+        if tag in [given.strip().removeprefix("W/") for given in request.headers.get("if-none-match", "").split(",")]:
+            return Response(status_code=304, headers=headers)
+        if packed is not None:
+            headers["content-encoding"] = "gzip"
+        body = found.data if packed is None else packed
+        headers["content-length"] = str(len(body))
+        return Response(b"" if request.method == "HEAD" else body, 200, headers, found.kind)
+
+    def enter(self, address: str) -> Response:
+        """Answer with a page that goes on to an address of this server by itself.
+
+        A redirect would not do: after one that began on another site, browsers hold a cookie of SameSite=Strict back.
+        """
+        at = escape(address, quote=True)
+        head = f'<meta http-equiv="refresh" content="0; url={at}">'
+        return self._small("Opening the viewer", f'<p><a href="{at}">Open the viewer</a></p>', head)
+
+    def ask_token(self, status: int = 401) -> Response:
+        """Answer with a page that asks for the token."""
+        form = (
+            "<p>This server needs a token. Whoever runs it knows it.</p>"
+            '<form><label>Token <input name="token" type="password" autocomplete="current-password" autofocus required>'
+            "</label> <button>Open</button></form>"
+        )
+        response = self._small("A token is needed", form, forms="'self'")
+        response.status_code = status
+        response.headers["www-authenticate"] = "Bearer"
+        return response
+
+    def say(self, title: str, line: str, status: int) -> Response:
+        """Answer with a page of one line, such as that a scene is not there."""
+        response = self._small(title, f"<p>{escape(line)}</p>")
+        response.status_code = status
+        return response
+
+    def _small(self, title: str, body: str, head: str = "", forms: str = "'none'") -> Response:
+        text = (
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+            f'<meta name="viewport" content="width=device-width">{head}<style>{_STYLE}</style>'
+            f"<body><h1>{escape(title)}</h1>{body}</body></html>"
+        )
+        response = Response(text, 200, {"cache-control": "no-store"}, _HTML)
+        policy = f"default-src 'none'; style-src {_STYLE_HASH}; base-uri 'none'; form-action {forms}"
+        self._guard(response, f"{policy}; frame-ancestors {self._frames}")
+        response.headers["x-content-type-options"] = "nosniff"
+        return response
+
+    def _guard(self, response: Response, policy: str) -> None:
+        response.headers["content-security-policy"] = policy
+        response.headers["referrer-policy"] = "no-referrer"
+        response.headers["cross-origin-opener-policy"] = "same-origin"
+        response.headers["permissions-policy"] = "camera=(), microphone=(), geolocation=(), payment=(), usb=()"
+
+
+def _file(path: Path) -> _File:
+    data = path.read_bytes()
+    packed = gzip.compress(data, 9, mtime=0) if len(data) >= _LEAST_PACKED else data
+    small = packed if len(packed) < len(data) else None
+    return _File(data, small, hashlib.sha256(data).hexdigest()[:32], _KINDS[path.suffix])
+
+
+def _codings(request: Request) -> set[str]:
+    """Return the encodings that a client takes."""
+    names = set()
+    for entry in request.headers.get("accept-encoding", "").split(","):
+        name, _, weight = entry.replace(" ", "").lower().partition(";q=")
+        if weight not in ("0", "0.0", "0.00", "0.000"):
+            names.add(name)
+    return names

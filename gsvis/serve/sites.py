@@ -1,0 +1,139 @@
+"""Static scenes: the files that `gsvis export --format static` writes, served in ranges as any file server does.
+
+`gsvis view` shows a bare scene in this form. Clients can request only the files that `scene.json` names; no text of a
+client becomes a path.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
+
+from gsvis.errors import FormatError
+from gsvis.files.limits import open_regular, read_whole
+from gsvis.serve.parts import byte_range
+
+__all__ = ["SCENE", "Site", "is_site"]
+
+SCENE = "scene.json"
+_FORMAT = "gsvis-static"
+_MOST_JSON = 64 << 20
+_PIECE = 256 << 10  # bytes read and sent at a time
+_HASHED = re.compile(r"-[0-9a-f]{16}\.bin$")  # such a file never changes
+_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
+
+
+def is_site(folder: Path) -> bool:
+    """Return whether a folder may hold a static scene rather than a package."""
+    return (folder / SCENE).is_file()
+
+
+class Site:
+    """A folder with a static scene.
+
+    Args:
+        folder: The folder.
+
+    Attributes:
+        folder: The folder.
+        about: Content of `scene.json`.
+        names: Names of the files that it lists, and its own.
+
+    Raises:
+        FormatError: If `scene.json` is not one of a static scene.
+        OSError: If it cannot be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / SCENE
+        try:
+            about = json.loads(read_whole(path, _MOST_JSON))
+        except (ValueError, RecursionError) as error:
+            raise FormatError(path, "", "JSON", type(error).__name__) from error
+        if not isinstance(about, dict) or about.get("format") != _FORMAT:
+            raise FormatError(path, "format", _FORMAT, repr(about.get("format") if isinstance(about, dict) else None))
+        self.folder, self.about = folder, about
+        names = [name for name in _names(about.get("files")) if _NAME.fullmatch(name) and ".." not in name]
+        self.names = frozenset([SCENE, *names])
+
+    @property
+    def gaussians(self) -> int | None:
+        """Number of Gaussians; None if `scene.json` does not say."""
+        found = self.about.get("gaussians")
+        return found if isinstance(found, int) else None
+
+    async def respond(self, request: Request, name: str, *, private: bool) -> Response:
+        """Answer a GET or HEAD request for a file, whole or a range.
+
+        Args:
+            request: The request.
+            name: Name of the file.
+            private: Whether shared caches must not store the answer.
+
+        Raises:
+            FormatError: If the file is a link, or not a file.
+            OSError: If the file cannot be read.
+        """
+        path = self.folder / name
+        if name not in self.names or not path.exists():
+            return PlainTextResponse("no such file\n", 404)
+        if path.is_symlink():
+            raise FormatError(path, "", "a file of the scene", "a link", "links are not followed")
+        source = open_regular(path)
+        try:
+            return self._answer(request, source, name, private)
+        except BaseException:
+            source.close()
+            raise
+
+    def _answer(self, request: Request, source: BinaryIO, name: str, private: bool) -> Response:
+        state = os.fstat(source.fileno())
+        tag = f'"{state.st_mtime_ns:x}-{state.st_size:x}"'
+        headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
+        whose = "private" if private else "public"
+        headers["cache-control"] = f"{whose}, max-age=31536000, immutable" if _HASHED.search(name) else "no-cache"
+        kind = "application/json" if name.endswith(".json") else "application/octet-stream"
+        if tag in [given.strip() for given in request.headers.get("if-none-match", "").split(",")]:
+            source.close()
+            return Response(status_code=304, headers=headers)
+        asked = request.headers.get("range")
+        part = None
+        if asked is not None and request.headers.get("if-range", tag) == tag:
+            part = byte_range(asked, state.st_size)
+        if part == (0, 0):
+            source.close()
+            return Response(status_code=416, headers={**headers, "content-range": f"bytes */{state.st_size}"})
+        start, stop = part or (0, state.st_size)
+        if part is not None:
+            headers["content-range"] = f"bytes {start}-{stop - 1}/{state.st_size}"
+        headers["content-length"] = str(stop - start)
+        status = 200 if part is None else 206
+        if request.method == "HEAD":
+            source.close()
+            return Response(b"", status, headers, kind)
+        return StreamingResponse(_pieces(source, start, stop), status, headers, kind)
+
+
+async def _pieces(source: BinaryIO, start: int, stop: int) -> AsyncIterator[bytes]:
+    with source:
+        source.seek(start)
+        while start < stop:
+            data = await asyncio.to_thread(source.read, min(_PIECE, stop - start))
+            if not data:  # cut while it was read: the connection ends early, which the client notices
+                raise OSError("a file of the scene became shorter while it was sent")
+            start += len(data)
+            yield data
+
+
+def _names(files: Any) -> list[str]:
+    """Return the names of the files in `scene.json`, by what they hold."""
+    rows = files.values() if isinstance(files, dict) else ()
+    return [str(row["name"]) for row in rows if isinstance(row, dict) and "name" in row]

@@ -1,0 +1,71 @@
+"""Two static scenes as files and as what a reader finds in them, for other implementations (tests/export/vector.json).
+
+After a change of the format that is meant: `python -m tests.export.test_vector --write`.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.export import StaticOptions, write_static
+from gsvis.package import Package, RecordLayout, decode_records
+from gsvis.scene.procedural import random_scene
+from tests.export.test_static import Reader
+from tests.stream.worlds import package_of
+
+VECTOR = Path(__file__).with_name("vector.json")
+
+
+def recorded(folder: Path) -> dict[str, Any]:
+    with package_of(folder / "p.gsvis", 300) as package:
+        write_static(folder / "package", package, StaticOptions(name="package"))
+        found = {"package": spelled(folder / "package", package)}
+    write_static(folder / "bare", random_scene(np.random.default_rng(7), 150, sh_degree=2), StaticOptions(name="bare"))
+    return {**found, "bare": spelled(folder / "bare", None)}
+
+
+def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
+    read = Reader(folder)
+    records = read.records()
+    geometry = decode_records(records, read.table(), RecordLayout.from_variant("rgb"))
+    said: dict[str, Any] = {
+        "files": {path.name: base64.b64encode(path.read_bytes()).decode() for path in sorted(folder.iterdir())},
+        "records": [record.tobytes().hex() for record in records],
+        "means": geometry.means.round(6).tolist(),
+        "blocks": [[chunk, first, count] for chunk, first, count in read.blocks],
+        "cells": [
+            {"blocks": seen.tolist(), "gains": np.log2(gains).round(6).tolist()} for seen, gains, _ in read.cells()
+        ],
+    }
+    if package is not None:
+        said["terms"] = [terms.hex() for terms in read.terms()]
+        said["centers"] = package.visibility.grid.centers.round(6).tolist()
+        said["last"] = package.contents.last.tolist()
+    else:
+        count = read.scene["harmonics"]["degree"]
+        width = 3 * ((count + 1) ** 2 - 1)
+        by_id = np.empty((len(records), width), np.uint8)
+        by_id[read.ids] = np.frombuffer(read.data["harmonics"], np.uint8).reshape(-1, width)
+        said["harmonics"] = [row.tobytes().hex() for row in by_id]
+    return said
+
+
+def test_the_recorded_scenes_are_what_is_written(tmp_path: Path) -> None:
+    kept = json.loads(VECTOR.read_text(encoding="utf-8"))
+    made = json.loads(json.dumps(recorded(tmp_path)))
+    for name in ("package", "bare"):
+        assert made[name]["blocks"] == kept[name]["blocks"]
+        assert made[name]["records"] == kept[name]["records"]
+        assert made[name]["files"].keys() == kept[name]["files"].keys()
+
+
+if __name__ == "__main__" and "--write" in sys.argv:
+    with tempfile.TemporaryDirectory() as made_in:
+        VECTOR.write_text(json.dumps(recorded(Path(made_in)), sort_keys=True) + "\n", encoding="utf-8")

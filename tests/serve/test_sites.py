@@ -1,0 +1,92 @@
+"""Static scenes: files in ranges, nothing that `scene.json` does not name, and no stream."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gsvis.errors import FormatError
+from gsvis.serve import Address, Server, open_scenes
+from gsvis.serve.scenes import open_scene
+from gsvis.serve.sites import Site
+from gsvis.stream.wire import ServerFault
+from tests.serve.servers import ask, close_code, has_all, heard, patient, raw, serving
+
+RECORDS = bytes(range(256)) * 4096
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    folder = tmp_path / "room"
+    folder.mkdir()
+    names = ["records.bin", "linked.bin", "../secret.bin", "absent.bin"]
+    files = {str(k): {"name": name, "bytes": len(RECORDS)} for k, name in enumerate(names)}
+    about = {"format": "gsvis-static", "version": 1, "gaussians": 65536, "files": files}
+    (folder / "scene.json").write_text(json.dumps(about))
+    (folder / "records.bin").write_bytes(RECORDS)
+    (folder / "unnamed.bin").write_bytes(b"x")
+    (tmp_path / "secret.bin").write_bytes(b"secret")
+    (folder / "linked.bin").symlink_to(tmp_path / "secret.bin")
+    return folder
+
+
+def test_files_are_served_in_ranges(site: Path, plain: Path) -> None:
+    with serving(site, plain) as server:
+        rows = json.loads(ask(server, "/")[2])["scenes"]
+        assert [(row["name"], row["gaussians"], row["static"] is None) for row in rows] == [
+            ("room", 65536, False),
+            ("plain", 6000, True),
+        ]
+        assert json.loads(ask(server, "/" + rows[0]["static"])[2])["format"] == "gsvis-static"
+        status, fields, body = ask(server, "/scenes/room/records.bin")
+        assert (status, body, int(fields["content-length"])) == (200, RECORDS, len(RECORDS))
+        assert ask(server, "/scenes/room/records.bin", If_None_Match=fields["etag"])[0] == 304
+        end = len(RECORDS)
+        for asked, start, stop in (("bytes=5-9", 5, 10), ("bytes=-7", end - 7, end), ("bytes=300000-", 300_000, end)):
+            status, found, body = ask(server, "/scenes/room/records.bin", Range=asked, If_Range=fields["etag"])
+            assert (status, body) == (206, RECORDS[start:stop])
+            assert found["content-range"] == f"bytes {start}-{stop - 1}/{len(RECORDS)}"
+        assert ask(server, "/scenes/room/records.bin", Range="bytes=99999999-")[0] == 416
+        assert ask(server, "/scenes/room/records.bin", Range="bytes=0-1", If_Range='"other"')[2] == RECORDS
+        status, found, body = ask(server, "/scenes/room/records.bin", "HEAD")
+        assert (status, body, int(found["content-length"])) == (200, b"", len(RECORDS))
+        assert ask(server, "/packages/room/manifest.json")[0] == 404
+        assert ask(server, "/scenes/room/why/3")[0] == 404
+        assert json.loads(ask(server, "/healthz")[2]) == {"status": "ok", "scenes": 2, "refused": 0}
+
+
+def test_only_named_files_are_served(site: Path) -> None:
+    with serving(site) as server:
+        for name in ("unnamed.bin", "absent.bin", "..%2fsecret.bin", "../secret.bin", "%2e%2e%2fsecret.bin"):
+            assert ask(server, f"/scenes/room/{name}")[0] == 404
+        status, _, body = ask(server, "/scenes/room/linked.bin")
+        assert (status, b"secret" in body) == (500, False)
+
+
+def test_a_static_scene_is_not_streamed(site: Path) -> None:
+    with serving(site) as server, raw(server, b"") as ws:
+        assert ServerFault.parse(heard(ws)) == ServerFault(4, "not streamed; read scenes/room/scene.json")
+        assert close_code(ws) == 1008
+
+
+def test_a_scene_gives_way_to_its_package(site: Path, plain: Path) -> None:
+    with open_scenes([site]) as scenes:
+        server = Server(scenes, None, Address(port=0))
+        with server.running() as url:
+            assert ask(server, "/scenes/room/scene.json")[0] == 200
+            scenes.replace(open_scene(plain, "room"))
+            (row,) = json.loads(ask(server, "/")[2])["scenes"]
+            assert (row["name"], row["stream"], row["static"]) == ("room", "stream/room", None)
+            client, _ = patient(url + "/room", plain)
+            assert has_all(client.receiver, plain)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"format": "other"}', "[" * 100_000])
+def test_what_is_no_static_scene_is_refused(site: Path, text: str) -> None:
+    (site / "scene.json").write_text(text)
+    with pytest.raises(FormatError):
+        Site(site)
+    with pytest.raises(FormatError):
+        open_scenes([site])

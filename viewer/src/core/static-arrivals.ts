@@ -1,0 +1,135 @@
+// What has come of a static scene, as the batches that a renderer takes: slots, rows of chunks, terms, and what is replaced.
+import type { Blocks } from "./static-blocks.ts";
+import { HELD } from "./static-plan.ts";
+import type { Holdings, Run } from "./static-plan.ts";
+import { decodeMean, recordLayout } from "./tables.ts";
+import type { RecordLayout } from "./tables.ts";
+import type { Batch } from "./types.ts";
+
+interface Replaced {
+  slot: number;
+  needs: Uint32Array; // blocks with what replaces it
+}
+
+export class Arrivals {
+  gaussians = 0;
+  terms = 0;
+  replaced = 0;
+  readonly firstSlot: Uint32Array; // slot of the first Gaussian of each held block
+  private readonly rowOf: Int32Array; // row of each chunk, -1 before it is sent
+  private rows = 0;
+  private waiting: Replaced[] = [];
+  private readonly layout: RecordLayout;
+  private readonly bytesOfHarmonics: number;
+
+  constructor(private readonly blocks: Blocks, private readonly held: Holdings) {
+    const { header } = blocks.scene;
+    this.firstSlot = new Uint32Array(blocks.count);
+    this.rowOf = new Int32Array(header.chunks).fill(-1);
+    this.layout = recordLayout(header.colors.variant);
+    this.bytesOfHarmonics = header.harmonics === null ? 0 : 3 * ((header.harmonics.degree + 1) ** 2 - 1);
+  }
+
+  /** Return the batch of a run of records. Without harmonics of a scene that has them, they are 0. */
+  addRecords(run: Run, data: Uint8Array, harmonics: Uint8Array | null): Batch {
+    const { blocks, layout } = this, count = blocks.start[run.end] - blocks.start[run.first];
+    const ids = new Uint32Array(count), rows = new Uint32Array(count), means = new Float32Array(3 * count);
+    const records = new Uint32Array(data.slice(0, 16 * count).buffer);
+    const firstRow = this.rows, fresh: number[] = [];
+    for (let b = run.first, at = 0; b < run.end; b++) {
+      const chunk = blocks.chunk[b];
+      if (this.rowOf[chunk] < 0) {
+        this.rowOf[chunk] = this.rows++;
+        fresh.push(chunk);
+      }
+      this.firstSlot[b] = this.gaussians + at;
+      this.held.records[b] = HELD;
+      for (let k = 0; k < blocks.size(b); k++, at++) {
+        ids[at] = blocks.firstId[b] + k;
+        rows[at] = this.rowOf[chunk];
+        decodeMean(records, at, blocks.rows, chunk, layout, means);
+      }
+    }
+    const chunks = new Float32Array(8 * fresh.length), chunkLevels = new Uint8Array(2 * fresh.length);
+    fresh.forEach((chunk, k) => {
+      chunks.set(blocks.rows.subarray(8 * chunk, 8 * chunk + 8), 8 * k);
+      chunkLevels.set(blocks.levels.subarray(2 * chunk, 2 * chunk + 2), 2 * k);
+    });
+    const bytes = this.bytesOfHarmonics * count;
+    const own = bytes === 0 ? null : harmonics === null ? new Uint8Array(bytes).fill(128) : harmonics.slice(0, bytes);
+    const first = this.gaussians;
+    this.gaussians += count;
+    return { ...this.empty(), first, ids, records, rows, means, firstRow, chunks, chunkLevels, harmonics: own };
+  }
+
+  /** Return the batch of a run of terms whose records are held. */
+  addTerms(run: Run, data: Uint8Array): Batch {
+    const { blocks } = this, width = blocks.scene.termBytes;
+    let total = 0;
+    for (let b = run.first; b < run.end; b++) total += blocks.termCount![b];
+    const terms = new Uint32Array(2 * total), owners = new Uint32Array(total);
+    let at = 0, filled = 0;
+    for (let b = run.first; b < run.end; b++) {
+      const counts = at, size = blocks.size(b);
+      let sum = 0;
+      for (let k = 0; k < size; k++) sum += data[counts + k];
+      if (sum !== blocks.termCount![b]) throw new Error(`terms: block ${b}: expected ${blocks.termCount![b]} terms, got ${sum}; export the scene again`);
+      at += size;
+      for (let k = 0; k < size; k++) {
+        for (let t = 0; t < data[counts + k]; t++, at += width, filled++) {
+          let low = 0, high = 0;
+          for (let byte = 0; byte < width; byte++) {
+            if (byte < 4) low |= data[at + byte] << (8 * byte);
+            else high |= data[at + byte] << (8 * (byte - 4));
+          }
+          terms[2 * filled] = low;
+          terms[2 * filled + 1] = high;
+          owners[filled] = this.firstSlot[b] + k;
+        }
+      }
+      this.held.terms[b] = HELD;
+    }
+    const firstTerm = this.terms;
+    this.terms += total;
+    return { ...this.empty(), firstTerm, terms, owners };
+  }
+
+  /** Take what replaces the Gaussians of a held block: its row in `replaced`. */
+  addReplaced(block: number, row: Uint8Array): void {
+    const size = this.blocks.size(block), view = new DataView(row.buffer, row.byteOffset, row.byteLength);
+    let at = size;
+    for (let k = 0; k < size; k++) {
+      const needs = new Uint32Array(row[k]);
+      for (let j = 0; j < needs.length; j++, at += 4) needs[j] = view.getUint32(at, true);
+      if (needs.length > 0) this.waiting.push({ slot: this.firstSlot[block] + k, needs });
+    }
+    if (at !== row.length) throw new Error(`replaced: block ${block}: expected ${at} bytes, got ${row.length}; export the scene again`);
+  }
+
+  /** Return a batch with what is replaced by now, given what the cell sees; null where nothing is. */
+  sweep(seen: Uint8Array): Batch | null {
+    const gone: number[] = [], left: Replaced[] = [];
+    for (const each of this.waiting) {
+      let some = false, all = true;
+      for (const b of each.needs) {
+        if (this.held.records[b] === HELD) some = true;
+        else if (seen[b] === 1) all = false;
+      }
+      if (some && all) gone.push(each.slot);
+      else left.push(each);
+    }
+    if (gone.length === 0) return null;
+    this.waiting = left;
+    this.replaced += gone.length;
+    return { ...this.empty(), gone: Uint32Array.from(gone).sort() };
+  }
+
+  private empty(): Batch {
+    const none = (): Uint32Array => new Uint32Array(0);
+    return {
+      first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0), firstRow: this.rows,
+      chunks: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms, terms: none(), owners: none(), gone: none(),
+      harmonics: null,
+    };
+  }
+}

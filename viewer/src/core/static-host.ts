@@ -1,0 +1,133 @@
+// What the Worker of a static scene does: orders from the page in, events for it out. Reads scene.json anew when files are gone.
+import { Link } from "./static-link.ts";
+import type { PartEvents, Parts } from "./static-parts.ts";
+import { parseScene } from "./static-scene.ts";
+import { StaticSession } from "./static-session.ts";
+import type { Batch, Header, Pose, SourceState, Traffic, View } from "./types.ts";
+
+export type Order =
+  | { kind: "start"; base: string; held: Map<string, Blob> | null }
+  | { kind: "pose"; pose: Pose }
+  | { kind: "view"; view: View }
+  | { kind: "close" };
+
+export type Report =
+  | { kind: "header"; header: Header; fresh: boolean }
+  | { kind: "batch"; batch: Batch }
+  | { kind: "state"; state: SourceState }
+  | { kind: "traffic"; traffic: Traffic };
+
+export interface Clock {
+  now(): number; // seconds
+}
+
+const AGAIN = 30; // seconds before scene.json is read anew
+const RATE_WINDOW = 2; // seconds
+
+export class StaticHost {
+  private readonly stop = new AbortController();
+  private readonly link: Link;
+  private readonly parts: Parts;
+  private session: StaticSession | null = null;
+  private pose: Pose | null = null;
+  private view: View | null = null;
+  private looked = -Infinity;
+  private restarts = 0;
+  private readonly recent: { at: number; bytes: number }[] = [];
+
+  constructor(private readonly post: (report: Report) => void, private readonly clock: Clock, make: (events: PartEvents, stop: AbortSignal) => Parts) {
+    this.link = new Link(() => clock.now());
+    this.parts = make({
+      bytes: (count) => {
+        this.link.add(count);
+        this.recent.push({ at: clock.now(), bytes: count });
+        this.traffic();
+      },
+      waiting: (seconds, message) => this.post({ kind: "state", state: { kind: "waiting", seconds, message } }),
+      resumed: () => this.session?.report(),
+    }, this.stop.signal);
+  }
+
+  /** Open the scene; report a failure in one line. */
+  async start(): Promise<void> {
+    this.post({ kind: "state", state: { kind: "connecting" } });
+    try {
+      await this.open(await this.parts.scene());
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  setPose(pose: Pose): void {
+    this.pose = pose;
+    this.session?.setPose(pose);
+  }
+
+  setView(view: View): void {
+    this.view = view;
+    this.session?.setView(view);
+  }
+
+  close(): void {
+    this.session?.close();
+    this.stop.abort();
+  }
+
+  private async open(text: string): Promise<void> {
+    const scene = parseScene(text);
+    this.post({ kind: "header", header: scene.header, fresh: true });
+    let session: StaticSession | null = null;
+    const mine = (): boolean => session !== null && this.session === session;
+    session = await StaticSession.open(scene, this.parts, this.link, {
+      header: () => undefined,
+      batch: (batch) => {
+        if (!mine()) return;
+        this.post({ kind: "batch", batch });
+        this.traffic();
+      },
+      state: (state) => { if (mine()) this.post({ kind: "state", state }); },
+      traffic: () => undefined,
+      gone: () => { if (mine()) void this.renew(); },
+    });
+    if (this.stop.signal.aborted) return;
+    this.session = session;
+    session.report();
+    if (this.view !== null) session.setView(this.view);
+    if (this.pose !== null) session.setPose(this.pose);
+  }
+
+  /** A file is missing: perhaps the site was written anew under the same address. */
+  private async renew(): Promise<void> {
+    const before = this.session;
+    if (before === null || this.clock.now() - this.looked < AGAIN) return;
+    this.looked = this.clock.now();
+    try {
+      const text = await this.parts.scene();
+      if (parseScene(text).header.identity === before.scene.header.identity || this.session !== before) return;
+      this.restarts++;
+      before.close();
+      await this.open(text);
+    } catch {
+      before.report(); // the scene goes on without what is missing
+    }
+  }
+
+  private traffic(): void {
+    const now = this.clock.now();
+    while (this.recent.length > 0 && now - this.recent[0].at > RATE_WINDOW) this.recent.shift();
+    const sum = this.recent.reduce((total, each) => total + each.bytes, 0);
+    const rate = sum === 0 ? 0 : sum / Math.max(now - this.recent[0].at, RATE_WINDOW / 20);
+    const got = this.session?.arrivals;
+    this.post({
+      kind: "traffic",
+      traffic: {
+        bytes: this.link.bytes, rate, gaussians: got?.gaussians ?? 0, terms: got?.terms ?? 0, replaced: got?.replaced ?? 0, reconnects: this.restarts,
+      },
+    });
+  }
+
+  private fail(error: unknown): void {
+    if (this.stop.signal.aborted) return;
+    this.post({ kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } });
+  }
+}

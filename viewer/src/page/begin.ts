@@ -1,0 +1,80 @@
+// Chooses how a visit begins: the view of the address, else the first of the settings, else a good place in the scene.
+
+import type { Header, Pose } from "../core/types.ts";
+import { startInCells, startOnFloor, surroundedBy } from "./start.ts";
+import type { Cells, Facts } from "./facts.ts";
+import type { Floor } from "./ground.ts";
+import { readHash } from "./hash.ts";
+import type { View } from "./hash.ts";
+import { BAD_HASH, FAR_HASH } from "./messages.ts";
+import type { Mode } from "./navigator.ts";
+import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
+import type { Rig } from "./rig.ts";
+import { add, distance, scale } from "./vector.ts";
+import type { Frame, Vec3 } from "./vector.ts";
+
+const PATIENCE = 2500; // milliseconds that a first picture waits for facts
+const FAR = 20; // sizes of the scene's cells
+
+export interface Surroundings {
+  floor: Floor | null;
+  cells: Cells | null;
+  poses: readonly Pose[]; // views that the scene itself proposes
+}
+
+export interface Beginning {
+  rig: Rig;
+  mode: Mode;
+  problem: string | null;
+  focused: boolean; // whether it is known how far away lies what is looked at
+}
+
+export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, view.fov * DEGREES);
+
+/** Ask for floor and cells; what does not come in time counts as unknown. */
+export async function survey(facts: Facts, poses: readonly Pose[]): Promise<Surroundings> {
+  const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
+  const [floor, cells] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late])]);
+  return { floor, cells, poses };
+}
+
+export function begin(hash: string, views: readonly View[], frame: Frame, around: Surroundings): Beginning {
+  const { floor, cells } = around;
+  const asked = readHash(hash);
+  const outside = cells ? surroundedBy(cells, frame) !== null : !floor;
+  const mode: Mode = outside ? "orbit" : floor ? "walk" : "fly";
+  const focused = views.length > 0 || (cells !== null && outside);
+  const first = { rig: firstRig(views, frame, around), mode, focused, problem: null };
+  if (asked instanceof Error) return { ...first, problem: BAD_HASH };
+  if (!asked) return first;
+  if (cells && isFar(asked.eye, cells)) return { ...first, problem: FAR_HASH };
+  return { rig: rigFromView(asked, frame), mode: asked.mode ?? mode, problem: null, focused: true };
+}
+
+/** Return the scene units in a meter: as the header says, or so that the cells are about ten meters wide. */
+export function guessMeter(header: Header, cells: Cells | null): number {
+  if (header.metersPerUnit > 0) return 1 / header.metersPerUnit;
+  return cells ? Math.max(extent(cells), 1e-3) / 10 : 1;
+}
+
+function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }: Surroundings): Rig {
+  if (views.length) return rigFromView(views[0], frame);
+  if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, 3);
+  const center = cells && surroundedBy(cells, frame);
+  const inside = cells && startInCells(cells, frame);
+  if (center && inside) return rigFromTarget(inside.eye, center, frame, NORMAL_FOV);
+  return (floor && startOnFloor(floor, frame)) ?? inside ?? rigFromTarget([0, 0, 0], frame.north, frame, NORMAL_FOV);
+}
+
+function isFar(eye: Vec3, cells: Cells): boolean {
+  const middle = add(cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)));
+  return distance(eye, middle) > FAR * extent(cells);
+}
+
+function extent(cells: Cells): number {
+  const sides = [0, 1, 2].map((k) => {
+    const places = cells.boxes.map((box) => box[k]);
+    return (Math.max(...places) - Math.min(...places) + 1) * cells.size;
+  });
+  return Math.hypot(...sides);
+}

@@ -1,0 +1,55 @@
+// Messages on the page: a card in the middle that stops, a line at the bottom that passes.
+
+import { make, on, setText } from "./dom.ts";
+import type { Message } from "./messages.ts";
+
+const PASSES = 6000; // milliseconds
+
+export interface NoticeTargets {
+  retry(): void;
+  token(token: string): void;
+}
+
+export class Notices {
+  readonly card = make("section", { class: "card", role: "alert", hidden: true });
+  readonly line = make("p", { class: "toast", role: "status", "aria-live": "polite" });
+  private timer = 0;
+
+  constructor(private readonly targets: NoticeTargets) {}
+
+  /** Show a card until `clear`. */
+  stop(message: Message): void {
+    const parts: Node[] = [make("h2", {}, message.title), make("p", {}, message.text)];
+    if (message.token) parts.push(this.tokenForm());
+    if (message.detail) parts.push(make("details", { open: message.token === true }, make("summary", {}, "What was said"), make("code", {}, message.detail)));
+    if (message.retry) {
+      const retry = make("button", { type: "button", class: "primary" }, "Try again");
+      on(retry, "click", () => this.targets.retry());
+      parts.push(retry);
+    }
+    this.card.replaceChildren(...parts);
+    this.card.hidden = false;
+    this.card.querySelector<HTMLElement>("input, button")?.focus();
+  }
+
+  clear(): void {
+    this.card.hidden = true;
+  }
+
+  /** Say something for some seconds, or until another line comes. */
+  say(text: string, lasting = false): void {
+    clearTimeout(this.timer);
+    setText(this.line, text);
+    if (text && !lasting) this.timer = window.setTimeout(() => setText(this.line, ""), PASSES);
+  }
+
+  private tokenForm(): HTMLFormElement {
+    const input = make("input", { type: "password", id: "token", name: "token", required: true, autocomplete: "current-password" });
+    const form = make("form", { class: "token" }, make("label", { for: "token" }, "Token"), input, make("button", { class: "primary" }, "Open"));
+    on(form, "submit", (event) => {
+      event.preventDefault();
+      if (input.value.trim()) this.targets.token(input.value.trim());
+    });
+    return form;
+  }
+}

@@ -1,0 +1,116 @@
+// The options: what the colors show, levels, terms, cells, field of view, pace, theme, and the actions of small screens.
+
+import type { Header, Paint } from "../core/types.ts";
+import type { Actions } from "./actions.ts";
+import { actionButton, choices, slider, toggle } from "./controls.ts";
+import { make } from "./dom.ts";
+import { formatCount } from "./format.ts";
+import { LEGENDS, levelColor, PAINTS } from "./paints.ts";
+import type { Theme } from "./theme.ts";
+import type { ViewerLike } from "./viewer-like.ts";
+
+export interface PanelTargets {
+  viewer: () => ViewerLike | null;
+  actions: Actions;
+  theme: { chosen: Theme; choose(theme: Theme): void };
+  fov: { degrees(): number; choose(degrees: number): void };
+  cells: { known(): boolean; shown(): boolean; show(shown: boolean): void };
+  pace: { factor(): number; choose(factor: number): void };
+}
+
+interface Part {
+  element: HTMLElement;
+  refresh(): void;
+}
+
+export class Panel {
+  readonly element = make("div", { class: "panel" });
+  private readonly legend = make("p", { class: "legend" });
+  private parts: Part[] = [];
+
+  constructor(private readonly targets: PanelTargets) {}
+
+  /** Build the panel anew for a scene. */
+  fill(header: Header | null): void {
+    const { targets } = this;
+    const viewer = targets.viewer();
+    this.parts = [];
+    const add = (part: Part): HTMLElement => (this.parts.push(part), part.element);
+    const sections: Node[] = [];
+    if (viewer && header) {
+      const paints = PAINTS.filter((paint) => !paint.fits || paint.fits(header));
+      sections.push(
+        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.setPaint(paint), "chips")), this.legend,
+      );
+      if (header.levels.length > 1) sections.push(this.levels(viewer, header, add));
+      const detailed = header.terms > 0 || header.harmonics !== null;
+      if (detailed || targets.cells.known()) sections.push(section("Parts",
+        detailed ? add(toggle("View-dependent color", "Highlights that change as you move",
+          () => viewer.termsShown, (shown) => void (viewer.termsShown = shown))) : null,
+        targets.cells.known() ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show)) : null,
+      ));
+    }
+    const { fov, pace, theme, actions } = targets;
+    sections.push(
+      section("Camera",
+        add(slider("fov", "Field of view", { low: 20, high: 110, step: 1, text: (x) => `${Math.round(x)}°` }, fov.degrees, fov.choose)),
+        add(slider("pace", "Pace", { low: -2, high: 2, step: 0.5, text: (x) => `${Number((2 ** x).toFixed(2))} ×` },
+          () => Math.log2(pace.factor()), (x) => pace.choose(2 ** x))),
+      ),
+      section("Appearance", add(choices<Theme>("theme", "Appearance", [{ value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" }],
+        () => theme.chosen, (chosen) => theme.choose(chosen)))),
+      make("div", { class: "actions" }, ...["statistics", "share", "picture", "full", "help"].map((id) => actionButton(actions, id, true))),
+    );
+    this.element.replaceChildren(...sections);
+    this.refresh();
+  }
+
+  refresh(): void {
+    for (const part of this.parts) part.refresh();
+    const viewer = this.targets.viewer();
+    if (viewer) this.showLegend(viewer.paint);
+  }
+
+  /** Take the next way to color. */
+  nextPaint(): string | null {
+    const viewer = this.targets.viewer();
+    if (!viewer?.header) return null;
+    const header = viewer.header;
+    const values = PAINTS.filter((paint) => !paint.fits || paint.fits(header)).map((paint) => paint.value);
+    this.setPaint(values[(values.indexOf(viewer.paint) + 1) % values.length]);
+    return PAINTS.find((paint) => paint.value === viewer.paint)?.label ?? null;
+  }
+
+  private setPaint(paint: Paint): void {
+    const viewer = this.targets.viewer();
+    if (viewer) viewer.paint = paint;
+    this.refresh();
+    this.targets.actions.changed();
+  }
+
+  private showLegend(paint: Paint): void {
+    const { text, low, high } = LEGENDS[paint];
+    const bar = low ? make("span", { class: "bar" }, make("small", {}, low), make("i", { class: `ramp ${paint}` }), make("small", {}, high)) : null;
+    this.legend.replaceChildren(make("span", {}, text), ...(bar ? [bar] : []));
+  }
+
+  private levels(viewer: ViewerLike, header: Header, add: (part: Part) => HTMLElement): HTMLElement {
+    const rows = header.levels.map((level, i) => {
+      const change = (shown: boolean): void => {
+        const next = [...viewer.levelsShown];
+        next[i] = shown;
+        viewer.levelsShown = next;
+      };
+      const row = add(toggle(level.name, `${formatCount(level.count)} Gaussians`, () => viewer.levelsShown[i] ?? true, change));
+      const dot = make("i", { class: "dot" });
+      dot.style.setProperty("background", levelColor(i, header.levels.length));
+      row.prepend(dot);
+      return row;
+    });
+    return section("Levels", ...rows);
+  }
+}
+
+function section(title: string, ...content: (Node | null)[]): HTMLElement {
+  return make("section", {}, make("h3", {}, title), ...content);
+}

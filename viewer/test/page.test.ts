@@ -1,0 +1,222 @@
+// The page's geometry and texts: cameras, ways to move, views in addresses and settings.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { formatBytes, formatCount, formatLength, formatSeconds, formatShare } from "../src/page/format.ts";
+import { FloorGround, LevelGround } from "../src/page/ground.ts";
+import { readHash, writeHash } from "../src/page/hash.ts";
+import { NOTHING_HELD, Navigator, rigAroundBox } from "../src/page/navigator.ts";
+import * as rigs from "../src/page/rig.ts";
+import { readSettings } from "../src/page/settings.ts";
+import * as v from "../src/page/vector.ts";
+import type { Vec3 } from "../src/page/vector.ts";
+
+const UPS: Vec3[] = [[0, 0, 1], [0, -1, 0], [0, 1, 0], [1, 0, 0], [0.2, -0.9, 0.3]];
+const near = (a: readonly number[], b: readonly number[], tolerance = 1e-9): void =>
+  a.forEach((x, i) => assert.ok(Math.abs(x - b[i]) < tolerance, `${a} is not ${b}`));
+const sample = (): rigs.Rig => ({ eye: [1, 2, 3], turn: 0.7, tilt: -0.4, reach: 2.5, fovY: 1 });
+
+test("frames are right-handed and level for any up", () => {
+  for (const up of UPS) {
+    const frame = v.frameFromUp(up);
+    near(v.cross(frame.north, frame.up), frame.east);
+    near([v.dot(frame.north, frame.up), v.length(frame.north), v.length(frame.up)], [0, 1, 1]);
+  }
+  near(v.frameFromUp([0, 0, 0]).up, [0, 0, 1]);
+});
+
+test("the camera looks ahead, without roll, right way up", () => {
+  for (const up of UPS) {
+    const frame = v.frameFromUp(up);
+    for (const [turn, tilt] of [[0, 0], [0.7, -0.4], [3.1, 1.5], [-2, -1.5]]) {
+      const rig = { ...sample(), turn, tilt };
+      const q = rigs.rotation(rig, frame);
+      near(v.rotate(q, [0, 0, 1]), rigs.forward(rig, frame));
+      near([v.dot(v.rotate(q, [1, 0, 0]), frame.up)], [0]);
+      assert.ok(v.dot(v.rotate(q, [0, -1, 0]), frame.up) > 0);
+      const again = rigs.rigFromPose(rig.eye, q, frame, rig.reach, rig.fovY);
+      near([again.tilt, rigs.wrap(again.turn - turn)], [tilt, 0], 1e-6);
+    }
+  }
+});
+
+test("a camera that looks straight down keeps its turn", () => {
+  const frame = v.frameFromUp([0, 0, 1]);
+  const rig = { ...sample(), tilt: -Math.PI / 2 };
+  const q = rigs.rotation(rig, frame);
+  const again = rigs.rigFromPose(rig.eye, q, frame, 1);
+  near([rigs.wrap(again.turn - rig.turn), again.tilt], [0, -rigs.MOST_TILT], 1e-6);
+});
+
+test("turning right moves the view to the right, turns go the shorter way", () => {
+  const frame = v.frameFromUp([0, 0, 1]);
+  const rig = sample();
+  const turned = rigs.look(rig, 0.1, 0);
+  assert.ok(v.dot(rigs.forward(turned, frame), rigs.right(rig, frame)) > 0);
+  const middle = rigs.between({ ...rig, turn: 3.1 }, { ...rig, turn: -3.1 }, 0.5);
+  near([Math.abs(rigs.wrap(middle.turn))], [Math.PI]);
+});
+
+test("orbits keep the pivot and the distance; approaching keeps the pivot", () => {
+  for (const up of UPS) {
+    const frame = v.frameFromUp(up);
+    const rig = sample();
+    const turned = rigs.orbit(rig, frame, 1.2, 0.9);
+    near(rigs.pivot(turned, frame), rigs.pivot(rig, frame));
+    near([v.distance(turned.eye, rigs.pivot(rig, frame))], [rig.reach]);
+    near(rigs.pivot(rigs.approach(rig, frame, 0.5), frame), rigs.pivot(rig, frame));
+    near(rigs.pivot(rigs.aroundBetween(rig, turned, 0.3, frame), frame), rigs.pivot(rig, frame));
+  }
+});
+
+test("walking stays level whatever the tilt", () => {
+  for (const up of UPS) {
+    const frame = v.frameFromUp(up);
+    const rig = { ...sample(), tilt: -1 };
+    const moved = v.subtract(rigs.walk(rig, frame, 1, 0, 2).eye, rig.eye);
+    near([v.dot(moved, frame.up), v.length(moved)], [0, Math.sqrt(5)]);
+  }
+});
+
+test("the navigator settles where it is wanted, in any steps of time", () => {
+  for (const mode of ["orbit", "fly", "walk"] as const) {
+    const ends = [0.001, 0.016, 0.3].map((seconds) => {
+      const navigator = new Navigator(v.frameFromUp([0, 0, 1]), sample());
+      navigator.setMode(mode);
+      for (let i = 0; i < 2000 && navigator.step(0.5); i++);
+      navigator.drag(0.5, 0.2);
+      navigator.zoom(0.8);
+      let steps = 0;
+      while (navigator.step(seconds)) assert.ok(++steps < 5000);
+      return navigator.shown;
+    });
+    for (const end of ends) near(end.eye, ends[0].eye, 1e-9);
+    assert.ok(Math.abs(ends[0].turn - 1.2) < 1e-9);
+  }
+});
+
+test("flights end exactly at the view, and any drag takes over", () => {
+  const frame = v.frameFromUp([0, -1, 0]);
+  const navigator = new Navigator(frame, sample());
+  const target = { ...sample(), eye: [9, 9, 9] as Vec3, turn: 2 };
+  navigator.flyTo(target);
+  navigator.step(0.3);
+  assert.notDeepEqual(navigator.shown, target);
+  navigator.step(5);
+  assert.equal(navigator.shown, target);
+  navigator.flyTo(sample());
+  navigator.step(0.3);
+  const there = navigator.shown.eye;
+  navigator.drag(0, 0);
+  for (let i = 0; i < 100; i++) navigator.step(0.1);
+  near(navigator.shown.eye, there, 1e-3);
+  navigator.calm = true;
+  navigator.flyTo(target);
+  assert.equal(navigator.shown, target);
+});
+
+test("held keys move by seconds, not by frames; diagonals are not faster", () => {
+  const move = (held: object, steps: number): number => {
+    const navigator = new Navigator(v.frameFromUp([0, 0, 1]), sample(), 2);
+    navigator.setMode("fly");
+    for (let i = 0; i < steps; i++) navigator.step(1 / steps, { ...NOTHING_HELD, ...held });
+    for (let i = 0; i < 100; i++) navigator.step(0.1);
+    return v.distance(navigator.shown.eye, sample().eye);
+  };
+  near([move({ ahead: 1 }, 10), move({ ahead: 1 }, 100)], [5, 5], 1e-6);
+  near([move({ ahead: 1, aside: 1 }, 10)], [5], 1e-6);
+  near([move({ ahead: 1, fast: true }, 10)], [15], 1e-6);
+});
+
+/** A corridor of 6 x 3 squares with a wall between columns 2 and 4, open at the last row, and a step of 0.1 at the last column. */
+const corridor = (): FloorGround => {
+  const heights = new Float32Array(18).fill(1.6);
+  heights[3] = heights[9] = NaN;
+  for (const i of [5, 11, 17]) heights[i] = 1.7;
+  return new FloorGround({
+    origin: [0, 0, 0], side: 0.5, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 6, rows: 3, heights,
+  }, 0.3);
+};
+
+test("walkers stop at walls, slide along them, climb steps, and never leave the floor", () => {
+  const ground = corridor();
+  const stopped = ground.step([1.2, 0.25, 1.6], [2.4, 0.25, 1.6]);
+  assert.ok(stopped[0] < 1.5 && stopped[0] > 1.2);
+  const slid = ground.step([1.45, 0.25, 1.6], [1.75, 0.65, 1.6]);
+  assert.ok(slid[1] > 0.5 && slid[0] < 1.5);
+  const through = ground.step([1.2, 1.25, 1.6], [2.8, 1.25, 1.6]);
+  near(through, [2.8, 1.25, 1.7], 1e-6);
+  const out = ground.step([0.2, 0.2, 1.6], [-50, 0.2, 1.6]);
+  assert.ok(out[0] >= 0);
+});
+
+test("a walker begins at the nearest place to stand, a tall step stops", () => {
+  const ground = corridor();
+  const start = ground.nearest([1.74, 0.6, 9]);
+  assert.ok(start[0] > 2 && start[2] > 1.5);
+  const low = new FloorGround({
+    origin: [0, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 2, rows: 1,
+    heights: new Float32Array([1.6, 3]),
+  }, 0.5);
+  assert.ok(low.step([0.5, 0.5, 1.6], [1.5, 0.5, 1.6])[0] < 1);
+});
+
+test("without a floor walking keeps its height", () => {
+  for (const up of UPS) {
+    const frame = v.frameFromUp(up);
+    const moved = new LevelGround(frame).step([1, 1, 1], [4, 5, 6]);
+    near([v.dot(moved, frame.up)], [v.dot([1, 1, 1], frame.up)]);
+  }
+});
+
+test("a box fits into the view from outside", () => {
+  const frame = v.frameFromUp([0, 0, 1]);
+  const rig = rigAroundBox([0, 0, 0], [2, 2, 2], frame, 1);
+  near(rigs.pivot(rig, frame), [1, 1, 1]);
+  assert.ok(v.distance(rig.eye, [1, 1, 1]) > Math.sqrt(3));
+});
+
+test("views in addresses come back", () => {
+  for (const up of UPS) {
+    const frame = v.frameFromUp(up);
+    for (const reach of [0.01, 2.5, 300]) {
+      const rig = { ...sample(), reach };
+      const view = readHash(writeHash(rig, frame, "walk"));
+      assert.ok(view && !(view instanceof Error));
+      const again = rigs.rigFromTarget(view.eye, view.to, frame, (view.fov * Math.PI) / 180);
+      near([again.turn, again.tilt], [rig.turn, rig.tilt], 1e-3);
+      near(again.eye, rig.eye, 1e-4 * reach + 1e-9);
+      assert.equal(view.mode, "walk");
+    }
+  }
+});
+
+test("addresses without a view, or with nonsense, are told apart", () => {
+  for (const hash of ["", "#", "#help", "#x=1"]) assert.equal(readHash(hash), null);
+  for (const hash of ["#eye=1,2,3", "#eye=1,2&to=1,2,3", "#eye=a,b,c&to=1,2,3", "#eye=1,2,3&to=1,2,3", "#eye=1e9,0,0&to=0,0,0",
+    "#eye=Infinity,0,0&to=0,0,0", "#eye=,,&to=1,1,1"]) assert.ok(readHash(hash) instanceof Error, hash);
+  const view = readHash("#eye=1,2,3&to=3,2,1&fov=900&mode=swim");
+  assert.deepEqual(view, { eye: [1, 2, 3], to: [3, 2, 1], fov: 120 });
+});
+
+test("settings of both versions, other frames, and bad ones", () => {
+  const pose = { position: [1, 2, 3], target: [4, 5, 6], fov: 75 };
+  const one = readSettings({ camera: { ...pose, startAnim: "none" }, background: { color: [0.1, 0.2, 3] }, animTracks: [] });
+  assert.deepEqual(one, { views: [{ eye: [-1, -2, 3], to: [-4, -5, 6], fov: 75 }], background: [0.1, 0.2, 1] });
+  const two = readSettings({
+    version: 2, frame: "scene", cameras: [{ initial: pose }, { initial: { position: [1, 2] } }],
+    annotations: [{ title: " <b>Door</b> ", camera: { initial: pose } }, 7], background: {},
+  });
+  assert.deepEqual(two.views.map((view) => view.name), [undefined, "<b>Door</b>"]);
+  assert.deepEqual(two.views[0].eye, [1, 2, 3]);
+  for (const bad of [null, 3, [], { version: 3 }]) assert.throws(() => readSettings(bad), /settings: expected/);
+  assert.deepEqual(readSettings({}), { views: [], background: null });
+});
+
+test("numbers as people read them", () => {
+  assert.deepEqual([0, 999, 1000, 12449, 999950, 1.5e6].map(formatCount), ["0", "999", "1.00 k", "12.4 k", "1.00 M", "1.50 M"]);
+  assert.deepEqual([12, 7.2e6, NaN].map(formatBytes), ["12 B", "7.20 MB", "–"]);
+  assert.deepEqual([0.43, 12, 180].map(formatSeconds), ["0.43 s", "12.0 s", "3 min"]);
+  assert.deepEqual([0.0004, 0.032, 0.45].map(formatShare), ["under 0.1%", "3.2%", "45%"]);
+  assert.deepEqual([formatLength(2, 0), formatLength(2, 0.5)], ["2.00 units", "1.00 m"]);
+});

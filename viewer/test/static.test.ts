@@ -1,0 +1,382 @@
+// Static scenes over a small HTTP server: all that a cell needs arrives; servers without ranges, cuts, gaps and outages are gone round.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createServer, type IncomingMessage, type ServerResponse } from "node:http";
+import type { AddressInfo } from "node:net";
+import { join } from "node:path";
+import { test, type TestContext } from "node:test";
+import { Arrivals } from "../src/core/static-arrivals.ts";
+import { Blocks } from "../src/core/static-blocks.ts";
+import { StaticHost, type Report } from "../src/core/static-host.ts";
+import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
+import { HELD, frustum, rank, regimeOf, slice } from "../src/core/static-plan.ts";
+import { parseRow, Cells } from "../src/core/static-cells.ts";
+import { parseScene } from "../src/core/static-scene.ts";
+import { baseOf } from "../src/core/static-source.ts";
+import type { Batch, Pose, SourceState, View } from "../src/core/types.ts";
+
+interface Recorded {
+  files: Record<string, string>;
+  records: string[];
+  means: number[][];
+  blocks: [number, number, number][];
+  cells: { blocks: number[]; gains: number[] }[];
+  terms?: string[];
+  centers?: number[][];
+  last?: number[];
+  harmonics?: string[];
+}
+
+const VECTOR = JSON.parse(readFileSync(join(import.meta.dirname, "../../tests/export/vector.json"), "utf8")) as { package: Recorded; bare: Recorded };
+const VIEW: View = { left: 1, right: 1, up: 1, down: 1 };
+
+function filesOf(scene: Recorded): Map<string, Buffer> {
+  return new Map(Object.entries(scene.files).map(([name, text]) => [name, Buffer.from(text, "base64")]));
+}
+
+type Answer = (name: string, data: Buffer | undefined, request: IncomingMessage, response: ServerResponse) => boolean;
+
+/** A file server with ranges; `before` may answer in its place. */
+async function serve(t: TestContext, files: Map<string, Buffer>, before: Answer = () => false): Promise<{ url: string; asked: string[] }> {
+  const asked: string[] = [];
+  const server = createServer((request, response) => {
+    const name = (request.url ?? "").replace(/^\//, ""), data = files.get(name), range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? "");
+    asked.push(`${name} ${request.headers.range ?? "whole"}`);
+    if (before(name, data, request, response)) return;
+    if (data === undefined) response.writeHead(404).end();
+    else if (range === null) response.writeHead(200).end(data);
+    else if (Number(range[1]) >= data.length) response.writeHead(416).end();
+    else {
+      const [start, end] = [Number(range[1]), Math.min(Number(range[2]) + 1, data.length)];
+      response.writeHead(206, { "Content-Range": `bytes ${start}-${end - 1}/${data.length}` }).end(data.subarray(start, end));
+    }
+  });
+  await new Promise<void>((done) => { server.listen(0, "127.0.0.1", done); });
+  t.after(() => {
+    server.close();
+    server.closeAllConnections();
+  });
+  return { url: `http://127.0.0.1:${(server.address() as AddressInfo).port}/`, asked };
+}
+
+/** A page without its renderer; `until` fails after a minute. */
+class Client {
+  readonly batches: Batch[] = [];
+  readonly states: SourceState[] = [];
+  headers = 0;
+  bytes = 0;
+  private listeners: (() => void)[] = [];
+  readonly host: StaticHost;
+
+  constructor(url: string, held: Map<string, Blob> | null = null) {
+    this.host = new StaticHost((report) => this.take(report), { now: () => performance.now() / 1000 }, (events, stop) =>
+      held === null ? new HttpParts(url, events, stop, { sleep: () => new Promise((done) => { setImmediate(done); }), random: () => 0.5 }) : new HeldParts(held, events));
+  }
+
+  private take(report: Report): void {
+    if (report.kind === "batch") this.batches.push(report.batch);
+    else if (report.kind === "state") this.states.push(report.state);
+    else if (report.kind === "header") this.headers++;
+    else this.bytes = report.traffic.bytes;
+    for (const listener of this.listeners) listener();
+  }
+
+  async until(holds: () => boolean): Promise<void> {
+    await new Promise<void>((done, fail) => {
+      const guard = setTimeout(() => fail(new Error(`nothing more comes: ${JSON.stringify(this.states)}`)), 60_000);
+      const check = (): void => {
+        if (!holds()) return;
+        clearTimeout(guard);
+        this.listeners = this.listeners.filter((each) => each !== check);
+        done();
+      };
+      this.listeners.push(check);
+      check();
+    });
+  }
+
+  complete(): boolean {
+    return this.states.at(-1)?.kind === "complete";
+  }
+
+  look(position: number[], rotation: Pose["rotation"] = [1, 0, 0, 0]): void {
+    this.host.setView(VIEW);
+    this.host.setPose({ position: [position[0], position[1], position[2]], rotation });
+  }
+
+  get ids(): number[] {
+    return this.batches.flatMap((batch) => [...batch.ids]);
+  }
+}
+
+/** Check that what came is what the scene holds, and that slots, rows and terms are numbered in the order of arrival. */
+function check(scene: Recorded, batches: Batch[]): void {
+  const owned = new Map<number, string>(), ids: number[] = [];
+  let rows = 0, terms = 0;
+  const width = scene.terms === undefined ? 0 : 5;
+  for (const batch of batches) {
+    assert.equal(batch.first, ids.length);
+    assert.equal(batch.firstRow, rows);
+    assert.equal(batch.firstTerm, terms);
+    const bytes = Buffer.from(batch.records.buffer, batch.records.byteOffset, batch.records.byteLength);
+    for (let i = 0; i < batch.ids.length; i++) {
+      const id = batch.ids[i];
+      assert.equal(bytes.subarray(16 * i, 16 * i + 16).toString("hex"), scene.records[id]);
+      for (let k = 0; k < 3; k++) assert.ok(Math.abs(batch.means[3 * i + k] - scene.means[id][k]) < 1e-5 * Math.max(1, Math.abs(scene.means[id][k])));
+      assert.ok(batch.rows[i] < rows + batch.chunks.length / 8);
+      if (scene.harmonics !== undefined) {
+        assert.equal(Buffer.from(batch.harmonics!.subarray(24 * i, 24 * i + 24)).toString("hex"), scene.harmonics[id]);
+      }
+      ids.push(id);
+    }
+    for (let t = 0; t < batch.owners.length; t++) {
+      const bits = Buffer.alloc(8);
+      bits.writeUInt32LE(batch.terms[2 * t], 0);
+      bits.writeUInt32LE(batch.terms[2 * t + 1], 4);
+      const id = ids[batch.owners[t]];
+      owned.set(id, (owned.get(id) ?? "") + bits.subarray(0, width).toString("hex"));
+    }
+    rows += batch.chunks.length / 8;
+    terms += batch.owners.length;
+  }
+  assert.equal(new Set(ids).size, ids.length);
+  for (const [id, found] of owned) assert.equal(found, scene.terms![id]);
+}
+
+test("all that a cell needs arrives, in the order of arrival, and what its neighbors see after it", async (t) => {
+  const { url } = await serve(t, filesOf(VECTOR.package));
+  const client = new Client(url), scene = VECTOR.package;
+  client.look(scene.centers![0]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(scene, client.batches);
+  const wanted = scene.cells[0].blocks.map((b) => scene.blocks[b]).filter(([, first]) => scene.last![first] === 2);
+  const held = new Set(client.ids);
+  for (const [, first, count] of wanted) for (let id = first; id < first + count; id++) assert.ok(held.has(id), `Gaussian ${id} is missing`);
+  assert.ok(client.batches.some((batch) => batch.owners.length > 0));
+  assert.deepEqual(client.states.map((state) => state.kind), ["connecting", "streaming", "complete"]);
+  assert.equal(client.headers, 1);
+  assert.ok(client.bytes > 0);
+  client.host.close();
+});
+
+test("a bare scene has one cell with everything, and harmonics beside its records", async (t) => {
+  const { url } = await serve(t, filesOf(VECTOR.bare));
+  const client = new Client(url);
+  client.look([0, 0, -3]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.bare, client.batches);
+  assert.equal(client.ids.length, 150);
+  client.host.close();
+});
+
+test("a server without ranges sends each file once", async (t) => {
+  const { url, asked } = await serve(t, filesOf(VECTOR.package), (_, data, __, response) => {
+    if (data === undefined) return false;
+    response.writeHead(200).end(data);
+    return true;
+  });
+  const client = new Client(url);
+  client.look(VECTOR.package.centers![0]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.package, client.batches);
+  const names = asked.map((each) => each.split(" ")[0]);
+  assert.equal(new Set(names).size, names.length, asked.join("\n"));
+  client.host.close();
+});
+
+test("a page that holds its files reads them without a server", async () => {
+  const held = new Map([...filesOf(VECTOR.bare)].map(([name, data]) => [name, new Blob([new Uint8Array(data)])]));
+  const client = new Client("", held);
+  client.look([0, 0, -3]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.bare, client.batches);
+  client.host.close();
+});
+
+test("a missing file is named, and the rest is drawn", async (t) => {
+  const files = filesOf(VECTOR.package);
+  for (const name of [...files.keys()]) if (name.startsWith("terms")) files.delete(name);
+  const { url } = await serve(t, files);
+  const client = new Client(url);
+  client.look(VECTOR.package.centers![0]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.package, client.batches);
+  const last = client.states.at(-1)!;
+  assert.ok(last.kind === "complete" && /terms-[0-9a-f]{16}\.bin: the server answers 404/.test(last.message ?? ""), JSON.stringify(last));
+  assert.ok(client.batches.every((batch) => batch.owners.length === 0));
+  client.host.close();
+});
+
+test("a cut file gives what is there of it", async (t) => {
+  const files = filesOf(VECTOR.bare);
+  for (const [name, data] of files) if (name.startsWith("records")) files.set(name, data.subarray(0, 16 * 100));
+  const { url } = await serve(t, files);
+  const client = new Client(url);
+  client.look([0, 0, -3]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.bare, client.batches);
+  assert.deepEqual(client.ids.length, 64); // the first block; the second is cut
+  const last = client.states.at(-1)!;
+  assert.ok(last.kind === "complete" && /records-/.test(last.message ?? ""), JSON.stringify(last));
+  client.host.close();
+});
+
+test("a server that errs now and then, or cuts an answer, is asked again", async (t) => {
+  const counts = new Map<string, number>();
+  const { url } = await serve(t, filesOf(VECTOR.package), (name, data, request, response) => {
+    const key = `${name} ${request.headers.range ?? ""}`, count = counts.get(key) ?? 0;
+    counts.set(key, count + 1);
+    if (count === 0) response.writeHead(503).end();
+    else if (count === 1 && data !== undefined && name !== "scene.json") response.writeHead(206).end(data.subarray(0, 3));
+    else return false;
+    return true;
+  });
+  const client = new Client(url);
+  client.look(VECTOR.package.centers![0]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.package, client.batches);
+  client.host.close();
+});
+
+test("a link that is down is waited for", async (t) => {
+  let refused = 0;
+  const { url } = await serve(t, filesOf(VECTOR.bare), (name, _, request) => {
+    if (!name.startsWith("records") || refused++ > 5) return false;
+    request.socket.destroy();
+    return true;
+  });
+  const client = new Client(url);
+  client.look([0, 0, -3]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  assert.ok(client.states.some((state) => state.kind === "waiting"));
+  assert.equal(client.ids.length, 150);
+  client.host.close();
+});
+
+test("a site written anew under the same address is read anew", async (t) => {
+  const files = filesOf(VECTOR.package), other = filesOf(VECTOR.bare);
+  for (const name of [...files.keys()]) if (name.startsWith("records")) files.delete(name);
+  let asked = 0;
+  const { url } = await serve(t, files, (name, _, __, response) => {
+    if (name === "scene.json" && asked++ > 0) {
+      for (const [each, data] of other) files.set(each, data);
+      response.writeHead(200).end(other.get(name));
+      return true;
+    }
+    return false;
+  });
+  const client = new Client(url);
+  client.look([0, 0, -3]);
+  await client.host.start();
+  await client.until(() => client.headers === 2 && client.complete());
+  assert.equal(client.ids.length, 150);
+  client.host.close();
+});
+
+test("what is no scene, or of a newer version, is said in one line", async (t) => {
+  const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
+  const wrong: [string, RegExp][] = [
+    ["<html>", /expected JSON/], ["{}", /expected a static scene/], [JSON.stringify({ ...scene, version: 2 }), /version 1, got 2; update/],
+    [JSON.stringify({ ...scene, files: { records: { name: "../secret.bin", bytes: 1 } } }), /name without a path/],
+    [JSON.stringify({ ...scene, gaussians: 151 }), /expected 2416 bytes/], [JSON.stringify({ ...scene, gaussians: -1 }), /whole number/],
+    [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /whole number/], [JSON.stringify({ ...scene, levels: [] }), /levels/],
+  ];
+  for (const [text, message] of wrong) {
+    assert.throws(() => parseScene(text), message);
+    const { url } = await serve(t, new Map([["scene.json", Buffer.from(text)]]));
+    const client = new Client(url);
+    await client.host.start();
+    const last = client.states.at(-1)!;
+    assert.ok(last.kind === "failed" && message.test(last.message) && !last.message.includes("\n"), JSON.stringify(last));
+  }
+});
+
+function open(scene: Recorded): { blocks: Blocks; file: (kind: string) => Uint8Array; cells: Cells } {
+  const files = filesOf(scene), said = parseScene(files.get("scene.json")!.toString());
+  const file = (kind: string): Uint8Array => new Uint8Array(files.get(said.files.get(kind)!.name)!);
+  return { blocks: new Blocks(said, file("chunks")), file, cells: new Cells(said, file("grid")) };
+}
+
+test("blocks, cells and gains are those of the writer", () => {
+  for (const scene of [VECTOR.package, VECTOR.bare]) {
+    const { blocks, file, cells } = open(scene);
+    assert.deepEqual(scene.blocks, scene.blocks.map((_, b) => [blocks.chunk[b], blocks.firstId[b], blocks.size(b)]));
+    scene.cells.forEach((said, cell) => {
+      const row = parseRow(blocks.scene, file("cells").subarray(...cells.range(cell)));
+      assert.deepEqual([...row.blocks], said.blocks);
+      row.gains.forEach((gain, k) => assert.ok(Math.abs(gain - said.gains[k]) < 1e-5));
+    });
+    scene.centers?.forEach((center, cell) => assert.equal(cells.at(center), cell));
+  }
+});
+
+test("a Gaussian that ends below the highest level goes when what replaces it is held, and not before", () => {
+  const { blocks, file } = open(VECTOR.package);
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const arrivals = new Arrivals(blocks, held), records = file("records"), seen = new Uint8Array(blocks.count).fill(1);
+  const replaced = file("replaced"), ends = new DataView(replaced.buffer, replaced.byteOffset);
+  const take = (b: number): void => {
+    arrivals.addRecords({ terms: false, first: b, end: b + 1, place: 0 }, records.subarray(16 * blocks.start[b], 16 * blocks.start[b + 1]), null);
+  };
+  let ending = 0, waiting = 0;
+  for (let b = 0; b < blocks.count; b++) {
+    if (blocks.last(b) === blocks.top) continue;
+    take(b);
+    arrivals.addReplaced(b, replaced.subarray(ends.getUint32(4 * ending, true), ends.getUint32(4 * ending + 4, true)));
+    ending++;
+    waiting += blocks.size(b);
+  }
+  const early = arrivals.sweep(seen)?.gone.length ?? 0; // replaced by others that end too
+  for (let b = 0; b < blocks.count; b++) if (held.records[b] !== HELD) take(b);
+  const late = arrivals.sweep(seen)?.gone.length ?? 0;
+  assert.ok(late > 0);
+  assert.equal(early + late, waiting);
+  assert.equal(arrivals.sweep(seen), null);
+});
+
+test("the plan begins with what weighs most in view for its bytes, and joins neighbors", () => {
+  const { blocks, file, cells } = open(VECTOR.package);
+  const row = parseRow(blocks.scene, file("cells").subarray(...cells.range(0)));
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const position = VECTOR.package.centers![0] as [number, number, number];
+  const order = rank(blocks, row, held, { position, rotation: [1, 0, 0, 0] }, VIEW, "high");
+  assert.equal(new Set(order.blocks).size, order.blocks.length);
+  const all = slice(blocks, order, 0, held, Infinity, Infinity, 16);
+  assert.equal(all.next, order.blocks.length);
+  for (const run of all.runs) assert.ok(run.end > run.first);
+  assert.deepEqual(slice(blocks, order, 0, held, Infinity, 0, 16).runs, []); // all is asked for
+  const apart = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const runs = slice(blocks, order, 0, apart, Infinity, 0, 16).runs;
+  assert.ok(runs.length >= all.runs.length);
+  assert.equal(runs.reduce((sum, run) => sum + run.end - run.first, 0), order.blocks.length);
+});
+
+test("frusta and regimes are those of the server", () => {
+  const planes = frustum({ position: [1, 2, 3], rotation: [1, 0, 0, 0] }, VIEW, 0);
+  const distance = (x: number, y: number, z: number): number => Math.min(...[0, 4, 8, 12, 16].map((k) => planes[k] * x + planes[k + 1] * y + planes[k + 2] * z + planes[k + 3]));
+  assert.ok(distance(1, 2, 5) > 0);
+  assert.ok(distance(1, 2, 2) < 0);
+  assert.ok(distance(3.5, 2, 5) < 0 && distance(2.5, 2, 5) > 0);
+  assert.equal(regimeOf(1e6, [1e6, 2e6, 3e6], null), "high");
+  assert.equal(regimeOf(0.7e6, [1e6, 2e6, 3e6], null), "medium");
+  assert.equal(regimeOf(0.1e6, [1e6, 2e6, 3e6], null), "low");
+  assert.equal(regimeOf(0.99e6, [1e6, 2e6, 3e6], "high"), "high");
+  assert.equal(regimeOf(1.01e6, [1e6, 2e6, 3e6], "medium"), "medium");
+});
+
+test("addresses of scenes", () => {
+  const page = "https://example.org/site/index.html";
+  assert.equal(baseOf("scene", page), "https://example.org/site/scene/");
+  assert.equal(baseOf("scene/", page), "https://example.org/site/scene/");
+  assert.equal(baseOf("scene/scene.json", page), "https://example.org/site/scene/scene.json");
+  assert.equal(baseOf("javascript:alert(1)", page), null);
+  assert.equal(baseOf("http://[", page), null);
+});

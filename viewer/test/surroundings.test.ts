@@ -1,0 +1,170 @@
+// What the page makes of a server's facts: first views, globes, addresses, lists; and of a server that says nonsense.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import type { Header, Source } from "../src/core/types.ts";
+import { readAddress } from "../src/page/address.ts";
+import { begin, guessMeter } from "../src/page/begin.ts";
+import { readCells, readFloor, readWhy } from "../src/page/facts.ts";
+import type { Cells } from "../src/page/facts.ts";
+import { readPad } from "../src/page/gamepad.ts";
+import { globeFaces, matchFaces } from "../src/page/globe.ts";
+import { readScenes } from "../src/page/list.ts";
+import { describeState, explainFailure } from "../src/page/messages.ts";
+import { edgesOf } from "../src/page/overlay.ts";
+import { pivot } from "../src/page/rig.ts";
+import { holdPoses } from "../src/page/scene.ts";
+import { startInCells, startOnFloor, surroundedBy } from "../src/page/start.ts";
+import * as v from "../src/page/vector.ts";
+import type { Vec3 } from "../src/page/vector.ts";
+
+const FRAME = v.frameFromUp([0, 0, 1]);
+const NONE = { floor: null, cells: null, poses: [] };
+
+/** A hall of 9 x 5 squares with a niche; heights of 1.6. */
+const hall = () => {
+  const heights = new Array<number | null>(45).fill(1.6);
+  for (let y = 0; y < 5; y++) heights[y * 9 + 8] = y === 2 ? 1.6 : null;
+  return readFloor({ origin: [10, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 9, rows: 5, heights });
+};
+
+const ring = (): Cells => {
+  const boxes: Vec3[] = [];
+  for (let x = 0; x < 7; x++) for (let y = 0; y < 7; y++) if (Math.max(Math.abs(x - 3), Math.abs(y - 3)) >= 2) boxes.push([x, y, 0]);
+  return { origin: [0, 0, 0], size: 2, boxes };
+};
+
+const row = (): Cells => ({ origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]] });
+
+test("a visit begins where the floor is widest and looks where it reaches farthest", () => {
+  const floor = hall();
+  assert.ok(floor);
+  const rig = startOnFloor(floor, FRAME);
+  assert.ok(rig);
+  assert.ok(Math.abs(rig.eye[1] - 2.5) < 0.01 && Math.abs(rig.eye[2] - 1.6) < 1e-6);
+  const ahead = v.normalize(v.subtract(pivot(rig, FRAME), rig.eye));
+  assert.ok(Math.abs(ahead[0]) > 0.9 && Math.abs(ahead[2]) < 1e-6);
+});
+
+test("cells around something are told from a row of cells", () => {
+  const middle = surroundedBy(ring(), FRAME);
+  assert.ok(middle && v.distance(middle, [7, 7, 1]) < 1e-9);
+  assert.equal(surroundedBy(row(), FRAME), null);
+  const rig = startInCells(row(), FRAME);
+  assert.ok(rig && v.distance(rig.eye, [2.5, 0.5, 0.5]) < 1e-9);
+});
+
+test("indoors begins in walk or fly, around an object in orbit, unknown scenes in orbit", () => {
+  assert.equal(begin("", [], FRAME, { ...NONE, floor: hall(), cells: row() }).mode, "walk");
+  assert.equal(begin("", [], FRAME, { ...NONE, cells: row() }).mode, "fly");
+  const around = begin("", [], FRAME, { ...NONE, floor: hall(), cells: ring() });
+  assert.equal(around.mode, "orbit");
+  assert.ok(v.distance(pivot(around.rig, FRAME), [7, 7, 1]) < 1e-9);
+  assert.equal(begin("", [], FRAME, NONE).mode, "orbit");
+});
+
+test("the address decides, then settings, then what the scene proposes", () => {
+  const settings = [{ eye: [1, 1, 1] as Vec3, to: [2, 1, 1] as Vec3, fov: 50 }];
+  const poses = [{ position: [5, 5, 5] as Vec3, rotation: [1, 0, 0, 0] as [number, number, number, number] }];
+  const around = { floor: null, cells: row(), poses };
+  assert.deepEqual(begin("#eye=2,0,0&to=3,0,0&mode=fly", settings, FRAME, around).rig.eye, [2, 0, 0]);
+  assert.deepEqual(begin("", settings, FRAME, around).rig.eye, [1, 1, 1]);
+  assert.deepEqual(begin("", [], FRAME, around).rig.eye, [5, 5, 5]);
+});
+
+test("views that cannot be, or lie outside of the scene, are said and the first view is taken", () => {
+  const around = { ...NONE, cells: row() };
+  const first = begin("", [], FRAME, around).rig;
+  for (const hash of ["#eye=1&to=2", "#eye=90000,0,0&to=0,0,0"]) {
+    const found = begin(hash, [], FRAME, around);
+    assert.ok(found.problem);
+    assert.deepEqual(found.rig, first);
+  }
+});
+
+test("a meter is what the scene says, else a tenth of the cells", () => {
+  const header = { metersPerUnit: 0.5 } as Header;
+  assert.equal(guessMeter(header, row()), 2);
+  assert.ok(Math.abs(guessMeter({ ...header, metersPerUnit: 0 }, row()) - Math.hypot(5, 1, 1) / 10) < 1e-12);
+});
+
+test("a server that says nonsense costs a panel, never an error", () => {
+  const nonsense = [null, 3, "x", [], {}, { origin: "a" }, { seeing: 3 }, { cells: 5, directions: { of: "x", seen: [[1]] } },
+    { origin: [0, 0, 0], size: -1, boxes: [] }, { columns: 1e9, rows: 1e9, heights: [] }];
+  for (const one of nonsense) {
+    assert.equal(readFloor(one), null);
+    assert.equal(readCells(one), null);
+    assert.doesNotThrow(() => readWhy(one));
+  }
+  assert.deepEqual(readWhy({ cells: null, directions: null }), { cells: null, directions: null });
+});
+
+test("facts of a Gaussian are read, rows of directions nested or not", () => {
+  const why = readWhy({
+    cells: { of: 12, size: 1, seeing: [{ cell: 3, distance: 2, weight: [0.1, 0.2] }, { cell: 4, distance: 9, weight: null }, { cell: "x" }] },
+    directions: { of: 80, seen: [[0, 0, 2], [[1, 0, 0]]] },
+  });
+  assert.deepEqual(why?.cells?.seeing.map(({ cell }) => cell), [3, 4]);
+  assert.deepEqual(why?.directions?.seen, [[0, 0, 1], [1, 0, 0]]);
+});
+
+test("the globe has 80 faces that cover the sphere, each found by its center", () => {
+  const faces = globeFaces();
+  assert.equal(faces.length, 80);
+  assert.equal(matchFaces(faces, faces.map((face) => face.center)).filter(Boolean).length, 80);
+  assert.ok(v.length(faces.map((face) => face.center).reduce(v.add)) < 1e-9);
+});
+
+test("edges that cells share are drawn once", () => {
+  assert.equal(edgesOf({ origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0]] }).length, 12);
+  assert.equal(edgesOf({ origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0]] }).length, 20);
+});
+
+test("addresses: a server's scene behind any prefix, a static folder, a stream, and what no page opens", () => {
+  const none = { scene: null, content: null, settings: null };
+  const one = readAddress("https://x.org/a/b/view/my%20room?token=t", none);
+  assert.deepEqual(one.scene, { kind: "stream", name: "my room", url: "wss://x.org/a/b/stream/my%20room", root: "https://x.org/a/b/" });
+  assert.equal(one.token, "t");
+  const folder = readAddress("https://x.org/site/index.html", { ...none, content: "room/" });
+  assert.deepEqual(folder.scene, { kind: "static", name: "room", url: "https://x.org/site/room/", root: null });
+  assert.equal(readAddress("http://x.org/view/a?content=ws://h/stream/b", none).scene?.kind, "stream");
+  assert.equal(readAddress("http://x.org/view/a?content=javascript:alert(1)", none).scene, null);
+  assert.equal(readAddress("http://x.org/", none).scene, null);
+  assert.equal(readAddress("http://x.org/view/a?settings=s.json", none).settings, "http://x.org/view/s.json");
+  assert.equal(readAddress("http://x.org/view/%E0%A4%A", none).scene?.name, "%E0%A4%A");
+});
+
+test("lists of scenes: rows with names, nothing that is none", () => {
+  const rows = readScenes({ scenes: [{ name: "a b", gaussians: 5 }, { name: "<img>" }, 7, {}] });
+  assert.deepEqual(rows.map(({ name, href, gaussians }) => [name, href, gaussians]), [["a b", "view/a%20b", 5], ["<img>", "view/%3Cimg%3E", null]]);
+  assert.deepEqual(readScenes(null), []);
+});
+
+test("no pose reaches a source before the first view is chosen; then the latest does", () => {
+  const sent: number[] = [];
+  const inner: Source = { start: () => undefined, view: () => undefined, close: () => undefined, pose: (pose) => void sent.push(pose.position[0]) };
+  const { source, release } = holdPoses(inner);
+  for (const x of [1, 2]) source.pose({ position: [x, 0, 0], rotation: [1, 0, 0, 0] });
+  assert.deepEqual(sent, []);
+  release();
+  release();
+  source.pose({ position: [3, 0, 0], rotation: [1, 0, 0, 0] });
+  assert.deepEqual(sent, [2, 3]);
+});
+
+test("gamepads rest where sticks hardly move", () => {
+  const buttons = Array.from({ length: 17 }, () => ({ pressed: false, value: 0 }));
+  buttons[7] = { pressed: true, value: 0.5 };
+  const held = readPad({ axes: [0.05, -1, 0.56, 0], buttons });
+  assert.deepEqual([held.aside, held.ahead, held.above, held.tilt], [0, 1, 0.5, 0]);
+  assert.ok(Math.abs(held.turn - 0.5) < 1e-9);
+});
+
+test("every end of a source has words", () => {
+  assert.ok(explainFailure("no", 4).token);
+  for (const code of [undefined, 1, 2, 3, 5, 6, 7, 8, 9, 77]) {
+    const { title, text, retry } = explainFailure("x".repeat(5000), code);
+    assert.ok(title && text && retry);
+  }
+  assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Offline · next try in 3 s");
+});
