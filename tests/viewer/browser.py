@@ -41,9 +41,8 @@ class _Quiet(SimpleHTTPRequestHandler):
         pass
 
     def end_headers(self) -> None:
-        self.send_header(
-            "Cross-Origin-Opener-Policy", "same-origin"
-        )  # with the next one, a page may measure its memory
+        # With these two a page may measure its memory.
+        self.send_header("Cross-Origin-Opener-Policy", "same-origin")
         self.send_header("Cross-Origin-Embedder-Policy", "require-corp")
         super().end_headers()
 
