@@ -28,7 +28,7 @@ from tests.viewer.browser import browser_page, served, viewer_files
 F32 = NDArray[np.float32]
 COUNT, WIDTH, HEIGHT = 12_000, 240, 160
 EYES = ((0.8, 2.0, 1.6), (2.4, 0.8, 1.2), (5.6, 2.2, 1.5))
-TARGETS = ((6.0, 2.0, 1.2), (2.2, 3.1, 0.7), (1.0, 1.0, 1.0))
+TARGETS = ((6.0, 2.3, 1.2), (2.2, 3.1, 0.7), (1.0, 1.0, 1.0))
 PAGES = Path(__file__).parent / "pages"
 
 
