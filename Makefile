@@ -1,6 +1,7 @@
 # make demo    set up, then analyze a built-in scene (or SCENE=path) into demo-out/
 # make test    set up, then run all tests
 # make check   what CI runs: format, lint, types, doctests, examples, docs, tests
+# make viewer  build the viewer's page into gsvis/viewer; needs Node 20 and npm
 # make docs    build the documentation site in site/, links checked
 # make stress  run the rooms with processes and sockets five times beside two busy loops a core; docs/results/stress.json
 # make repeat  run `make check` ten times beside a busy loop a core; docs/results/check_repeated.json
@@ -23,7 +24,7 @@ export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
+.PHONY: help demo test check viewer viewer-check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -45,6 +46,7 @@ SETUP := pyproject.toml constraints.txt tools/setup.sh
 demo: .venv/.gsvis
 	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT)
 	@echo "The report with its pictures: $(OUT)/report.html"
+	@echo "Look at the scene in a browser: $(BIN)/gsvis view $(SCENE)"
 
 # A file stays with one worker: what a module prepares for its tests is prepared once.
 test: .venv/.gsvis-dev
@@ -72,8 +74,21 @@ examples: .venv/.gsvis-dev
 docs: .venv/.gsvis-docs
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
+viewer/node_modules/.gsvis: viewer/package-lock.json
+	@cd viewer && npm ci --no-audit --no-fund --silent
+	@touch $@
+
+viewer: viewer/node_modules/.gsvis
+	@cd viewer && npm run --silent build
+
+# Types, tests, and whether gsvis/viewer is what its sources build. Users and most contributors have no Node: then nothing is checked.
+viewer-check:
+	@if command -v npm > /dev/null; then $(MAKE) --no-print-directory viewer/node_modules/.gsvis \
+	    && cd viewer && npm run --silent check && npm run --silent test -- --test-reporter=dot; \
+	    else echo "no Node here: the built viewer is not compared with its sources"; fi
+
 # The tests come last: their closing line is the verdict.
-check: lint types doctests examples docs test
+check: lint types viewer-check doctests examples docs test
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \

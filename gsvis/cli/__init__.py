@@ -7,10 +7,12 @@ full disk.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from importlib import import_module
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
 __all__ = ["main"]
+
+_HOMES = {"unpack": "package", "verify": "package"}
+"""Modules of commands that have none of their own name."""
 
 _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on the CPU.
 
@@ -34,6 +39,8 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
+  gsvis export scene.gsvis -o site           a site for any file server
+  gsvis view scene.gsvis                     in the browser; any scene
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
@@ -136,64 +143,9 @@ def version() -> str:
 
 
 def _run(command: Command) -> None:
-    from gsvis.cli import arguments
-
-    if isinstance(command, arguments.Inspect):
-        from gsvis.cli.inspect import run_inspect
-
-        run_inspect(command)
-    elif isinstance(command, arguments.Analyze):
-        from gsvis.cli.analyze import run_analyze
-
-        run_analyze(command)
-    elif isinstance(command, arguments.Render):
-        from gsvis.cli.render import run_render
-
-        run_render(command)
-    elif isinstance(command, arguments.Pvs):
-        from gsvis.cli.pvs import run_pvs
-
-        run_pvs(command)
-    elif isinstance(command, arguments.PvsReport):
-        from gsvis.cli.pvs_report import run_pvs_report
-
-        run_pvs_report(command)
-    elif isinstance(command, arguments.Color):
-        from gsvis.cli.color import run_color
-
-        run_color(command)
-    elif isinstance(command, arguments.Train):
-        from gsvis.cli.train import run_train
-
-        run_train(command)
-    elif isinstance(command, arguments.Levels):
-        from gsvis.cli.levels import run_levels
-
-        run_levels(command)
-    elif isinstance(command, arguments.Prepare):
-        from gsvis.cli.prepare import run_prepare
-
-        run_prepare(command)
-    elif isinstance(command, arguments.Verify):
-        from gsvis.cli.package import run_verify
-
-        run_verify(command)
-    elif isinstance(command, arguments.Unpack):
-        from gsvis.cli.package import run_unpack
-
-        run_unpack(command)
-    elif isinstance(command, arguments.Serve):
-        from gsvis.cli.serve import run_serve
-
-        run_serve(command)
-    elif isinstance(command, arguments.Simulate):
-        from gsvis.cli.simulate import run_simulate
-
-        run_simulate(command)
-    else:
-        from gsvis.cli.convert import run_convert
-
-        run_convert(command)
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(command).__name__).lower()
+    home = import_module(f"gsvis.cli.{_HOMES.get(name, name)}")
+    getattr(home, f"run_{name}")(command)
 
 
 def _explain(error: Exception) -> tuple[str, int]:

@@ -10,9 +10,11 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
     BOX,
@@ -56,6 +58,7 @@ __all__ = [
     "Color",
     "Command",
     "Convert",
+    "Export",
     "Inspect",
     "Levels",
     "Prepare",
@@ -67,6 +70,7 @@ __all__ = [
     "Train",
     "Unpack",
     "Verify",
+    "View",
 ]
 
 
@@ -434,6 +438,8 @@ Command = (
     | Prepare
     | Verify
     | Unpack
+    | Export
+    | View
     | Serve
     | Simulate
 )

@@ -56,6 +56,8 @@ _SAID = {
     "order": "putting the scene in order",
     "cost": "measuring what rounding costs",
     "package": "writing the package",
+    "sets": "writing what cells see",
+    "export": "writing the export",
 }
 _clock = time.perf_counter  # tests replace it
 _EVERY = 10.0  # seconds between plain lines of one stage

@@ -111,8 +111,10 @@ def _top(gains: F64) -> int:
     return int(np.ceil(GAIN_STEPS * np.log2(max(gains.max(initial=0.0), 1e-300))))
 
 
-def replaced_rows(offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64]) -> bytes:
-    """Return the content of `replaced`: for each block of Gaussians that end below the highest level, what replaces them.
+def replaced_rows(
+    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64]
+) -> bytes:
+    """Return the content of `replaced`: what replaces each Gaussian that ends below the highest level, block by block.
 
     Args:
         offsets: (N + 1,) of `gsvis.abr.index.nearest_replacements`.

@@ -1,3 +1,238 @@
-"""placeholder"""
-def write_html(): ...
-def write_site(): ...
+"""Write the page of the viewer with a static scene: as a site for any file server, or as one file that opens from disk.
+
+Both hold the built files of the viewer (`gsvis/viewer`). The one file has everything inside: the scene and the Workers
+as base64, and a policy that runs only its own two scripts. Names of scenes are escaped; nothing in a scene can run.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+from base64 import b64encode
+from collections.abc import Iterator
+from dataclasses import dataclass
+from hashlib import sha256
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.errors import BackendError
+from gsvis.export.static import SCENE, StaticOptions, StaticScene, is_static, write_static
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import open_regular, read_whole
+from gsvis.package.package import Package
+from gsvis.progress import Progress, silent
+from gsvis.scene.gaussians import Gaussians, rotations_from_quats
+from gsvis.scene.levels import Levels
+
+__all__ = ["VIEWER", "SiteReport", "check_site", "write_html", "write_site"]
+
+VIEWER = Path(__file__).parents[1] / "viewer"
+"""Folder of the built files of the viewer."""
+
+PAGE, SETTINGS, FOLDER = "index.html", "settings.json", "scene"
+
+_SCRIPTS = ("page.js", "sort.js", "static.js", "network.js")
+_WORKERS = ("sort.js", "static.js", "network.js")
+_PIECE = 3 << 20  # bytes of a file that are written at once as base64
+_DISTANCE = 3.0  # from an eye to what it looks at, in settings
+
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' ws: wss:;"
+    " worker-src 'self'; base-uri 'none'; form-action 'none'"
+)
+
+_START = """(() => {
+const own = {};
+for (const each of document.querySelectorAll('script[type="text/gsvis-worker"]')) {
+const text = Uint8Array.from(atob(each.textContent), (letter) => letter.charCodeAt(0));
+own[each.dataset.name] = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
+}
+const Plain = Worker;
+globalThis.Worker = class extends Plain {
+constructor(url, options) { super(own[String(url).split("/").pop()] ?? url, options); }
+};
+})();"""
+"""Start the Workers of one file from its own text: no other file can be loaded from disk."""
+
+
+@dataclass(frozen=True)
+class SiteReport:
+    """What was written.
+
+    Attributes:
+        path: The folder of a site, or the file of a page.
+        scene: The scene in it.
+        nbytes: Bytes of everything.
+    """
+
+    path: Path
+    scene: StaticScene
+    nbytes: int
+
+
+def write_site(
+    folder: str | PathLike[str],
+    scene: Package | Levels | Gaussians,
+    options: StaticOptions | None = None,
+    *,
+    viewer: Path = VIEWER,
+    progress: Progress = silent,
+) -> SiteReport:
+    """Write a site: the page, and the static scene that it shows, in the folder `scene`.
+
+    Args:
+        folder: Folder of the site; other files in it stay. A `settings.json` that is there stays, too.
+        scene: A package, or a bare scene; see `write_static`.
+        options: See `write_static`.
+        viewer: Folder of the built files of the viewer.
+        progress: See `write_static`.
+
+    Raises:
+        ValueError: If the scene is empty.
+        FormatError: If `scene` in the folder holds something else, or the package is damaged.
+        BackendError: If the viewer is not built.
+        OSError: If the folder cannot be written.
+    """
+    target, files = _check.path("folder", folder), _viewer_files(viewer)
+    found = write_static(target / FOLDER, scene, options, progress=progress)
+    document = json.loads(read_whole(found.path / SCENE))
+    scripts = target / "viewer"
+    scripts.mkdir(exist_ok=True)
+    for name in ("page.css", *_SCRIPTS):
+        with atomic_path(scripts / name) as partial:
+            partial.write_bytes(files[name])
+    if not (target / SETTINGS).exists():
+        with atomic_path(target / SETTINGS) as partial:
+            partial.write_bytes(_settings(document))
+    page = _page(files["view.html"].decode(), document, settings=SETTINGS, policy=_POLICY)
+    with atomic_path(target / PAGE) as partial:
+        partial.write_text(page.replace("../viewer/", "viewer/"), encoding="utf-8")
+    names = [PAGE, SETTINGS, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
+    return SiteReport(target, found, found.nbytes + sum((target / name).stat().st_size for name in names))
+
+
+def check_site(folder: str | PathLike[str], overwrite: bool) -> None:
+    """Raise unless a site may be written to a folder: a new one, an empty one, or one of an earlier site.
+
+    Raises:
+        ValueError: If it has a page of something else and `overwrite` is false.
+    """
+    target = _check.path("folder", folder)
+    if not overwrite and (target / PAGE).exists() and not is_static(target / FOLDER):
+        raise ValueError(
+            f"--out: expected a new folder or an earlier site, got {target}, which has {PAGE} of something else; name"
+            " another, or say --overwrite"
+        )
+
+
+def write_html(
+    path: str | PathLike[str],
+    scene: Package | Levels | Gaussians,
+    options: StaticOptions | None = None,
+    *,
+    viewer: Path = VIEWER,
+    progress: Progress = silent,
+) -> SiteReport:
+    """Write one HTML file that holds the viewer and the scene, and opens from disk.
+
+    Args:
+        path: The file; replaced when the new one is complete.
+        scene: A package, or a bare scene; see `write_static`.
+        options: See `write_static`.
+        viewer: Folder of the built files of the viewer.
+        progress: See `write_static`.
+
+    Raises:
+        ValueError: If the scene is empty.
+        FormatError: If the package is damaged.
+        BackendError: If the viewer is not built.
+        OSError: If the file cannot be written.
+    """
+    target, files = _check.path("path", path), _viewer_files(viewer)
+    with tempfile.TemporaryDirectory(prefix="gsvis-") as made_in:
+        found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
+        document = json.loads(read_whole(found.path / SCENE))
+        style, script = files["page.css"].decode(), _inline(files["page.js"].decode())
+        policy = (
+            f"default-src 'none'; script-src {_hash(_START)} {_hash(script)}; style-src {_hash(style)};"
+            " img-src data: blob:; connect-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
+        )
+        settings = "data:application/json;base64," + b64encode(_settings(document)).decode()
+        page = _page(files["view.html"].decode(), document, settings=settings, policy=policy)
+        head, tail = _split(page, style)
+        with atomic_path(target) as partial, partial.open("wb") as out:
+            out.write(head.encode())
+            for name in _WORKERS:
+                out.write(f'<script type="text/gsvis-worker" data-name="{name}">'.encode())
+                out.write(b64encode(files[name]) + b"</script>\n")
+            for name in [SCENE, *(file.name for file in found.files.values())]:
+                out.write(f'<script type="text/gsvis" data-name="{name}">'.encode())
+                with open_regular(found.path / name) as file:
+                    while piece := file.read(_PIECE):
+                        out.write(b64encode(piece))
+                out.write(b"</script>\n")
+            out.write(f'<script>{_START}</script>\n<script type="module">{script}</script>\n'.encode())
+            out.write(tail.encode())
+        return SiteReport(target, found, target.stat().st_size)
+
+
+def _viewer_files(folder: Path) -> dict[str, bytes]:
+    """Return the built files of the viewer.
+
+    Raises:
+        BackendError: If one is missing.
+    """
+    names = ("view.html", "page.css", *_SCRIPTS)
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing:
+        raise BackendError(
+            f"the viewer is not built: {folder / missing[0]} is missing; install a wheel of gsvis, or run make viewer"
+        )
+    return {name: read_whole(folder / name) for name in names}
+
+
+def _page(page: str, document: dict[str, Any], *, settings: str, policy: str) -> str:
+    """Return the page with its title, its policy, and where its scene and settings are."""
+    metas = {"gsvis-content": f"{FOLDER}/", "gsvis-scene": document["name"], "gsvis-settings": settings}
+    lines = [f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">']
+    lines += [f'<meta name="{name}" content="{escape(text)}">' for name, text in metas.items()]
+    title = f"<title>{escape(document['name'])} · gsvis</title>"
+    page = re.sub(r"<title>.*?</title>", lambda _: title, page, count=1, flags=re.DOTALL)
+    return re.sub(r"<meta charset=[^>]*>", lambda found: "\n    ".join([found[0], *lines]), page, count=1)
+
+
+def _split(page: str, style: str) -> tuple[str, str]:
+    """Return a page before and behind the place for scripts at its end, with its style inside and no other file."""
+    page = re.sub(r"\s*<script[^>]*\bsrc=[^>]*></script>", "", page)
+    page = re.sub(r"<link rel=\"stylesheet\"[^>]*>", lambda _: f"<style>{style}</style>", page)
+    head, end, tail = page.rpartition("</body>")
+    return head, end + tail
+
+
+def _inline(script: str) -> str:
+    """Return a script that can stand inside of a page."""
+    return script.replace("</script", "<\\/script").replace("<!--", "<\\!--")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"
+
+
+def _settings(document: dict[str, Any]) -> bytes:
+    """Return the views to begin with in the form of settings.json."""
+    cameras = [{"initial": view} for view in _views(document)]
+    return json.dumps({"version": 2, "frame": "scene", "cameras": cameras}, indent=1).encode() + b"\n"
+
+
+def _views(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for pose in document["poses"]:
+        ahead = rotations_from_quats(np.array([pose["rotation"]]))[0][:, 2]
+        away = (document["cells"]["size"] or 1.0) * _DISTANCE
+        target = [round(a + away * b, 6) for a, b in zip(pose["position"], ahead.tolist(), strict=True)]
+        yield {"position": pose["position"], "target": target, "fov": 65}

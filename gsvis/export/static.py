@@ -1,8 +1,9 @@
 """Write the static form of a scene: files that a page reads by ranges of bytes, from any file server.
 
-docs/static.md describes the files to the byte. The names of the data files hold the hash of their content, so they never
-change and may be cached for ever. `scene.json` names them and is written last: a reader sees the old scene or the new
-one. The same scene gives the same files; a killed run resumes, as files that are whole are not written again.
+docs/static.md describes the files to the byte. The names of the data files hold the hash of their content, so they
+never change and may be cached for ever. `scene.json` names them and is written last: a reader sees the old
+scene or the new one. The same scene gives the same files; a killed run resumes, as files that are whole are not written
+again.
 """
 
 from __future__ import annotations
@@ -348,7 +349,5 @@ def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOption
             "active": parts.cells.active,
         },
         "poses": [pose.as_dict() for pose in poses],
-        "files": {
-            kind: {"name": f.name, "bytes": f.nbytes, "sha256": f.sha256} for kind, f in sorted(files.items())
-        },
+        "files": {kind: {"name": f.name, "bytes": f.nbytes, "sha256": f.sha256} for kind, f in sorted(files.items())},
     }

@@ -64,6 +64,13 @@ class ServedScene:
             raise RuntimeError(f"{self.name} is not open")
         return self.opened
 
+    @property
+    def most_hello(self) -> int:
+        """Most bytes of a HELLO for this scene, or for a package that may take the place of a static one."""
+        if self.opened is not None:
+            return self.opened.most_hello
+        return (1 << 16) + 2 * (self.gaussians or 0)
+
     def within(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return a position clamped to a hundred times the size of the scene, where arithmetic is still accurate."""
         return np.clip(np.asarray(position, np.float64), *self._bounds)

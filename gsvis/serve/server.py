@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
+from urllib.parse import quote, urlsplit
 
 import uvicorn
 
@@ -103,8 +104,7 @@ class Server:
             replace(self.config, hosts=(*self.config.hosts, self.address.host)),
             metrics=self.metrics, log=self._log, planners=self._threads, pace=self._pace, clock=self.clock,
         )  # fmt: skip
-        open_scenes = [served.opened for served in scenes.values() if served.opened is not None]
-        most_hello = max([scene.most_hello for scene in open_scenes], default=1 << 16)
+        most_hello = max([served.most_hello for served in scenes.values()], default=1 << 16)
         settings = _settings(app, self.address, self.config.limits.message_bytes or most_hello)
         self._socket = _listen(self.address.host, self.address.port)
         self.port = int(self._socket.getsockname()[1])
@@ -120,6 +120,14 @@ class Server:
         """Address of the first scene, for a client."""
         host = f"[{self.address.host}]" if ":" in self.address.host else self.address.host
         return f"{'wss' if self.address.ssl_certfile else 'ws'}://{host}:{self.port}/stream"
+
+    def page(self, name: str) -> str:
+        """Return the address of the viewer's page of a scene, for a browser on this machine."""
+        parts = urlsplit(self.url)
+        wild = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}  # addresses to listen on that are none to go to
+        host = parts.netloc.rpartition(":")[0]
+        scheme = "https" if parts.scheme == "wss" else "http"
+        return f"{scheme}://{wild.get(host, host)}:{self.port}/view/{quote(name, safe='')}"
 
     def run(self) -> None:
         """Serve until SIGINT or SIGTERM, which it raises again at the end, or until `stop`."""

@@ -98,8 +98,8 @@ class Site:
         state = os.fstat(source.fileno())
         tag = f'"{state.st_mtime_ns:x}-{state.st_size:x}"'
         headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
-        keep = f"{'private' if private else 'public'}, max-age=31536000, immutable" if _HASHED.search(name) else "no-cache"
-        headers["cache-control"] = keep
+        whose = "private" if private else "public"
+        headers["cache-control"] = f"{whose}, max-age=31536000, immutable" if _HASHED.search(name) else "no-cache"
         kind = "application/json" if name.endswith(".json") else "application/octet-stream"
         if tag in [given.strip() for given in request.headers.get("if-none-match", "").split(",")]:
             source.close()

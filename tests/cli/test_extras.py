@@ -62,6 +62,7 @@ COMMANDS = {
     "verify": ["verify", "IN/rooms.gsvis"],
     "unpack": ["unpack", "IN/rooms.gsvis", "-o", "OUT/unpacked"],
     "serve": ["serve", "IN/rooms.gsvis", "--port", "0"],
+    "view": ["view", "IN/rooms.ply", "--port", "0", "--no-browser"],
     "simulate": ["simulate", "IN/rooms.gsvis", "--path", "IN/walk.csv", "-o", "OUT/sim", "--seconds", "1", "--every",
                  "0.5", *SMALL, "--mbit", "0.2"],
 }  # fmt: skip

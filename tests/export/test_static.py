@@ -294,7 +294,7 @@ def test_it_begins_in_a_cell_upright_or_outside_of_a_bare_scene(package: Package
     eye, turn = start_of(Reader(tmp_path / "out").scene)
     grid = package.visibility.grid
     assert grid.cell_at(eye[None])[0] >= 0
-    assert np.isclose(turn[:, 1] @ grid.up, 0.0, atol=1) and abs(turn[:, 2] @ np.array([0, -1.0, 0])) < 1e-4
+    assert abs(turn[:, 2] @ np.array([0, -1.0, 0])) < 1e-4
     assert turn[:, 1] @ np.array([0, -1.0, 0]) < -0.99  # the image's y points down
     g = random_scene(np.random.default_rng(1), 300)
     write_static(tmp_path / "bare", g, StaticOptions(up=(0.0, 0.0, 1.0)))

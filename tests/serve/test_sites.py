@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.serve import open_scenes
+from gsvis.serve import Address, Server, open_scenes
+from gsvis.serve.scenes import open_scene
 from gsvis.serve.sites import Site
 from gsvis.stream.wire import ServerFault
-from tests.serve.servers import ask, close_code, heard, raw, serving
+from tests.serve.servers import ask, close_code, has_all, heard, patient, raw, serving
 
 RECORDS = bytes(range(256)) * 4096
 
@@ -68,6 +69,18 @@ def test_a_static_scene_is_not_streamed(site: Path) -> None:
     with serving(site) as server, raw(server, b"") as ws:
         assert ServerFault.parse(heard(ws)) == ServerFault(4, "not streamed; read scenes/room/scene.json")
         assert close_code(ws) == 1008
+
+
+def test_a_scene_gives_way_to_its_package(site: Path, plain: Path) -> None:
+    with open_scenes([site]) as scenes:
+        server = Server(scenes, None, Address(port=0))
+        with server.running() as url:
+            assert ask(server, "/scenes/room/scene.json")[0] == 200
+            scenes.replace(open_scene(plain, "room"))
+            (row,) = json.loads(ask(server, "/")[2])["scenes"]
+            assert (row["name"], row["stream"], row["static"]) == ("room", "stream/room", None)
+            client, _ = patient(url + "/room", plain)
+            assert has_all(client.receiver, plain)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"format": "other"}', "[" * 100_000])

@@ -7,9 +7,6 @@ export interface StaticOptions {
   worker?: () => Worker; // makes the Worker where `static.js` does not lie beside this module
 }
 
-/** The address of a scene that the page holds itself, as the pages of `gsvis export --format html` do. */
-export const INLINE = "inline:";
-
 /** Return a source for the folder of a static scene, or for its scene.json. */
 export function staticSource(url: string | URL, options: StaticOptions = {}): Source {
   let worker: Worker | null = null;
@@ -36,7 +33,7 @@ export function staticSource(url: string | URL, options: StaticOptions = {}): So
       worker.onmessage = (event: MessageEvent<Report>) => {
         if (!isClosed) pass(event.data, events);
       };
-      worker.postMessage({ kind: "start", base, held: base === INLINE ? filesOfPage(document) : null } satisfies Order);
+      worker.postMessage({ kind: "start", base, held: filesOfPage() } satisfies Order);
       for (const what of waiting.values()) worker.postMessage(what);
       waiting.clear();
     },
@@ -64,7 +61,6 @@ function pass(report: Report, events: SourceEvents): void {
 
 /** Return the address that names of files are relative to; null for none that can be read. */
 export function baseOf(url: string | URL, page: string | undefined = globalThis.location?.href): string | null {
-  if (String(url) === INLINE) return INLINE;
   try {
     const found = new URL(url, page);
     if (!/^(https?|file|blob|data):$/.test(found.protocol)) return null;
@@ -76,16 +72,18 @@ export function baseOf(url: string | URL, page: string | undefined = globalThis.
   }
 }
 
-/** Return the files that a page holds: elements of type text/gsvis with base64 text, by their data-name. */
-function filesOfPage(page: Document): Map<string, Blob> {
-  const found = new Map<string, Blob>();
-  for (const element of page.querySelectorAll<HTMLScriptElement>('script[type="text/gsvis"]')) {
+let held: Map<string, Blob> | null = null;
+
+/** Return the files that the page itself holds, as base64 in elements of type text/gsvis; null for a page that holds none. */
+function filesOfPage(): Map<string, Blob> | null {
+  for (const element of document.querySelectorAll<HTMLScriptElement>('script[type="text/gsvis"]')) {
     const pieces: BlobPart[] = [], text = element.textContent ?? "";
     for (let at = 0; at < text.length; at += 1 << 20) {
-      pieces.push(Uint8Array.from(atob(text.slice(at, at + (1 << 20)).trim()), (letter) => letter.charCodeAt(0)));
+      pieces.push(Uint8Array.from(atob(text.slice(at, at + (1 << 20))), (letter) => letter.charCodeAt(0)));
     }
-    found.set(element.dataset.name ?? "", new Blob(pieces));
-    element.textContent = ""; // the text is larger than the file
+    held ??= new Map();
+    held.set(element.dataset.name ?? "", new Blob(pieces));
+    element.remove(); // the text is larger than the file
   }
-  return found;
+  return held;
 }

@@ -1,0 +1,210 @@
+"""How many bytes does a page need until a view is good: a static site beside the streaming server?
+
+Both send to an eye that stands still in a cell, over a link of 10 Mbit/s with a round trip of 40 ms. The server is a
+`Session` whose messages are acknowledged when they have arrived. The static side is the page's own reader (TypeScript,
+run by node) with files behind a simulated link: scene.json, tables and rows of cells count as well as records. Bytes are
+those of messages and of the bodies of answers; headers of HTTP are not counted, but requests are.
+
+Given: a package with visible sets (--package), --eyes centers of cells and directions drawn by --seed.
+Measured: bytes until the image of what has come reaches 35 dB (25 and 30 too) against that of all that the package holds
+    in its highest level with all terms, 320 x 224, 90 degrees wide; their ratio; requests.
+Defaults chosen on: nothing; blocks of 64 and the factors of the plan are those of the package and of the server.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _harness import add_arguments, write_result
+
+from gsvis.abr import FieldOfView
+from gsvis.color.evaluate import Evaluator
+from gsvis.export import write_static
+from gsvis.package import Package
+from gsvis.package.contents import Contents
+from gsvis.render import psnr, rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.stream import Session, StreamedScene
+
+RATE, ROUND_TRIP = 1.25e6, 0.04
+TARGETS = (25.0, 30.0, 35.0)
+TANGENTS = (1.0, 1.0, 0.7, 0.7)  # left, right, up, down
+SIZE = (320, 224)
+VIEWER = Path(__file__).resolve().parents[1] / "viewer"
+
+
+class Eye:
+    """A view of a package, and how well a part of it draws it."""
+
+    def __init__(self, contents: Contents, camera: Cameras) -> None:
+        self.contents, self.camera = contents, camera
+        self.g = contents.gaussians()
+        colors = contents.colors().dequantize()
+        eye = camera.viewpoints[0]
+        self.full = Evaluator(colors).colors(self.g.means, eye)
+        plain = contents.gaussians().sh0[:, 0].astype(np.float64) * 0.28209479177387814 + 0.5
+        self.plain = plain.astype(np.float32)
+        top = contents.last == len(contents.names) - 1
+        self.reference = self.draw(top, top)
+
+    def draw(self, held: np.ndarray, colored: np.ndarray) -> np.ndarray:
+        rgb = np.where(colored[:, None], self.full, self.plain)[held]
+        image = rasterize(self.g[held], self.camera, colors=np.ascontiguousarray(rgb)).images[0]
+        return np.clip(image, 0.0, 1.0)
+
+    def quality(self, held: np.ndarray, colored: np.ndarray) -> float:
+        return float(psnr(self.draw(held, colored), self.reference))
+
+
+def first_bytes(eye: Eye, steps: list[dict[str, Any]]) -> dict[float, tuple[int, int]]:
+    """Bytes and requests after which each target is met; states are ranked by halving, as quality hardly ever falls."""
+    found: dict[float, tuple[int, int]] = {}
+    known: dict[int, float] = {}
+
+    def quality(k: int) -> float:
+        if k not in known:
+            known[k] = eye.quality(*state_after(eye, steps, k))
+        return known[k]
+
+    for target in TARGETS:
+        low, high = 0, len(steps) - 1
+        if quality(high) < target:
+            continue
+        while low < high:
+            middle = (low + high) // 2
+            if quality(middle) >= target:
+                high = middle
+            else:
+                low = middle + 1
+        found[target] = steps[low]["bytes"], steps[low]["requests"]
+    return found
+
+
+def state_after(eye: Eye, steps: list[dict[str, Any]], last: int) -> tuple[np.ndarray, np.ndarray]:
+    n = len(eye.g)
+    held, colored, slots = np.zeros(n, bool), np.zeros(n, bool), []
+    for step in steps[: last + 1]:
+        slots += step["ids"]
+        held[step["ids"]] = True
+        colored[[slots[s] for s in step["owners"]]] = True
+        held[[slots[s] for s in step["gone"]]] = False
+    return held, colored
+
+
+def stream(scene: StreamedScene, camera: Cameras, pose: dict[str, Any]) -> list[dict[str, Any]]:
+    """Arrivals of a streaming session."""
+    session = Session(scene, FieldOfView(*TANGENTS, margin=0.14))
+    now, free, due, steps = 0.0, 0.0, [], []
+    welcome = session.welcome(0.0)
+    total, arrived, slots = len(welcome.data), 0.0, {}
+    free = ROUND_TRIP / 2 + total / RATE
+    due.append((free + ROUND_TRIP / 2, 0, total, None))
+    while True:
+        session.on_pose(now + 1e-6, pose["position"], pose["rotation"])
+        while (message := session.next_message(now)) is not None:
+            free = max(free, now + ROUND_TRIP / 2) + len(message.data) / RATE
+            due.append((free + ROUND_TRIP / 2, message.sequence, len(message.data), message.batch))
+        if not due:
+            break
+        now, sequence, size, batch = due.pop(0)
+        session.on_ack(now, sequence)
+        arrived += size
+        if batch is None:
+            continue
+        fresh = batch.gaussians.tolist()
+        slots.update({g: len(slots) + k for k, g in enumerate(fresh)})
+        owners = np.unique(scene.owners[batch.terms]).tolist()
+        gone = [slots[g] for g in batch.dropped.tolist() if g in slots]
+        row = {"bytes": int(arrived), "requests": 1, "seconds": now, "ids": fresh, "gone": gone}
+        steps.append({**row, "owners": [slots[g] for g in owners]})
+    return steps
+
+
+def trace(folder: Path, views: list[dict[str, Any]], script: Path) -> list[list[dict[str, Any]]]:
+    """Arrivals of the page's reader, for each view."""
+    words = ["node", str(script), str(folder), str(RATE), str(ROUND_TRIP), "1e12"]
+    found = subprocess.run(words, input=json.dumps(views), capture_output=True, text=True, check=True)
+    return [json.loads(line) for line in found.stdout.splitlines()]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_arguments(parser)
+    parser.add_argument("--package", required=True, help="folder of a package with visible sets")
+    parser.add_argument("--eyes", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=3)
+    args = parser.parse_args()
+    rng = np.random.default_rng(args.seed)
+    with tempfile.TemporaryDirectory() as made_in, Package.open(args.package) as package:
+        script = Path(made_in) / "trace.mjs"
+        build = ["npx", "esbuild", "tools/static-trace.ts", "--bundle", "--platform=node", "--format=esm"]
+        subprocess.run([*build, f"--outfile={script}", "--log-level=error"], cwd=VIEWER, check=True)
+        static = write_static(Path(made_in) / "scene", package)
+        views, cameras = views_of(package, args.eyes, rng)
+        traces = trace(static.path, views, script)
+        scene = StreamedScene.open(package)
+        rows = []
+        for view, camera, static_steps in zip(views, cameras, traces, strict=True):
+            eye = Eye(package.contents, camera)
+            ours = first_bytes(eye, static_steps)
+            theirs = first_bytes(eye, stream(scene, camera, view["pose"]))
+            rows.append({"static": ours, "stream": theirs, "all": static_steps[-1]["bytes"]})
+            print(f"static {ours}  stream {theirs}", flush=True)
+    figures = []
+    for target in TARGETS:
+        ratios = [
+            row["static"][target][0] / row["stream"][target][0]
+            for row in rows
+            if target in row["static"] and target in row["stream"]
+        ]
+        if ratios:
+            figures.append(
+                {
+                    "name": f"bytes until {target:.0f} dB over those of the server, median of {len(ratios)} eyes",
+                    "target": 1.5 if target == 35.0 else None, "reached": float(np.median(ratios)), "unit": "x",
+                    "better": "lower", "worst": max(ratios),
+                }
+            )  # fmt: skip
+    write_result(
+        args.out, __doc__.splitlines()[0], figures, {"package": repr(package), "eyes": [spell(row) for row in rows]}
+    )
+
+
+def spell(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: value if key == "all" else {str(k): list(v) for k, v in value.items()} for key, value in row.items()}
+
+
+def views_of(package: Package, count: int, rng: np.random.Generator) -> tuple[list[dict[str, Any]], list[Cameras]]:
+    """Poses in the middle of cells that look level in random directions, and their cameras."""
+    from gsvis.scene.gaussians import quats_from_rotations
+
+    grid, up = package.visibility.grid, np.asarray(package.manifest.info.up)
+    cells = rng.choice(len(grid), min(count, len(grid)), replace=False)
+    views, cameras = [], []
+    for cell in cells.tolist():
+        eye = grid.centers[cell]
+        ahead = np.cross(up, rng.normal(size=3))
+        camera = Cameras.look_at(
+            eye[None], eye + ahead / np.linalg.norm(ahead), up=up, width=SIZE[0], height=SIZE[1], fov=90.0
+        )
+        turn = camera.viewmats[0, :3, :3].T
+        quat = quats_from_rotations(turn[None])[0]
+        left, right, top, bottom = TANGENTS
+        views.append(
+            {
+                "pose": {"position": eye.tolist(), "rotation": quat.tolist()},
+                "view": {"left": left, "right": right, "up": top, "down": bottom},
+            }
+        )
+        cameras.append(camera)
+    return views, cameras
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""`gsvis export`: write a package or a scene for players that need no gsvis."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gsvis.cli.arguments_export import Export
+from gsvis.cli.source import (
+    check_file,
+    check_folder,
+    check_new,
+    check_source,
+    inputs_of,
+    is_builtin,
+    load_source,
+    parse_up,
+)
+from gsvis.cli.terminal import Status, print_json, show, size_of
+from gsvis.package.manifest import MANIFEST
+
+if TYPE_CHECKING:
+    from gsvis.export import StaticOptions
+    from gsvis.package import Package
+    from gsvis.scene.gaussians import Gaussians
+    from gsvis.scene.levels import Levels
+
+__all__ = ["run_export"]
+
+
+def run_export(command: Export) -> None:
+    """Write a scene in the format of the command, and print what it takes.
+
+    Raises:
+        GsvisError: If the scene cannot be read, or the viewer is not built.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If there is no such scene.
+        OSError: If the result cannot be written.
+    """
+    from gsvis.export import write_html, write_site
+
+    _check_target(command)
+    writers = {"static": write_site, "html": write_html}
+    with ExitStack() as stack, Status() as status:
+        status("reading", 0, 1)
+        scene, options = _open(command, stack)
+        status("reading", 1, 1)
+        found = writers[command.format](command.out, scene, options, progress=status)
+    made = found.scene
+    if command.json:
+        facts: dict[str, Any] = {
+            "format": "gsvis-export",
+            "version": 1,
+            "in": command.scene,
+            "out": command.out,
+            "kind": command.format,
+            "bytes": found.nbytes,
+            "gaussians": made.gaussians,
+            "terms": made.terms,
+            "cells": made.cells,
+            "sh_degree": made.sh_degree,
+            "files": {kind: file.nbytes for kind, file in made.files.items()},
+        }
+        print_json(facts)
+        return
+    show(f"{command.out}: {made.gaussians:,} Gaussians, {_detail(made.terms, made.cells)}, {size_of(found.nbytes)}")
+    if command.format == "static":
+        show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
+
+
+def _detail(terms: int, cells: int) -> str:
+    sees = f"{cells:,} cells" if cells > 1 else "no visible sets"
+    return f"{terms:,} terms, {sees}" if terms else sees
+
+
+def _check_target(command: Export) -> None:
+    """Raise unless the result may be written, before the scene is read."""
+    from gsvis.export.page import check_site
+    from gsvis.export.static import check_target
+
+    out = Path(command.out)
+    if command.format == "static":
+        check_folder(out)
+        check_site(out, command.overwrite)
+        check_target(out / "scene")
+        return
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"--out: expected a file that ends in .html, got {command.out}; name one")
+    check_file(out)
+    check_new(out, command.overwrite)
+
+
+def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussians, StaticOptions]:
+    """Return the package or scene of a command, and what its page says."""
+    import numpy as np
+
+    from gsvis.export import StaticOptions
+
+    up = parse_up(command.up)
+    axis = None if up is None else tuple(np.asarray(up, np.float64).tolist())
+    if (Path(command.scene) / MANIFEST).is_file():
+        from gsvis.package import Package
+
+        if command.lod is not None:
+            raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
+        name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
+        return stack.enter_context(Package.open(command.scene)), StaticOptions(name, axis)
+    check_source(command.scene, command.lod)
+    out = Path(command.out)
+    if not is_builtin(command.scene) and any(
+        out.exists() and p.exists() and out.samefile(p) for p in inputs_of(command.scene)
+    ):
+        raise ValueError(f"--out: expected another place than SCENE, got {command.out}; name another")
+    source = load_source(command.scene, command.lod)
+    if axis is None:
+        axis = _likely_up(source.union, None if source.navigable is None else source.navigable.up)
+    return source.whole, StaticOptions(command.name or source.name.removeprefix("builtin:"), axis)
+
+
+def _likely_up(g: Gaussians, known: Any) -> tuple[float, ...]:
+    from gsvis.scene.inspection import axis_vector, guess_up
+
+    if known is not None:
+        return tuple(float(v) for v in known)
+    return tuple(float(v) for v in axis_vector(guess_up(g)[0]))

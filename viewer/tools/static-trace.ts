@@ -1,0 +1,76 @@
+// Which Gaussians and terms the page's reader of static scenes has after how many bytes, on a link of a given rate and round trip.
+// node static-trace.mjs FOLDER RATE ROUND_TRIP BYTES < poses.json: for each pose and view one JSON line of arrivals.
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { StaticHost } from "../src/core/static-host.ts";
+import type { Report } from "../src/core/static-host.ts";
+import type { PartEvents, Parts } from "../src/core/static-parts.ts";
+import type { StaticFile } from "../src/core/static-scene.ts";
+import type { Pose, View } from "../src/core/types.ts";
+
+/** Files behind a link that carries one answer after the other; time is simulated. */
+class LinkedParts implements Parts {
+  readonly ranges = true;
+  now = 0;
+  requests = 0;
+  bytes = 0;
+  private free = 0; // when the link has carried all that was asked for
+  private readonly due: { at: number; resolve: () => void }[] = [];
+
+  constructor(private readonly folder: string, private readonly events: PartEvents, private readonly rate: number, private readonly trip: number) {}
+
+  async scene(): Promise<string> {
+    const data = readFileSync(join(this.folder, "scene.json"));
+    await this.carry(data.length);
+    return data.toString();
+  }
+
+  async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
+    const data = new Uint8Array(readFileSync(join(this.folder, file.name)).subarray(start, end));
+    await this.carry(data.length);
+    return data;
+  }
+
+  private carry(bytes: number): Promise<void> {
+    this.requests++;
+    this.free = Math.max(this.free, this.now + this.trip) + bytes / this.rate;
+    const at = this.free;
+    return new Promise((done) => {
+      this.due.push({ at, resolve: () => {
+        this.bytes += bytes;
+        this.events.bytes(bytes);
+        done();
+      } });
+    });
+  }
+
+  /** Let the next answer arrive; return whether there was one. */
+  step(): boolean {
+    const next = this.due.shift();
+    if (next === undefined) return false;
+    this.now = next.at;
+    next.resolve();
+    return true;
+  }
+}
+
+const [folder, rate, trip, most] = [process.argv[2], Number(process.argv[3]), Number(process.argv[4]), Number(process.argv[5])];
+for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose; view: View }[]) {
+  const steps: { bytes: number; requests: number; seconds: number; ids: number[]; owners: number[]; gone: number[] }[] = [];
+  let parts: LinkedParts | null = null, isComplete = false;
+  const post = (report: Report): void => {
+    if (report.kind === "state") isComplete = report.state.kind === "complete";
+    if (report.kind !== "batch") return;
+    const { ids, owners, gone } = report.batch;
+    steps.push({ bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now, ids: [...ids], owners: [...new Set(owners)], gone: [...gone] });
+  };
+  const host = new StaticHost(post, { now: () => parts?.now ?? 0 }, (events) => (parts = new LinkedParts(folder, events, rate, trip)));
+  host.setView(view);
+  host.setPose(pose);
+  void host.start();
+  const settle = (): Promise<void> => new Promise((done) => { setImmediate(done); });
+  await settle();
+  while (!isComplete && parts!.bytes < most && parts!.step()) await settle();
+  host.close();
+  process.stdout.write(`${JSON.stringify(steps)}\n`);
+}
