@@ -64,7 +64,7 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
     rows = [_row(sets, gaussian, int(cells[k]), eyes[k], float(distances[k]), n) for n, k in enumerate(order.tolist())]
     faces = np.flatnonzero(np.unpackbits(sets.direction_sets[gaussian], bitorder="little")[:NUM_FACES])
     found["cells"] = {"of": len(grid), "size": grid.cell_size, "seeing": rows}
-    found["directions"] = {"of": NUM_FACES, "seen": [_rounded(row) for row in face_directions()[faces]]}
+    found["directions"] = {"of": NUM_FACES, "seen": [_rounded(row) for row in face_directions()[faces, 0]]}
     return found
 
 

@@ -22,6 +22,7 @@ SIZES = {"wide": (1280, 800), "tablet": (768, 1024), "phone": (375, 667)}
 WAIT = 60_000  # milliseconds; a guard against hanging
 ROOM = "/view/show%20room"
 Open = Callable[..., Any]
+READY = "() => document.documentElement.dataset.state === 'streaming' && location.hash.length > 1"
 AXE = """axe.run(document, {resultTypes: ["violations"]}).then((all) =>
     all.violations.map((found) => [found.id, found.nodes.map((node) => node.html.slice(0, 120))]))"""
 OUTSIDE = """[...document.querySelectorAll(".scene > *, .tools > *, .dock > *")]
@@ -67,7 +68,7 @@ def visit(browser: Any, address: str) -> Iterator[Open]:
         page.on("pageerror", lambda error: said.append(f"error: {error}"))
         page.goto(address + path)
         if ready:
-            page.wait_for_function("document.documentElement.dataset.state === 'streaming' && location.hash.length > 1")
+            page.wait_for_function(READY)
         return page
 
     yield go
@@ -162,7 +163,7 @@ def test_walking_stays_on_the_floor(visit: Open) -> None:
     page.locator("canvas").first.focus()
     page.keyboard.down("Shift")
     page.keyboard.down("KeyW")
-    page.wait_for_function("fake.camera.position[0] > 5.5")
+    page.wait_for_function("() => fake.camera.position[0] > 5.5")
     page.wait_for_timeout(800)
     page.keyboard.up("KeyW")
     page.keyboard.up("Shift")
@@ -229,7 +230,7 @@ def test_a_gamepad_moves_looks_and_runs_actions(visit: Open) -> None:
         page.wait_for_timeout(200)
         page.evaluate("pad.axes = [0, 0, 0, 0]")
     page.evaluate("pad.buttons[0] = {pressed: true, value: 1}")
-    page.wait_for_function("document.documentElement.dataset.mode === 'orbit'")
+    page.wait_for_function("() => document.documentElement.dataset.mode === 'orbit'")
     page.evaluate("pad.buttons[0] = {pressed: false, value: 0}; pad.connected = false")
 
 
@@ -243,7 +244,7 @@ def test_the_view_is_in_the_address_and_addresses_change_the_view(visit: Open) -
     assert eye(page) == pytest.approx([2, 2, 1.6], abs=1e-3)
     with motion(page):
         drag(page, 90, 0)
-    page.wait_for_function("!location.hash.includes('to=4,2,1&')")
+    page.wait_for_function("() => !location.hash.includes('to=4,2,1&')")
 
 
 @pytest.mark.parametrize(
@@ -260,18 +261,18 @@ def test_settings_give_views_for_number_keys_and_buttons(visit: Open) -> None:
     page = visit(f"{ROOM}?settings=settings.json")
     assert eye(page)[:2] == pytest.approx([1, 1], abs=1e-6)
     page.keyboard.press("2")
-    page.wait_for_function("Math.abs(fake.camera.position[0] - 2) < 1e-3")
+    page.wait_for_function("() => Math.abs(fake.camera.position[0] - 2) < 1e-3")
     assert page.locator(".view-name").text_content() == "Window"
     page.get_by_role("button", name="Next view").click()
-    page.wait_for_function("Math.abs(fake.camera.position[0] - 5) < 1e-3")
+    page.wait_for_function("() => Math.abs(fake.camera.position[0] - 5) < 1e-3")
     assert page.locator(".view-name").text_content() == HOSTILE
     page.keyboard.press("r")
-    page.wait_for_function("Math.abs(fake.camera.position[0] - 1) < 1e-3")
+    page.wait_for_function("() => Math.abs(fake.camera.position[0] - 1) < 1e-3")
 
 
 def test_settings_that_are_not_there_are_said_and_stop_nothing(visit: Open, address: str) -> None:
     page = visit(f"{ROOM}?settings=show%20room")
-    page.wait_for_function("document.querySelector('.toast').textContent.includes('settings')")
+    page.wait_for_function("() => document.querySelector('.toast').textContent.includes('settings')")
     assert mode(page) == "walk"
 
 
@@ -291,7 +292,7 @@ def test_options_change_what_is_drawn(visit: Open) -> None:
     page.keyboard.press("b")
     assert not page.locator("canvas.overlay").is_visible()
     page.get_by_label("Field of view").fill("90")
-    page.wait_for_function("Math.abs(fake.camera.fovY - Math.PI / 2) < 1e-3")
+    page.wait_for_function("() => Math.abs(fake.camera.fovY - Math.PI / 2) < 1e-3")
     page.get_by_label("Pace").fill("1")
     assert page.get_by_label("Pace").get_attribute("aria-valuetext") == "2 \N{MULTIPLICATION SIGN}"
     page.keyboard.press("Escape")
@@ -304,11 +305,11 @@ def test_themes_follow_the_system_or_the_choice(visit: Open) -> None:
     assert page.evaluate(theme) == "light"
     assert page.evaluate("fake.background[0]") > 0.5
     page.emulate_media(color_scheme="dark")
-    page.wait_for_function(f"{theme} === 'dark' && fake.background[0] < 0.5")
+    page.wait_for_function(f"() => {theme} === 'dark' && fake.background[0] < 0.5")
     page.keyboard.press("l")
     assert page.evaluate(theme) == "light"
     page.reload()
-    page.wait_for_function(f"{theme} === 'light'")
+    page.wait_for_function(f"() => {theme} === 'light'")
 
 
 def test_a_click_says_why_a_gaussian_is_here(visit: Open) -> None:
@@ -343,7 +344,7 @@ def test_statistics_help_and_hiding_by_button_and_key(visit: Open) -> None:
     page = visit()
     figures = page.get_by_role("region", name="Statistics")
     page.keyboard.press("t")
-    page.wait_for_function("document.querySelector('[data-figure=gaussians]').textContent === '328 k of 781 k'")
+    page.wait_for_function("() => document.querySelector('[data-figure=gaussians]').textContent === '328 k of 781 k'")
     page.get_by_role("button", name="Statistics").click()
     assert not figures.is_visible()
     page.keyboard.press("?")
@@ -370,9 +371,9 @@ def test_pictures_links_and_full_screen(visit: Open, address: str) -> None:
     page.get_by_text("The link to this view is copied.").wait_for()
     assert page.evaluate("navigator.clipboard.readText()").startswith(f"{address}{ROOM}#eye=")
     page.keyboard.press("f")
-    page.wait_for_function("document.fullscreenElement !== null")
+    page.wait_for_function("() => document.fullscreenElement !== null")
     page.keyboard.press("f")
-    page.wait_for_function("document.fullscreenElement === null")
+    page.wait_for_function("() => document.fullscreenElement === null")
 
 
 def test_a_lost_connection_a_lost_picture_and_their_return_are_said(visit: Open) -> None:
@@ -385,9 +386,9 @@ def test_a_lost_connection_a_lost_picture_and_their_return_are_said(visit: Open)
     page.evaluate("fake.dispatchEvent(new Event('contextlost'))")
     page.get_by_text("The graphics card has taken the picture back.").wait_for()
     page.evaluate("fake.dispatchEvent(new Event('contextrestored'))")
-    page.wait_for_function("document.querySelector('.toast').textContent === ''")
+    page.wait_for_function("() => document.querySelector('.toast').textContent === ''")
     page.evaluate("fake.become({kind: 'complete'}, 0.8)")
-    page.wait_for_function("document.querySelector('.title').dataset.state === 'complete'")
+    page.wait_for_function("() => document.querySelector('.title').dataset.state === 'complete'")
 
 
 def test_a_refused_token_can_be_entered_and_a_failure_tried_again(visit: Open) -> None:
@@ -395,12 +396,12 @@ def test_a_refused_token_can_be_entered_and_a_failure_tried_again(visit: Open) -
     page.evaluate("fake.become({kind: 'failed', message: 'a token is needed', code: 4})")
     page.get_by_label("Token").fill("secret")
     page.keyboard.press("Enter")
-    page.wait_for_function("asked.length === 2 && asked[1] === 'secret' && fake.state.kind === 'streaming'")
+    page.wait_for_function("() => asked.length === 2 && asked[1] === 'secret' && fake.state.kind === 'streaming'")
     assert not page.locator(".card").is_visible()
     page.evaluate("fake.become({kind: 'failed', message: '<b>gone</b>'})")
     assert page.locator(".card code").text_content() == "<b>gone</b>"
     page.get_by_role("button", name="Try again").click()
-    page.wait_for_function("asked.length === 3 && fake.state.kind === 'streaming'")
+    page.wait_for_function("() => asked.length === 3 && fake.state.kind === 'streaming'")
 
 
 def test_without_webgl2_the_page_says_so(visit: Open) -> None:

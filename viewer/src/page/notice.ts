@@ -29,7 +29,7 @@ export class Notices {
     }
     this.card.replaceChildren(...parts);
     this.card.hidden = false;
-    this.card.querySelector<HTMLElement>("input, button")?.focus();
+    this.card.querySelector<HTMLElement>("input:not([hidden]), button")?.focus();
   }
 
   clear(): void {
@@ -45,7 +45,8 @@ export class Notices {
 
   private tokenForm(): HTMLFormElement {
     const input = make("input", { type: "password", id: "token", name: "token", required: true, autocomplete: "current-password" });
-    const form = make("form", { class: "token" }, make("label", { for: "token" }, "Token"), input, make("button", { class: "primary" }, "Open"));
+    const user = make("input", { type: "text", name: "username", autocomplete: "username", value: "gsvis", hidden: true }); // for password managers
+    const form = make("form", { class: "token" }, user, make("label", { for: "token" }, "Token"), input, make("button", { class: "primary" }, "Open"));
     on(form, "submit", (event) => {
       event.preventDefault();
       if (input.value.trim()) this.targets.token(input.value.trim());

@@ -21,7 +21,7 @@ export function describePick(pick: Pick, header: Header | null): HTMLElement {
   const levels = header && header.levels.length > 1 ? pick.levels.map((level) => header.levels[level]?.name ?? String(level)) : [];
   return make("section", {},
     make("p", { class: "headline" }, pick.color ? swatch(pick.color) : null, `Gaussian ${pick.id.toLocaleString("en-US")}`),
-    make("p", {}, pick.count > 1 ? `It gives most of this pixel; ${pick.count} Gaussians reach it.` : "It alone makes this pixel."),
+    make("p", {}, pick.count > 1 ? `Of the ${pick.count} Gaussians that reach this pixel, it gives the largest share.` : "It alone makes this pixel."),
     facts([
       ["Share of this pixel", formatShare(pick.weight)],
       ["Opacity", formatShare(pick.opacity)],
