@@ -16,6 +16,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+MEASURED = ("--enable-blink-features=ForceEagerMeasureMemory",)  # for `measureUserAgentSpecificMemory` without a wait
 
 
 def chromium() -> str:
@@ -38,6 +39,12 @@ def viewer_files() -> Path:
 class _Quiet(SimpleHTTPRequestHandler):
     def log_message(self, format: str, *args: object) -> None:
         pass
+
+    def end_headers(self) -> None:
+        # With these two a page may measure its memory.
+        self.send_header("Cross-Origin-Opener-Policy", "same-origin")
+        self.send_header("Cross-Origin-Embedder-Policy", "require-corp")
+        super().end_headers()
 
     extensions_map = {**SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}
 
@@ -62,7 +69,7 @@ def browser_page(address: str, **context: Any) -> Iterator[tuple[Any, list[str]]
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
+        browser = playwright.chromium.launch(executable_path=path, args=[*FLAGS, *MEASURED])
         try:
             page = browser.new_context(**context).new_page()
             said: list[str] = []

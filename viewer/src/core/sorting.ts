@@ -7,6 +7,8 @@ const PAGE = 1 << 16;
 const GONE = 0xffffffff;
 const NEAR = 0.01;
 const REACH = 3.33; // standard deviations at which the most opaque Gaussian falls below 1/255
+const DIGIT = 14; // bits of one of the two passes of a sort
+const MOST_KEY = 2 ** (2 * DIGIT) - 1;
 const NEAR_BITS = new Uint32Array(Float32Array.of(NEAR).buffer)[0];
 
 export interface Page {
@@ -227,8 +229,8 @@ export class SortedScene {
       place = base + end;
     }
     for (let i = begin; i < found; i++) {
-      const key = (keys[i] - NEAR_BITS) >>> 4; // floats above 0 are ordered like their bits; 24 bits of them
-      keys[i] = key > 0xffffff ? 0 : 0xffffff - key;
+      const key = keys[i] - NEAR_BITS; // floats above 0 are ordered like their bits; 28 of these reach a million
+      keys[i] = key > MOST_KEY ? 0 : MOST_KEY - key;
     }
     this.#found = found;
     this.#done = this.count;
@@ -273,23 +275,23 @@ export class SortedScene {
     return { order, count };
   }
 
-  /** Sort by the lower, then by the upper 12 bits of the keys. */
+  /** Sort by the lower, then by the upper half of the keys. */
   #distribute(order: Uint32Array, count: number): void {
-    const keys = this.#keys, places = this.#places, within = this.#within;
-    const low = new Uint32Array(4097), high = new Uint32Array(4097);
+    const keys = this.#keys, places = this.#places, within = this.#within, buckets = 2 ** DIGIT, mask = buckets - 1;
+    const low = new Uint32Array(buckets + 1), high = new Uint32Array(buckets + 1);
     for (let i = 0; i < count; i++) {
       const key = keys[i];
-      low[(key & 4095) + 1]++;
-      high[(key >>> 12) + 1]++;
+      low[(key & mask) + 1]++;
+      high[(key >>> DIGIT) + 1]++;
     }
-    for (let k = 0; k < 4096; k++) {
+    for (let k = 0; k < buckets; k++) {
       low[k + 1] += low[k];
       high[k + 1] += high[k];
     }
-    for (let i = 0; i < count; i++) within[low[keys[i] & 4095]++] = i;
+    for (let i = 0; i < count; i++) within[low[keys[i] & mask]++] = i;
     for (let j = 0; j < count; j++) {
       const i = within[j];
-      order[high[keys[i] >>> 12]++] = places[i];
+      order[high[keys[i] >>> DIGIT]++] = places[i];
     }
   }
 

@@ -19,11 +19,13 @@ export class Store {
   slots: Uint32Array | null = null; // null: places are slots
   readonly stale = new Set<number>(); // rows of Gaussians whose colors are to be found
   readonly #gl: WebGL2RenderingContext;
+  readonly #limit: number; // rows of a texture
   readonly #changed = new Set<number>(); // rows of heads that the GPU lacks
   #firsts: Uint32Array = new Uint32Array(0);
 
   constructor(gl: WebGL2RenderingContext, header: Header) {
     this.#gl = gl;
+    this.#limit = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
     this.header = header;
     this.tables = packTables(header);
     this.records = new GrowingTexture(gl, "RGBA32UI");
@@ -57,6 +59,12 @@ export class Store {
     return 16 + 8 + 8 + (terms ? 4 : 0) + (harmonics ? 16 * harmonicTexels(harmonics) : 0);
   }
 
+  /** Gaussians that the largest textures of this device hold. */
+  get most(): number {
+    const { harmonics } = this.header;
+    return Math.floor((ROW * this.#limit) / (harmonics ? harmonicTexels(harmonics) : 1));
+  }
+
   get viewDependent(): boolean { return this.termCount > 0 || this.header.harmonics !== null; }
 
   /** Return the place of a slot, -1 if it is not here. */
@@ -77,7 +85,8 @@ export class Store {
     if (batch.chunks.length) this.#appendChunks(batch);
     const count = batch.ids.length || batch.records.length / 4;
     if (count) this.#appendGaussians(batch, count, kept);
-    if (batch.owners.length) this.#appendTerms(batch);
+    const room = ROW * this.#limit - this.termCount;
+    if (batch.owners.length && batch.owners.length <= room) this.#appendTerms(batch); // else base colors stay
   }
 
   #appendChunks(batch: Batch): void {
@@ -127,7 +136,7 @@ export class Store {
     }
     this.heads.reserve(room);
     this.terms.reserve(this.termCount + count, this.header.terms);
-    for (let k = 0; k < count; k++) {
+    for (let k = 0, marked = -1; k < count; k++) {
       const place = this.placeOf(batch.owners[k]);
       if (place < 0) continue; // not drawn: out of memory, or gone since
       data[4 * k] = batch.terms[2 * k];
@@ -135,6 +144,8 @@ export class Store {
       data[4 * k + 2] = this.#firsts[place];
       this.#firsts[place] = this.termCount + k + 1;
       const row = Math.floor(place / ROW);
+      if (row === marked) continue;
+      marked = row;
       this.#changed.add(row);
       this.stale.add(row);
     }

@@ -5,6 +5,8 @@ export type Format = "R32UI" | "RG32UI" | "RGBA32UI";
 /** Texels in a row of every growing texture. */
 export const ROW = 2048;
 
+const LEAST_ROWS = 64; // of a texture that is in use
+
 const LENGTHS: Record<Format, number> = { R32UI: 1, RG32UI: 2, RGBA32UI: 4 };
 
 export class GrowingTexture {
@@ -28,7 +30,8 @@ export class GrowingTexture {
     if (needed <= this.#rows) return false;
     const gl = this.#gl, limit = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
     if (needed > limit) throw new Error(`this device draws at most ${limit * ROW} Gaussians or terms of a scene, got ${texels}`);
-    const rows = Math.min(limit, Math.max(needed, Math.min(Math.ceil(this.#rows * 1.6), Math.ceil(most / ROW))));
+    const ahead = Math.max(this.#rows * 2, needed > 1 ? LEAST_ROWS : 1);
+    const rows = Math.min(limit, Math.max(needed, Math.min(ahead, Math.ceil(most / ROW))));
     const texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl[this.#format], ROW, rows);

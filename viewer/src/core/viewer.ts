@@ -135,6 +135,7 @@ export class Viewer extends EventTarget {
 
   /** Stop everything and free what is held. */
   dispose(): void {
+    this.#lost = true; // what is still on its way draws nothing
     cancelAnimationFrame(this.#frame);
     this.#source?.close();
     this.#source = null;
@@ -330,7 +331,7 @@ export class Viewer extends EventTarget {
   #trim(batch: Batch): Batch {
     const store = this.#store, count = batch.ids.length;
     if (!store || count === 0) return batch;
-    const most = (this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB) / (store.perGaussian + 36);
+    const most = Math.min(store.most, (this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB) / (store.perGaussian + 36));
     if (store.count + count <= most) return batch;
     if (this.#figures.dropped === 0) {
       this.#say("problem", `This device's memory holds ${store.count.toLocaleString("en")} Gaussians of this scene; the others are left out.`);
