@@ -7,10 +7,12 @@ full disk.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from importlib import import_module
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
 __all__ = ["main"]
+
+_HOMES = {"unpack": "package", "verify": "package"}
+"""Modules of commands that have none of their own name."""
 
 _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on the CPU.
 
@@ -40,26 +45,6 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
 
 gsvis COMMAND --help lists options; gsvis --version prints the version."""
-
-_RUNS = {
-    "Inspect": "inspect:run_inspect",
-    "Analyze": "analyze:run_analyze",
-    "Render": "render:run_render",
-    "Pvs": "pvs:run_pvs",
-    "PvsReport": "pvs_report:run_pvs_report",
-    "Color": "color:run_color",
-    "Train": "train:run_train",
-    "Levels": "levels:run_levels",
-    "Convert": "convert:run_convert",
-    "Prepare": "prepare:run_prepare",
-    "Verify": "package:run_verify",
-    "Unpack": "package:run_unpack",
-    "Export": "export:run_export",
-    "View": "view:run_view",
-    "Serve": "serve:run_serve",
-    "Simulate": "simulate:run_simulate",
-}
-"""Module and function of each command, by the name of its arguments."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -158,10 +143,9 @@ def version() -> str:
 
 
 def _run(command: Command) -> None:
-    from importlib import import_module  # a command imports what it needs alone
-
-    module, run = _RUNS[type(command).__name__].split(":")
-    getattr(import_module(f"gsvis.cli.{module}"), run)(command)
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(command).__name__).lower()
+    home = import_module(f"gsvis.cli.{_HOMES.get(name, name)}")
+    getattr(home, f"run_{name}")(command)
 
 
 def _explain(error: Exception) -> tuple[str, int]:

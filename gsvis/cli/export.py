@@ -93,12 +93,10 @@ def _check_target(command: Export) -> None:
 
 def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussians, StaticOptions]:
     """Return the package or scene of a command, and what its page says."""
-    import numpy as np
-
     from gsvis.export import StaticOptions
 
     up = parse_up(command.up)
-    axis = None if up is None else tuple(np.asarray(up, np.float64).tolist())
+    axis = None if up is None else _triple(up)
     if (Path(command.scene) / MANIFEST).is_file():
         from gsvis.package import Package
 
@@ -118,9 +116,12 @@ def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussia
     return source.whole, StaticOptions(command.name or source.name.removeprefix("builtin:"), axis)
 
 
-def _likely_up(g: Gaussians, known: Any) -> tuple[float, ...]:
+def _likely_up(g: Gaussians, known: Any) -> tuple[float, float, float]:
     from gsvis.scene.inspection import axis_vector, guess_up
 
-    if known is not None:
-        return tuple(float(v) for v in known)
-    return tuple(float(v) for v in axis_vector(guess_up(g)[0]))
+    return _triple(axis_vector(guess_up(g)[0]) if known is None else known)
+
+
+def _triple(vector: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z

@@ -28,6 +28,7 @@ __all__ = ["run_view"]
 
 _PORT = 8765
 _CACHE = 512_000_000
+_IN_FOLDERS = ("lod-meta.json", "meta.json")  # files that are named by their folder
 
 
 def run_view(command: View) -> None:
@@ -95,9 +96,12 @@ def _folder_of(command: View, stack: ExitStack) -> Path:
 
 
 def _name_of(scene: str) -> str:
-    """Return a name for addresses: that of the file or folder, without suffixes."""
-    last = scene.rpartition(":")[2] if scene.startswith("builtin:") else Path(scene).resolve().name
-    return last.partition(".")[0] or "scene"
+    """Return a name for addresses: that of the file or folder, without suffixes; every streamed scene has its folder's."""
+    if scene.startswith("builtin:"):
+        return scene.rpartition(":")[2] or "scene"
+    path = Path(scene).resolve()
+    named = path.parent if path.name in _IN_FOLDERS else path
+    return named.name.partition(".")[0] or "scene"
 
 
 def _listen(command: View, scenes: Scenes) -> Server:

@@ -81,10 +81,10 @@ class Blocks:
 
     def sums(self, ids: NDArray[np.integer], values: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the (B,) sums over blocks of the values (M,) of ids (M,)."""
-        return np.bincount(self.of_ids[ids], values, minlength=len(self))
+        return np.asarray(np.bincount(self.of_ids[ids], values, minlength=len(self)), np.float64)
 
 
 def quantize_gains(gains: NDArray[np.float64], top: int) -> U8:
     """Return gains > 0 as bytes: 255 stands for 2^(top / 4), each step below it for 2^(1/4) less; none is below 1."""
     places = np.rint(GAIN_STEPS * np.log2(np.maximum(gains, np.finfo(np.float64).tiny)))
-    return np.clip(places - top + 255, 1, 255).astype(np.uint8)
+    return np.asarray(np.clip(places - top + 255, 1, 255), np.uint8)

@@ -55,10 +55,16 @@ own[each.dataset.name] = URL.createObjectURL(new Blob([text], { type: "text/java
 }
 const Plain = Worker;
 globalThis.Worker = class extends Plain {
-constructor(url, options) { super(own[String(url).split("/").pop()] ?? url, options); }
+constructor(url, options) {
+const found = own[String(url).split("/").pop()];
+super(found ?? url, found ? { ...options, type: "classic" } : options);
+}
 };
 })();"""
-"""Start the Workers of one file from its own text: no other file can be loaded from disk."""
+"""Start the Workers of one file from its own text: no other file can be loaded from disk.
+
+They are classic scripts: Chromium loads no module of a page from disk. The bundles import and export nothing.
+"""
 
 
 @dataclass(frozen=True)
@@ -110,7 +116,7 @@ def write_site(
     if not (target / SETTINGS).exists():
         with atomic_path(target / SETTINGS) as partial:
             partial.write_bytes(_settings(document))
-    page = _page(files["view.html"].decode(), document, settings=SETTINGS, policy=_POLICY)
+    page = _page(files["view.html"].decode(), document, content=f"{FOLDER}/", settings=SETTINGS, policy=_POLICY)
     with atomic_path(target / PAGE) as partial:
         partial.write_text(page.replace("../viewer/", "viewer/"), encoding="utf-8")
     names = [PAGE, SETTINGS, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
@@ -164,7 +170,7 @@ def write_html(
             " img-src data: blob:; connect-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
         )
         settings = "data:application/json;base64," + b64encode(_settings(document)).decode()
-        page = _page(files["view.html"].decode(), document, settings=settings, policy=policy)
+        page = _page(files["view.html"].decode(), document, content="inline:", settings=settings, policy=policy)
         head, tail = _split(page, style)
         with atomic_path(target) as partial, partial.open("wb") as out:
             out.write(head.encode())
@@ -197,9 +203,9 @@ def _viewer_files(folder: Path) -> dict[str, bytes]:
     return {name: read_whole(folder / name) for name in names}
 
 
-def _page(page: str, document: dict[str, Any], *, settings: str, policy: str) -> str:
+def _page(page: str, document: dict[str, Any], *, content: str, settings: str, policy: str) -> str:
     """Return the page with its title, its policy, and where its scene and settings are."""
-    metas = {"gsvis-content": f"{FOLDER}/", "gsvis-scene": document["name"], "gsvis-settings": settings}
+    metas = {"gsvis-content": content, "gsvis-scene": document["name"], "gsvis-settings": settings}
     lines = [f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">']
     lines += [f'<meta name="{name}" content="{escape(text)}">' for name, text in metas.items()]
     title = f"<title>{escape(document['name'])} · gsvis</title>"

@@ -297,7 +297,8 @@ def _term_bytes(records: U8, offsets: NDArray[np.int64], counts: U8, blocks: Blo
 
 def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
     """Write a data file atomically, unless it is there."""
-    whole = memoryview(data if isinstance(data, bytes) else np.ascontiguousarray(data).reshape(-1).view(np.uint8))
+    flat = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else np.ascontiguousarray(data).view(np.uint8)
+    whole = flat.reshape(-1).data
     digest = hashlib.sha256(whole).hexdigest()
     file = StaticFile(f"{kind}-{digest[:16]}.bin", whole.nbytes, digest)
     target = folder / file.name

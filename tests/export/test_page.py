@@ -109,6 +109,7 @@ def test_one_file_holds_everything_and_asks_for_nothing(viewer: Path, scene: Gau
         assert name is not None
         (tmp_path / "out" / name).write_bytes(data)
     assert len(Reader(tmp_path / "out").ids) == 200
+    assert page.metas()["gsvis-content"] == "inline:"
     workers = {a["data-name"]: base64.b64decode(body) for a, body in scripts if a.get("type") == "text/gsvis-worker"}
     assert workers == {name: (viewer / name).read_bytes() for name in ("sort.js", "static.js", "network.js")}
     running = [body for a, body in scripts if a.get("type") in (None, "module")]

@@ -377,6 +377,7 @@ test("addresses of scenes", () => {
   assert.equal(baseOf("scene", page), "https://example.org/site/scene/");
   assert.equal(baseOf("scene/", page), "https://example.org/site/scene/");
   assert.equal(baseOf("scene/scene.json", page), "https://example.org/site/scene/scene.json");
+  assert.equal(baseOf("inline:", page), "inline:");
   assert.equal(baseOf("javascript:alert(1)", page), null);
   assert.equal(baseOf("http://[", page), null);
 });

@@ -7,6 +7,9 @@ export interface StaticOptions {
   worker?: () => Worker; // makes the Worker where `static.js` does not lie beside this module
 }
 
+/** The address of a scene that the page holds itself, as the pages of `gsvis export --format html` do. */
+export const INLINE = "inline:";
+
 /** Return a source for the folder of a static scene, or for its scene.json. */
 export function staticSource(url: string | URL, options: StaticOptions = {}): Source {
   let worker: Worker | null = null;
@@ -33,7 +36,7 @@ export function staticSource(url: string | URL, options: StaticOptions = {}): So
       worker.onmessage = (event: MessageEvent<Report>) => {
         if (!isClosed) pass(event.data, events);
       };
-      worker.postMessage({ kind: "start", base, held: filesOfPage() } satisfies Order);
+      worker.postMessage({ kind: "start", base, held: base === INLINE ? filesOfPage() : null } satisfies Order);
       for (const what of waiting.values()) worker.postMessage(what);
       waiting.clear();
     },
@@ -61,6 +64,7 @@ function pass(report: Report, events: SourceEvents): void {
 
 /** Return the address that names of files are relative to; null for none that can be read. */
 export function baseOf(url: string | URL, page: string | undefined = globalThis.location?.href): string | null {
+  if (String(url) === INLINE) return INLINE;
   try {
     const found = new URL(url, page);
     if (!/^(https?|file|blob|data):$/.test(found.protocol)) return null;
@@ -72,18 +76,17 @@ export function baseOf(url: string | URL, page: string | undefined = globalThis.
   }
 }
 
-let held: Map<string, Blob> | null = null;
+const held = new Map<string, Blob>();
 
-/** Return the files that the page itself holds, as base64 in elements of type text/gsvis; null for a page that holds none. */
-function filesOfPage(): Map<string, Blob> | null {
+/** Return the files that the page itself holds, as base64 in elements of type text/gsvis. */
+function filesOfPage(): Map<string, Blob> {
   for (const element of document.querySelectorAll<HTMLScriptElement>('script[type="text/gsvis"]')) {
     const pieces: BlobPart[] = [], text = element.textContent ?? "";
     for (let at = 0; at < text.length; at += 1 << 20) {
       pieces.push(Uint8Array.from(atob(text.slice(at, at + (1 << 20))), (letter) => letter.charCodeAt(0)));
     }
-    held ??= new Map();
     held.set(element.dataset.name ?? "", new Blob(pieces));
-    element.remove(); // the text is larger than the file
+    if (text.length > 1 << 16) element.remove(); // the text is larger than the file
   }
   return held;
 }
