@@ -88,7 +88,9 @@ viewer-check:
 	    else echo "no Node here: the built viewer is not compared with its sources"; fi
 
 # The tests come last: their closing line is the verdict.
-check: lint types viewer-check doctests examples docs test
+check: .venv/.gsvis-dev .venv/.gsvis-docs
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint types viewer-check doctests examples docs
+	@$(MAKE) --no-print-directory test
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \

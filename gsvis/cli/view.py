@@ -96,7 +96,7 @@ def _folder_of(command: View, stack: ExitStack) -> Path:
 
 
 def _name_of(scene: str) -> str:
-    """Return a name for addresses: that of the file or folder, without suffixes; every streamed scene has its folder's."""
+    """Return a name for addresses: that of the file or folder, without suffixes. A streamed scene has its folder's."""
     if scene.startswith("builtin:"):
         return scene.rpartition(":")[2] or "scene"
     path = Path(scene).resolve()
