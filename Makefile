@@ -24,7 +24,7 @@ export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check viewer viewer-check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
+.PHONY: help demo test check others viewer viewer-check format lint types doctests examples docs bench lowest pins clean fuzz kill stress repeat
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -88,9 +88,11 @@ viewer-check:
 	    else echo "no Node here: the built viewer is not compared with its sources"; fi
 
 # The tests come last: their closing line is the verdict.
-check: .venv/.gsvis-dev .venv/.gsvis-docs
+check: others test
+
+# All checks but the tests, two at a time: most of them use one core.
+others: .venv/.gsvis-dev .venv/.gsvis-docs
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint types viewer-check doctests examples docs
-	@$(MAKE) --no-print-directory test
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \
