@@ -118,16 +118,16 @@ function dots(): { at: [number, number, number]; color: string; size: number }[]
   let seed = 7;
   const random = (): number => (seed = (seed * 16807) % 2147483647) / 2147483647;
   const found: { at: [number, number, number]; color: string; size: number }[] = [];
-  for (let i = 0; i < 2600; i++) {
+  for (let i = 0; i < 500; i++) {
     const side = Math.floor(random() * 4);
     const [p, q] = [random(), random()];
     const at: [number, number, number] = side === 0 ? [p * 6, q * 4, 0] : side === 1 ? [p * 6, 4, q * 2.6] : side === 2 ? [6, p * 4, q * 2.6] : [p * 6, q * 4, 2.6];
     const tone = [[30, 26, 34], [210, 16, 62], [200, 20, 48], [40, 12, 80]][side];
-    found.push({ at, size: 0.12 + 0.1 * random(), color: `hsl(${tone[0] + 20 * random()} ${tone[1]}% ${tone[2] + 8 * random()}%)` });
+    found.push({ at, size: 0.26 + 0.1 * random(), color: `hsl(${tone[0] + 20 * random()} ${tone[1]}% ${tone[2] + 8 * random()}%)` });
   }
-  for (let i = 0; i < 500; i++) {
+  for (let i = 0; i < 120; i++) {
     const [a, b] = [random() * 6.28, random()];
-    found.push({ at: [4 + 0.4 * Math.cos(a), 2 + 0.4 * Math.sin(a), b * 0.8], size: 0.05, color: `hsl(${10 + 20 * random()} 60% ${36 + 16 * random()}%)` });
+    found.push({ at: [4 + 0.4 * Math.cos(a), 2 + 0.4 * Math.sin(a), b * 0.8], size: 0.1, color: `hsl(${10 + 20 * random()} 60% ${36 + 16 * random()}%)` });
   }
   return found;
 }

@@ -21,6 +21,7 @@ export interface KeyTargets {
 
 export class Keyboard {
   private readonly down = new Set<string>();
+  private readonly tapped = new Set<string>(); // pressed since the last look: counts even if it is up again
   private fast = false;
   private readonly life = new AbortController();
 
@@ -37,22 +38,24 @@ export class Keyboard {
   }
 
   get busy(): boolean {
-    return this.down.size > 0;
+    return this.down.size + this.tapped.size > 0;
   }
 
   /** Sum of all held keys. */
   held(): Held {
     const sum: Held = { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: this.fast };
     const arrows = this.targets.mode() === "orbit" ? ARROWS.orbit : ARROWS.other;
-    for (const code of this.down) {
+    for (const code of new Set([...this.down, ...this.tapped])) {
       const moves: Partial<Held> = (arrows as Record<string, Partial<Held>>)[code] ?? MOVES[code] ?? {};
       for (const axis of ["ahead", "aside", "above", "turn", "tilt"] as const) sum[axis] += moves[axis] ?? 0;
     }
+    this.tapped.clear();
     return sum;
   }
 
   clear(): void {
     this.down.clear();
+    this.tapped.clear();
     this.fast = false;
   }
 
@@ -67,6 +70,7 @@ export class Keyboard {
     const letter = event.code.startsWith("Key") && event.code in MOVES;
     if (letter || (onScene && (event.code in MOVES || event.code in ARROWS.orbit))) {
       this.down.add(event.code);
+      this.tapped.add(event.code);
       this.targets.wake();
       return event.preventDefault();
     }
