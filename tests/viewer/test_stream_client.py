@@ -131,6 +131,7 @@ def test_it_draws_what_the_python_client_draws(package: Path, program: Path, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("package", ["rgb"], indirect=True)
 def test_after_a_kill_it_comes_back_with_what_it_holds(package: Path, program: Path, tmp_path: Path) -> None:
     port, log = _free_port(), tmp_path / "log"
     with (
