@@ -84,7 +84,7 @@ viewer: viewer/node_modules/.gsvis
 # Types, tests, and whether gsvis/viewer is what its sources build. Users and most contributors have no Node: then nothing is checked.
 viewer-check:
 	@if command -v npm > /dev/null; then $(MAKE) --no-print-directory viewer/node_modules/.gsvis \
-	    && cd viewer && npm run --silent check && npm run --silent test -- --test-reporter=dot; \
+	    && cd viewer && npm run --silent check && npm run --silent test; \
 	    else echo "no Node here: the built viewer is not compared with its sources"; fi
 
 # The tests come last: their closing line is the verdict.

@@ -33,6 +33,13 @@ class Start:
         return {"position": list(self.position), "rotation": list(self.rotation)}
 
     @classmethod
+    def from_dict(cls, view: dict[str, list[float]]) -> Start:
+        """Return a view of a package; see `Manifest.views`."""
+        x, y, z = view["position"]
+        a, b, c, d = view["rotation"]
+        return cls((x, y, z), (a, b, c, d))
+
+    @classmethod
     def looking(cls, eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Start:
         """Return the pose of an eye that looks at a target; the image stands upright."""
         at, above = np.asarray(eye, np.float64), np.asarray(up, np.float64)

@@ -84,7 +84,7 @@ class StaticOptions:
         name: Name for people.
         up: (3,) axis that points upwards; None means that of the package, or +z.
         meters_per_unit: Meters in a scene unit, 0 if unknown; None means that of the package, or 0.
-        poses: Views to begin with, the first one at the start; None finds some.
+        poses: Views to begin with, the first one at the start; None takes those of the package, or finds some.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -210,6 +210,7 @@ class _Parts:
     bounds: NDArray[np.float64]
     up: tuple[float, ...] = (0.0, 0.0, 1.0)
     meters_per_unit: float = 0.0
+    poses: tuple[Start, ...] = ()
 
 
 def _package_parts(package: Package, progress: Progress) -> _Parts:
@@ -234,7 +235,7 @@ def _package_parts(package: Package, progress: Progress) -> _Parts:
     levels = tuple(zip(manifest.names, manifest.counts, strict=True))
     return _Parts(
         blocks, cells, data, manifest.grids, levels, len(contents.table), manifest.terms, None, g.bounds(0.9),
-        manifest.info.up, manifest.info.meters_per_unit,
+        manifest.info.up, manifest.info.meters_per_unit, tuple(Start.from_dict(view) for view in manifest.views),
     )  # fmt: skip
 
 
@@ -322,7 +323,7 @@ def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOption
     layout, grid = TermLayout.from_grids(parts.grids), parts.cells.grid
     up = parts.up if options.up is None else options.up
     named = [files[kind].sha256 for kind in sorted(files)]
-    poses = start_poses(parts.bounds, grid, up) if options.poses is None else options.poses
+    poses = parts.poses or start_poses(parts.bounds, grid, up) if options.poses is None else options.poses
     spelled = json.dumps([named, asdict(parts.grids), parts.levels, parts.harmonics], sort_keys=True)
     return {
         "format": FORMAT,

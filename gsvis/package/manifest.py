@@ -148,6 +148,20 @@ class Manifest:
         """T, the number of terms."""
         return sum(block.num_terms for block in self.blocks)
 
+    @property
+    def views(self) -> list[dict[str, list[float]]]:
+        """Views to begin with, the best first, as the provenance has them: `position` (3,) and `rotation` (4,) wxyz.
+
+        World from camera, OpenCV axes. What is no such view is left out.
+        """
+        listed = self.info.provenance.get("views")
+        kinds = (("position", 3), ("rotation", 4))
+        return [
+            {name: [float(value) for value in each[name]] for name, _ in kinds}
+            for each in (listed if isinstance(listed, list) else [])
+            if isinstance(each, dict) and all(_is_vector(each.get(name), count) for name, count in kinds)
+        ]
+
     def parts(self) -> Iterator[Part]:
         """Yield all parts."""
         yield from (part for part, _ in self.tables)
@@ -292,3 +306,10 @@ def _blob(fields: Fields, key: str) -> Blob | None:
 def _digest(value: dict[str, Any]) -> str:
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _is_vector(value: Any, count: int) -> bool:
+    """Return whether a JSON value is a list of so many numbers."""
+    if not isinstance(value, list) or len(value) != count:
+        return False
+    return all(isinstance(each, (int, float)) and not isinstance(each, bool) for each in value)

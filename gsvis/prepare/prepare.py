@@ -23,6 +23,7 @@ from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages
+from gsvis.prepare.start_views import choose_start_views, describe_views
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
@@ -112,7 +113,9 @@ def prepare_package(
             packed = quantize(exact, "wire")
             active = stages.terms(levels, packed, store)
         cost = stages.cost(levels, exact, packed)
+        views = describe_views(choose_start_views(levels.level(len(levels) - 1), space))
         provenance = {**(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions}
+        provenance["views"] = views
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance)
         began = time.perf_counter()
         with write_package(

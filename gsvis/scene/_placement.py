@@ -15,7 +15,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.similarity import Similarity
 
-__all__ = ["Floors", "Found", "Search", "Walk", "best_placement", "free_ahead", "probe_indices"]
+__all__ = ["Floors", "Found", "Search", "Walk", "best_placement", "probe_indices"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -135,7 +135,7 @@ class Floors:
 
     @classmethod
     def below(cls, places: F64, navigable: NavigableSpace) -> Floors:
-        heights = free_ahead(navigable, places, np.tile(-navigable.up, (len(places), 1)))
+        heights = navigable.free_distances(places, np.tile(-navigable.up, (len(places), 1)))
         return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
 
     def at_height(self, stand: float | None, scale: float) -> Mask | None:
@@ -195,7 +195,7 @@ def _head(
         share = _share(walk, navigable, scale, yaw, place)
         if share >= enough:
             eyes = place + scale * walk.offsets[walk.probes] @ walk.rotations[yaw].T
-            ahead = free_ahead(navigable, eyes, walk.forwards @ walk.rotations[yaw].T)
+            ahead = navigable.free_distances(eyes, walk.forwards @ walk.rotations[yaw].T)
             look = float(np.isfinite(ahead).mean())
             if best is None or look > best.look:
                 best = Found(share, look, walk.similarity(scale, yaw, place))
@@ -204,24 +204,6 @@ def _head(
 
 def _share(walk: Walk, navigable: NavigableSpace, scale: float, yaw: int, place: F64) -> float:
     return float(navigable.contains(place + scale * walk.offsets @ walk.rotations[yaw].T).mean())
-
-
-def free_ahead(navigable: NavigableSpace, points: F64, directions: F64) -> F64:
-    """Return (M,) the distance to the first occupied voxel in each unit direction; infinite if there is none."""
-    shape = np.array(navigable.free.shape)
-    found = np.full(len(points), np.inf)
-    going = np.arange(len(points))
-    step = 0.5 * navigable.voxel_size
-    for count in range(1, 4 * int(shape.sum())):
-        cells = np.floor((points[going] + count * step * directions[going] - navigable.origin) / navigable.voxel_size)
-        within = np.all((cells >= 0) & (cells < shape), axis=1)
-        going, cells = going[within], cells[within].astype(np.int64)
-        if len(going) == 0:
-            break
-        hit = navigable.occupied[tuple(cells.T)]
-        found[going[hit]] = count * step
-        going = going[~hit]
-    return found
 
 
 def probe_indices(count: int) -> NDArray[np.int64]:

@@ -278,6 +278,30 @@ class NavigableSpace:
         chosen[~np.any(chosen, axis=1)] = np.eye(3)[np.abs(self.up).argmin()]  # the eye coincides with all its targets
         return Cameras.look_at(eyes, eyes + self.voxel_size * chosen, up=self.up, width=width, height=height, fov=fov)
 
+    def free_distances(self, points: ArrayLike, directions: ArrayLike) -> F64:
+        """Return (M,) the distance to the first occupied voxel, to half a voxel; infinite if there is none.
+
+        Args:
+            points: (M, 3) starts, scene frame.
+            directions: (M, 3) unit vectors.
+        """
+        starts = _check.floats("points", points, ("M", 3), np.float64)
+        ahead = _check.floats("directions", directions, (len(starts), 3), np.float64)
+        shape = np.array(self.free.shape)
+        found = np.full(len(starts), np.inf)
+        going = np.arange(len(starts))
+        step = 0.5 * self.voxel_size
+        for count in range(1, 4 * int(shape.sum())):
+            cells = np.floor((starts[going] + count * step * ahead[going] - self.origin) / self.voxel_size)
+            within = np.all((cells >= 0) & (cells < shape), axis=1)
+            going, cells = going[within], cells[within].astype(np.int64)
+            if len(going) == 0:
+                break
+            hit = self.occupied[tuple(cells.T)]
+            found[going[hit]] = count * step
+            going = going[~hit]
+        return found
+
     def _look_up(self, grid: Mask, points: F64) -> Mask:
         shape = np.array(grid.shape)
         with np.errstate(over="ignore"):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.scene._placement import Floors, Found, Search, Walk, best_placement, free_ahead, probe_indices
+from gsvis.scene._placement import Floors, Found, Search, Walk, best_placement, probe_indices
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.similarity import Similarity
@@ -153,7 +153,7 @@ def _finish(
         moved, farthest = len(outside), float(moves.max())
         rule += "; positions outside moved into the nearest navigable voxel"
     some = probe_indices(len(there))
-    looking = float(np.isfinite(free_ahead(navigable, there.positions[some], there.forwards[some])).mean())
+    looking = float(np.isfinite(navigable.free_distances(there.positions[some], there.forwards[some])).mean())
     return RetargetedPath(there, similarity, share, looking, moved, farthest, rule)
 
 

@@ -79,12 +79,12 @@ def _row(sets: VisibilityStore, gaussian: int, cell: int, eye: F64, distance: fl
 
 
 def describe_cells(scene: StreamedScene) -> dict[str, Any]:
-    """Return the grid of cells of a scene: where eyes may be, and how many Gaussians each cell sees."""
+    """Return the grid of cells: where eyes may be, and how many Gaussians each cell sees; and views to begin with."""
     grid, sets = scene.index.grid, scene.index.sets
     counts = sets.visible_counts.tolist() if isinstance(sets, VisibilityStore) else [len(scene)] * len(grid)
     return {
         "origin": grid.origin.tolist(), "size": grid.cell_size, "shape": list(grid.shape), "up": grid.up.tolist(),
-        "boxes": grid.coords.tolist(), "visible": counts,
+        "boxes": grid.coords.tolist(), "visible": counts, "views": scene.package.manifest.views,
     }  # fmt: skip
 
 

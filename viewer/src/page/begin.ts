@@ -10,10 +10,11 @@ import { BAD_HASH, FAR_HASH } from "./messages.ts";
 import type { Mode } from "./navigator.ts";
 import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, distance, scale } from "./vector.ts";
+import { add, distance, rotate, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const PATIENCE = 2500; // milliseconds that a first picture waits for facts
+const REACH = 3; // scene units ahead of a proposed view, until it is known what lies there
 const FAR = 20; // sizes of the scene's cells
 
 export interface Surroundings {
@@ -31,11 +32,19 @@ export interface Beginning {
 
 export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, view.fov * DEGREES);
 
+/** Return views that the scene proposes as people write them. */
+export function viewsFromPoses(poses: readonly Pose[]): View[] {
+  return poses.map(({ position, rotation }) => {
+    const ahead = scale(rotate(rotation, [0, 0, 1]), REACH);
+    return { eye: position, to: add(position, ahead), fov: NORMAL_FOV / DEGREES };
+  });
+}
+
 /** Ask for floor and cells; what does not come in time counts as unknown. */
 export async function survey(facts: Facts, poses: readonly Pose[]): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
-  const [floor, cells] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late])]);
-  return { floor, cells, poses };
+  const [floor, cells, known] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]);
+  return { floor, cells, poses: poses.length ? poses : (known ?? []) };
 }
 
 export function begin(hash: string, views: readonly View[], frame: Frame, around: Surroundings): Beginning {
@@ -59,7 +68,7 @@ export function guessMeter(header: Header, cells: Cells | null): number {
 
 function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }: Surroundings): Rig {
   if (views.length) return rigFromView(views[0], frame);
-  if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, 3);
+  if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, REACH);
   const center = cells && surroundedBy(cells, frame);
   const inside = cells && startInCells(cells, frame);
   if (center && inside) return rigFromTarget(inside.eye, center, frame, NORMAL_FOV);

@@ -1,6 +1,7 @@
 // What a server knows of a scene beside its Gaussians: cells, the floor, and why a Gaussian is there.
 // Everything is checked here: a server of another version costs a panel, never the picture.
 
+import type { Pose } from "../core/types.ts";
 import type { Floor } from "./ground.ts";
 import { normalize } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
@@ -22,6 +23,8 @@ export interface Why {
   directions: { of: number; seen: Vec3[] } | null; // unit vectors from the Gaussian to the eyes
 }
 
+const MOST_POSES = 99;
+
 type Fields = Record<string, unknown>;
 
 export class Facts {
@@ -40,6 +43,11 @@ export class Facts {
 
   async cells(): Promise<Cells | null> {
     return readCells(await this.ask("cells"));
+  }
+
+  /** Views that the package proposes, the best first. */
+  async views(): Promise<Pose[]> {
+    return readPoses(fields(await this.ask("cells"))?.views);
   }
 
   async why(id: number): Promise<Why | null> {
@@ -75,6 +83,15 @@ export function readCells(json: unknown): Cells | null {
   const origin = vector(it?.origin);
   if (!it || !origin || !positive(it.size) || !Array.isArray(it.boxes)) return null;
   return { origin, size: it.size, boxes: it.boxes.map(vector).filter((box): box is Vec3 => box !== null) };
+}
+
+/** Return the poses in a list; what is none is left out. */
+export function readPoses(json: unknown): Pose[] {
+  const numbers = (value: unknown, count: number): boolean => Array.isArray(value) && value.length === count && value.every((x) => Number.isFinite(x));
+  return (Array.isArray(json) ? json.slice(0, MOST_POSES) : []).flatMap((each) => {
+    const it = fields(each);
+    return it && numbers(it.position, 3) && numbers(it.rotation, 4) ? [{ position: it.position as Vec3, rotation: it.rotation as Pose["rotation"] }] : [];
+  });
 }
 
 export function readWhy(json: unknown): Why | null {

@@ -2,7 +2,7 @@
 
 import type { Pose, Source } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
-import type { Quat, Vec3 } from "./vector.ts";
+import { readPoses } from "./facts.ts";
 
 /** Where a scene is read from, and whether its server prepares it for streaming meanwhile. */
 export interface Located {
@@ -31,7 +31,7 @@ function streamUrl(path: string, root: string): string {
 export async function proposedPoses(scene: SceneAddress): Promise<Pose[]> {
   if (scene.kind !== "static") return [];
   const told = scene.url === "inline:" ? readInline() : await ask(/\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`);
-  return isFields(told) && Array.isArray(told.poses) ? told.poses.slice(0, 99).map(readPose).filter((pose): pose is Pose => pose !== null) : [];
+  return isFields(told) ? readPoses(told.poses) : [];
 }
 
 /** Hold poses back until the page has chosen its first view: no byte is spent on a view that nobody sees. */
@@ -69,13 +69,6 @@ async function ask(address: string): Promise<unknown> {
   } catch {
     return null; // the source says what is wrong
   }
-}
-
-function readPose(json: unknown): Pose | null {
-  if (!isFields(json)) return null;
-  const numbers = (value: unknown, count: number): boolean => Array.isArray(value) && value.length === count && value.every((x) => Number.isFinite(x));
-  const good = numbers(json.position, 3) && numbers(json.rotation, 4);
-  return good ? { position: json.position as Vec3, rotation: json.rotation as Quat } : null;
 }
 
 function isFields(value: unknown): value is Record<string, unknown> {

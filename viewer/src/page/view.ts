@@ -4,7 +4,7 @@ import type { Header, Source } from "../core/types.ts";
 import { Actions } from "./actions.ts";
 import type { PageAddress, SceneAddress } from "./address.ts";
 import { Dock, TitleBar, toolBar } from "./bars.ts";
-import { begin, guessMeter, rigFromView, survey } from "./begin.ts";
+import { begin, guessMeter, rigFromView, survey, viewsFromPoses } from "./begin.ts";
 import type { Surroundings } from "./begin.ts";
 import { defineActions } from "./commands.ts";
 import type { Commands } from "./commands.ts";
@@ -208,7 +208,7 @@ export class ViewPage {
 
   private place(): void {
     const first = begin(location.hash, this.settings.views, this.navigator.frame, this.surroundings);
-    this.views = this.settings.views;
+    this.views = this.settings.views.length ? this.settings.views : viewsFromPoses(this.surroundings.poses);
     this.placed = true;
     this.focused = first.focused;
     const mode = first.mode === "walk" && !this.navigator.canStandAt(first.rig.eye) ? "fly" : first.mode;

@@ -1,0 +1,55 @@
+"""Views to begin with: upright, where a person may stand, with more to see than the usual view; kept by packages."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsvis.package import PackageInfo
+from gsvis.prepare.start_views import START_VIEWS, choose_start_views, describe_views
+from gsvis.render import view_weights
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.procedural import two_rooms
+from gsvis.scene.view_sampling import ViewSampling
+
+
+def rooms() -> tuple[Gaussians, NavigableSpace]:
+    g = two_rooms(6_000).gaussians
+    return g, NavigableSpace.from_scene(g, up="+z")
+
+
+def seen(g: Gaussians, cameras: Cameras) -> list[int]:
+    return [int((view_weights(g, cameras[c]).summed[0] >= 0.25).sum()) for c in range(len(cameras))]
+
+
+def test_the_first_view_shows_more_than_most_and_all_stand_upright_and_apart() -> None:
+    g, space = rooms()
+    views = choose_start_views(g, space)
+    assert views is not None
+    assert 2 <= len(views) <= START_VIEWS
+    frames = np.linalg.inv(views.viewmats)
+    assert np.abs(frames[:, :3, 0] @ space.up).max() < 1e-6  # level from left to right
+    assert (-frames[:, :3, 1] @ space.up).min() > 0.9
+    assert space.contains(views.viewpoints).all()
+    away = np.linalg.norm(views.viewpoints[:, None] - views.viewpoints[None], axis=2)
+    assert away[~np.eye(len(views), dtype=bool)].min() > 0.3
+    usual = ViewSampling(24, views.width, views.height, 80.0, seed=9).cameras(g, space)
+    assert seen(g, views[0])[0] > np.median(seen(g, usual))
+
+
+def test_a_scene_without_room_has_none() -> None:
+    g, space = rooms()
+    solid = Gaussians(g.means[:1], g.quats[:1], np.full((1, 3), 50.0), [1.0], g.sh0[:1])
+    assert choose_start_views(solid, space) is None
+    assert describe_views(None) == []
+
+
+def test_poses_are_those_of_the_cameras() -> None:
+    cameras = Cameras.look_at([[1.0, 2.0, 3.0]], [[1.0, 5.0, 3.0]], up=[0.0, 0.0, 1.0], width=8, height=6, fov=60.0)
+    (view,) = describe_views(cameras)
+    assert view["position"] == [1.0, 2.0, 3.0]
+    w, x, y, z = view["rotation"]
+    ahead = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    np.testing.assert_allclose(ahead, [0.0, 1.0, 0.0], atol=1e-5)
+    assert PackageInfo(provenance={"views": [view]}).provenance["views"] == [view]
