@@ -173,6 +173,8 @@ def figures(
         ("viewpoints of a cell", None, mean_of([v.figures.viewpoints for v in views.values()]), "viewpoints", "lower"),
         ("rays that certify a cell", None, mean_of([view.figures.rays for view in views.values()]), "rays", "lower"),
     ]  # fmt: skip
+    if not before:
+        rows = [row for row in rows if "rule before" not in row[0]]
     for count in (FEW, MANY):
         found = [bounds(each, count) for each in true.values()]
         for kind in ("betting", "bernstein", "normal"):

@@ -86,6 +86,7 @@ PAGES = {
             "pvs_memory",
             "pvs_quality",
             "certificate",
+            "certificate_200",
             "shared_viewpoints",
             "visibility_store",
             "hpr_hybrid",
