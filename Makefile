@@ -92,7 +92,7 @@ check: others test
 
 # All checks but the tests, two at a time: most of them use one core.
 others: .venv/.gsvis-dev .venv/.gsvis-docs
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint types viewer-check doctests examples docs
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target examples lint types viewer-check docs doctests
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools \
