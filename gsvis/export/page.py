@@ -87,7 +87,7 @@ def write_site(
     scene: Package | Levels | Gaussians,
     options: StaticOptions | None = None,
     *,
-    viewer: Path = VIEWER,
+    viewer: str | PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> SiteReport:
     """Write a site: the page, and the static scene that it shows, in the folder `scene`.
@@ -96,7 +96,7 @@ def write_site(
         folder: Folder of the site; other files in it stay. A `settings.json` that is there stays, too.
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
-        viewer: Folder of the built files of the viewer.
+        viewer: Folder of the built files of the viewer; None takes those of this package.
         progress: See `write_static`.
 
     Raises:
@@ -105,7 +105,7 @@ def write_site(
         BackendError: If the viewer is not built.
         OSError: If the folder cannot be written.
     """
-    target, files = _check.path("folder", folder), _viewer_files(viewer)
+    target, files = _check.path("folder", folder), _viewer_files(VIEWER if viewer is None else Path(viewer))
     found = write_static(target / FOLDER, scene, options, progress=progress)
     document = json.loads(read_whole(found.path / SCENE))
     scripts = target / "viewer"
@@ -142,7 +142,7 @@ def write_html(
     scene: Package | Levels | Gaussians,
     options: StaticOptions | None = None,
     *,
-    viewer: Path = VIEWER,
+    viewer: str | PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> SiteReport:
     """Write one HTML file that holds the viewer and the scene, and opens from disk.
@@ -151,7 +151,7 @@ def write_html(
         path: The file; replaced when the new one is complete.
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
-        viewer: Folder of the built files of the viewer.
+        viewer: Folder of the built files of the viewer; None takes those of this package.
         progress: See `write_static`.
 
     Raises:
@@ -160,7 +160,7 @@ def write_html(
         BackendError: If the viewer is not built.
         OSError: If the file cannot be written.
     """
-    target, files = _check.path("path", path), _viewer_files(viewer)
+    target, files = _check.path("path", path), _viewer_files(VIEWER if viewer is None else Path(viewer))
     with tempfile.TemporaryDirectory(prefix="gsvis-") as made_in:
         found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))

@@ -105,10 +105,7 @@ def estimate_pvs(
     count = fitting_workers(levels, config, workers)
     seen, finished = work.find_kept()
     least = min(sample, cells)
-    some = list(
-        dict.fromkeys((cells * (np.arange(1, 4 * max(least, _MOST_TRIED)) * _GOLDEN % 1.0)).astype(int).tolist())
-    )
-    some = some[: max(least, min(_MOST_TRIED, cells))]
+    some = _spread(cells, max(least, min(_MOST_TRIED, cells)))
     progress("trying", 0, least)
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
@@ -149,3 +146,9 @@ def estimate_pvs(
         working_disk=int(held / looks * viewpoints + kept / tried * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
     )
+
+
+def _spread(cells: int, count: int) -> list[int]:
+    """Return `count` different cells, at most all; the first of them are spread evenly, however many are taken."""
+    places = np.arange(1, 4 * max(count, _MOST_TRIED)) * _GOLDEN % 1.0
+    return list(dict.fromkeys((cells * places).astype(int).tolist()))[:count]

@@ -17,6 +17,8 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
+from gsvis.files.limits import read_whole
+
 __all__ = ["VIEWER", "Pages", "wants_page"]
 
 VIEWER = Path(__file__).parents[1] / "viewer"
@@ -168,7 +170,7 @@ class Pages:
 
 
 def _file(path: Path) -> _File:
-    data = path.read_bytes()
+    data = read_whole(path)
     packed = gzip.compress(data, 9, mtime=0) if len(data) >= _LEAST_PACKED else data
     small = packed if len(packed) < len(data) else None
     return _File(data, small, hashlib.sha256(data).hexdigest()[:32], _KINDS[path.suffix])

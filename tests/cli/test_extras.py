@@ -61,6 +61,7 @@ COMMANDS = {
     "prepare --dry-run": ["prepare", "IN/rooms.ply", "-o", "OUT/c.gsvis", *TINY, "--levels", "none", "--dry-run"],
     "verify": ["verify", "IN/rooms.gsvis"],
     "unpack": ["unpack", "IN/rooms.gsvis", "-o", "OUT/unpacked"],
+    "export": ["export", "IN/rooms.gsvis", "-o", "OUT/site"],
     "serve": ["serve", "IN/rooms.gsvis", "--port", "0"],
     "view": ["view", "IN/rooms.ply", "--port", "0", "--no-browser"],
     "simulate": ["simulate", "IN/rooms.gsvis", "--path", "IN/walk.csv", "-o", "OUT/sim", "--seconds", "1", "--every",
@@ -121,7 +122,7 @@ def test_each_command_works_or_names_the_extra(blocked: tuple[str, ...], inputs:
             assert line.startswith("gsvis: error: "), name
             assert line.endswith(f"expected the package {package}, got none; {remedy_of(package)}"), name
     made = {path.name for path in tmp_path.iterdir()}
-    assert {"a.spz", "b.gsvis", "c.arrow", "sim", "unpacked", "view.png"} <= made
+    assert {"a.spz", "b.gsvis", "c.arrow", "sim", "site", "unpacked", "view.png"} <= made
     assert "t.ply" not in made
     if "matplotlib" in blocked:
         page = (tmp_path / "sim" / "report.html").read_text(encoding="utf-8")

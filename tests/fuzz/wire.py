@@ -228,7 +228,7 @@ class Script:
             await asyncio.sleep(0)
         self.sent += 1
 
-    async def close(self, reason: str) -> None:
+    async def close(self, reason: str, code: int) -> None:
         pass
 
     def abort(self) -> None:
