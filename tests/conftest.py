@@ -98,3 +98,8 @@ def pytest_xdist_auto_num_workers() -> int:
     """As many workers as cores that this process may use, or as PYTEST_XDIST_AUTO_NUM_WORKERS says."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests in a browser: they are the longest file, and a worker must not be left alone with them."""
+    items.sort(key=lambda item: item.path.parent.name != "viewer")
