@@ -125,4 +125,5 @@ PAGES = {
             "scaling",
         ),
     ),
+    "viewer": Page("The viewer", ("viewer_load", "viewer_draw")),
 }
