@@ -87,6 +87,7 @@ PAGES = {
             "pvs_quality",
             "certificate",
             "certificate_200",
+            "flyaways",
             "shared_viewpoints",
             "visibility_store",
             "hpr_hybrid",
