@@ -113,11 +113,13 @@ def prepare_package(
             packed = quantize(exact, "wire")
             active = stages.terms(levels, packed, store)
         cost = stages.cost(levels, exact, packed)
-        views = describe_views(choose_start_views(levels.level(len(levels) - 1), space))
-        provenance = {**(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions}
-        provenance["views"] = views
-        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance)
         began = time.perf_counter()
+        views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
+        provenance = {
+            **(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions,
+            "views": describe_views(views),
+        }  # fmt: skip
+        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance)
         with write_package(
             target, levels, packed, info=info, visibility=sets, active_terms=active, progress=progress
         ) as package:

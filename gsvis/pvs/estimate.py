@@ -106,7 +106,7 @@ def estimate_pvs(
     seen, finished = work.find_kept()
     least = min(sample, cells)
     some = _spread(cells, max(least, min(_MOST_TRIED, cells)))
-    progress("trying", 0, least)
+    progress("trying", 0, len(some))
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
     shared = work.shared
@@ -127,7 +127,8 @@ def estimate_pvs(
         held += sum(len(pack_sighting(each)) for each in sightings)
         kept += len(pack_view(view))
         visible += len(view.ids)
-        progress("trying", min(tried, least), least)
+        progress("trying", tried, len(some))
+    progress("trying", len(some), len(some))
     forget_scene()
     viewpoints = len(shared)
     seconds = looking / looks * (viewpoints - len(seen)) + finding / tried * (cells - len(finished))

@@ -6,9 +6,7 @@ import math
 
 from numba import njit
 
-_TOGETHER = (
-    16  # factors between two logarithms: each lies in [0.05, 1e16], so their product neither vanishes nor overflows
-)
+_TOGETHER = 16  # factors between two logarithms; each lies in [0.05, 1e16]: no product vanishes or overflows
 
 
 @njit(cache=True, nogil=True)

@@ -17,6 +17,7 @@ const CONNECTIONS = 6;
 const SLICE_SECONDS = 0.2;
 const [LEAST_SLICE, MOST_SLICE] = [32 << 10, 512 << 10];
 const [LEAST_GAP, MOST_GAP] = [1 << 10, 2 << 10]; // more would cost a slow link more than requests do
+const [ALL_SLICE, ALL_GAP] = [128 << 10, 64 << 10]; // where every block is needed in the end, as without cells
 const KEPT_ROWS = 64; // cells
 
 const NOTHING: Order = { blocks: new Uint32Array(0), terms: new Uint8Array(0) };
@@ -159,11 +160,18 @@ export class StaticSession {
   }
 
   private refill(): void {
-    const budget = Math.min(Math.max(SLICE_SECONDS * this.link.throughput, LEAST_SLICE), MOST_SLICE);
-    const gap = this.parts.ranges ? Math.min(Math.max((this.link.throughput * this.link.roundTrip) / CONNECTIONS, LEAST_GAP), MOST_GAP) : 0;
-    const { runs, next } = slice(this.blocks, this.order, this.place, this.held, budget, gap, this.bytesEach);
+    const least = this.scene.cells.size === 0 ? ALL_SLICE : LEAST_SLICE;
+    const budget = Math.min(Math.max(SLICE_SECONDS * this.link.throughput, least), MOST_SLICE);
+    const { runs, next } = slice(this.blocks, this.order, this.place, this.held, budget, this.gap(), this.bytesEach);
     this.place = next;
     this.queue.push(...runs);
+  }
+
+  /** Return the bytes between two runs for which they are still one request. */
+  private gap(): number {
+    if (!this.parts.ranges) return 0;
+    if (this.scene.cells.size === 0) return ALL_GAP;
+    return Math.min(Math.max((this.link.throughput * this.link.roundTrip) / CONNECTIONS, LEAST_GAP), MOST_GAP);
   }
 
   /** All that the cell needs is here: say so, and go on with what the cells beside it see. */
