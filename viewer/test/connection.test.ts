@@ -259,7 +259,7 @@ test("after a sleep of the machine the connection is made anew", () => {
   assert.equal(stage.sockets.length, 2);
 });
 
-test("traffic is told with its rate, which falls to nothing", () => {
+test("traffic is reported with its rate, which falls to 0", () => {
   const stage = new Stage().begin();
   stage.socket.hear(batches[0]);
   stage.clock.advance(300);
@@ -271,7 +271,7 @@ test("traffic is told with its rate, which falls to nothing", () => {
   assert.equal(stage.traffic.at(-1)?.rate, 0);
 });
 
-test("a bug in what listens is said, not swallowed", () => {
+test("a bug in what listens is reported, not swallowed", () => {
   const stage = new Stage().begin();
   (stage.batches as { push: unknown }).push = () => { throw new TypeError("oops"); };
   stage.socket.hear(bytesOf(vector.steps.find((step) => step.gaussians) as never));

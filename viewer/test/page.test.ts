@@ -191,7 +191,7 @@ test("views in addresses come back", () => {
   }
 });
 
-test("addresses without a view, or with nonsense, are told apart", () => {
+test("an address without a view gives null, one with nonsense an Error", () => {
   for (const hash of ["", "#", "#help", "#x=1"]) assert.equal(readHash(hash), null);
   for (const hash of ["#eye=1,2,3", "#eye=1,2&to=1,2,3", "#eye=a,b,c&to=1,2,3", "#eye=1,2,3&to=1,2,3", "#eye=1e9,0,0&to=0,0,0",
     "#eye=Infinity,0,0&to=0,0,0", "#eye=,,&to=1,1,1"]) assert.ok(readHash(hash) instanceof Error, hash);

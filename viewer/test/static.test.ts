@@ -227,6 +227,29 @@ test("a cut file gives what is there of it", async (t) => {
   client.host.close();
 });
 
+test("a block whose terms or replacements make no sense costs only itself", async (t) => {
+  for (const kind of ["terms", "replaced"]) {
+    const files = filesOf(VECTOR.package), { blocks } = open(VECTOR.package), name = [...files.keys()].find((each) => each.startsWith(kind))!;
+    const data = Buffer.from(files.get(name)!);
+    if (kind === "terms") data[0] += 1;
+    else data.fill(255, 4 * (blocks.count + 1 - [...Array(blocks.count).keys()].filter((b) => blocks.last(b) === blocks.top).length));
+    files.set(name, data);
+    const { url } = await serve(t, files);
+    const client = new Client(url), scene = VECTOR.package;
+    client.look(scene.centers![0]);
+    await client.host.start();
+    await client.until(() => client.complete());
+    check(scene, client.batches);
+    const held = new Set(client.ids), owned = new Set(client.batches.flatMap((batch) => [...batch.owners].map((slot) => client.ids[slot])));
+    const wanted = scene.cells[0].blocks.filter((b) => blocks.last(b) === blocks.top);
+    for (const b of wanted) assert.ok(held.has(blocks.firstId[b]), `block ${b} is missing`);
+    assert.ok(owned.size > 0);
+    const last = client.states.at(-1)!;
+    assert.ok(last.kind === "complete" && last.message?.includes(`${kind}: block`), JSON.stringify(last));
+    client.host.close();
+  }
+});
+
 test("a server that errs now and then, or cuts an answer, is asked again", async (t) => {
   const counts = new Map<string, number>();
   const { url } = await serve(t, filesOf(VECTOR.package), (name, data, request, response) => {

@@ -46,7 +46,7 @@ test("a visit begins where the floor is widest and looks where it reaches farthe
   assert.ok(Math.abs(ahead[0]) > 0.9 && Math.abs(ahead[2]) < 1e-6);
 });
 
-test("cells around something are told from a row of cells", () => {
+test("cells around something have a middle, a row of cells has none", () => {
   const middle = surroundedBy(ring(), FRAME);
   assert.ok(middle && v.distance(middle, [7, 7, 1]) < 1e-9);
   assert.equal(surroundedBy(row(), FRAME), null);

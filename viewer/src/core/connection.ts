@@ -90,7 +90,7 @@ export class Connection {
     this.open();
   }
 
-  /** Tell where the eye is; poses go out when they change, at most 15 a second, and every second. */
+  /** Take where the eye is; poses go out when they change, at most 15 a second, and every second. */
   setPose(pose: Pose): void {
     if (!isPose(pose)) return;
     const [now, before] = [pose, this.pose].map((p) => p && [...p.position, ...p.rotation]);
@@ -100,7 +100,7 @@ export class Connection {
     this.sayPose();
   }
 
-  /** Tell what the eye sees. HELLO has the view, so a wider one needs a new connection, which keeps all that is held. */
+  /** Take what the eye sees. HELLO has the view, so a wider one needs a new connection, which keeps all that is held. */
   setView(view: View): void {
     if (!isView(view)) return;
     this.view = { ...view };
@@ -344,7 +344,7 @@ export class Connection {
     return this.phase === "opening" ? this.silence() : "The connection to the server was lost.";
   }
 
-  /** A browser does not tell a server that is not there from one that refuses the page. */
+  /** Return the line for no answer: to a page, a server that is absent looks like one that refuses it. */
   private silence(): string {
     return `${hostOf(this.options.url)} does not answer${this.reconnects < 0 ? ", or does not let this page in" : ""}.`;
   }

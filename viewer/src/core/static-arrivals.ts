@@ -97,13 +97,14 @@ export class Arrivals {
   /** Take what replaces the Gaussians of a held block: its row in `replaced`. */
   addReplaced(block: number, row: Uint8Array): void {
     const size = this.blocks.size(block), view = new DataView(row.buffer, row.byteOffset, row.byteLength);
+    const bytes = row.subarray(0, size).reduce((sum, count) => sum + 4 * count, size);
+    if (bytes !== row.length) throw new Error(`replaced: block ${block}: expected ${bytes} bytes, got ${row.length}; export the scene again`);
     let at = size;
     for (let k = 0; k < size; k++) {
       const needs = new Uint32Array(row[k]);
       for (let j = 0; j < needs.length; j++, at += 4) needs[j] = view.getUint32(at, true);
       if (needs.length > 0) this.waiting.push({ slot: this.firstSlot[block] + k, needs });
     }
-    if (at !== row.length) throw new Error(`replaced: block ${block}: expected ${at} bytes, got ${row.length}; export the scene again`);
   }
 
   /** Return a batch with what is replaced by now, given what the cell sees; null where nothing is. */

@@ -101,14 +101,20 @@ export class StaticHost {
     const before = this.session;
     if (before === null || this.clock.now() - this.looked < AGAIN) return;
     this.looked = this.clock.now();
+    let text: string;
     try {
-      const text = await this.parts.scene();
+      text = await this.parts.scene();
       if (parseScene(text).header.identity === before.scene.header.identity || this.session !== before) return;
-      this.restarts++;
-      before.close();
-      await this.open(text);
     } catch {
       before.report(); // the scene goes on without what is missing
+      return;
+    }
+    this.restarts++;
+    before.close();
+    try {
+      await this.open(text);
+    } catch (error) {
+      this.fail(error);
     }
   }
 

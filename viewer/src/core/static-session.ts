@@ -205,7 +205,7 @@ export class StaticSession {
       this.blocks.setTerms(await this.parts.read(file, 0, file.bytes));
     } catch (error) {
       this.termsLost = true;
-      this.lose(error instanceof Error ? error.message : String(error));
+      this.lose(error);
     }
     this.pump();
   }
@@ -216,7 +216,7 @@ export class StaticSession {
     const file = this.scene.files.get("cells")!, [start, end] = this.cells?.range(cell) ?? [0, 0];
     const asked = this.cells === null ? Promise.resolve(everything(this.scene)) : this.parts.read(file, start, end).then((data) => parseRow(this.scene, data));
     const made = asked.catch((error: unknown) => {
-      this.lose(error instanceof Error ? error.message : String(error));
+      this.lose(error);
       return everything(this.scene);
     }).then((row) => {
       if (this.rows.size >= KEPT_ROWS) for (const key of this.rows.keys()) if (this.rows.size >= KEPT_ROWS && key !== this.planned?.cell) this.rows.delete(key);
@@ -240,14 +240,14 @@ export class StaticSession {
         return;
       }
       for (let b = run.first; b < run.end; b++) this.states(run)[b] = LOST;
-      this.lose(error instanceof Error ? error.message : String(error));
+      this.lose(error);
     }
   }
 
   private async fetchRecords(run: Run): Promise<void> {
     const [first, end] = [this.blocks.start[run.first], this.blocks.start[run.end]], width = this.bytesEach - 16;
     const harmonics = width === 0 ? null : this.read("harmonics", width * first, width * end).catch((error: unknown) => {
-      if (!this.isClosed) this.lose(error instanceof Error ? error.message : String(error));
+      if (!this.isClosed) this.lose(error);
       return null;
     });
     const replaced = this.fetchReplaced(run);
@@ -256,7 +256,7 @@ export class StaticSession {
     this.events.batch(this.arrivals.addRecords(run, data, more));
     if (!this.termsAsked && this.scene.header.terms > 0) void this.loadTerms();
     this.deferred = this.deferred.filter((each) => !this.takeTerms(each.run, each.data));
-    for (const [block, row] of await replaced) this.arrivals.addReplaced(block, row);
+    for (const [block, row] of await replaced) this.takeBlock(() => this.arrivals.addReplaced(block, row));
     const gone = this.seen === null ? null : this.arrivals.sweep(this.seen.flags);
     if (gone !== null && !this.isClosed) this.events.batch(gone);
   }
@@ -276,9 +276,21 @@ export class StaticSession {
       const size = this.blocks.termStart![b + 1] - this.blocks.termStart![b], own = data.subarray(at, at + size);
       at += size;
       if (this.held.records[b] !== HELD) continue;
-      this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own));
+      const isRead = this.takeBlock(() => this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own)));
+      if (!isRead) this.held.terms[b] = LOST;
     }
     return true;
+  }
+
+  /** Read what belongs to one block. Bytes that make no sense cost this block, not the others of its run. */
+  private takeBlock(read: () => void): boolean {
+    try {
+      read();
+      return true;
+    } catch (error) {
+      this.lose(error);
+      return false;
+    }
   }
 
   /** Return the rows of `replaced` of those blocks of a run that end below the highest level. */
@@ -297,7 +309,7 @@ export class StaticSession {
       }
       return found;
     } catch (error) {
-      if (!this.isClosed) this.lose(error instanceof Error ? error.message : String(error));
+      if (!this.isClosed) this.lose(error);
       return [];
     }
   }
@@ -312,7 +324,8 @@ export class StaticSession {
     return run.terms ? this.held.terms : this.held.records;
   }
 
-  private lose(message: string): void {
+  private lose(reason: unknown): void {
+    const message = reason instanceof Error ? reason.message : String(reason);
     this.losses.set(message, (this.losses.get(message) ?? 0) + 1);
     this.report();
     this.events.gone();

@@ -69,12 +69,16 @@ export function lensOf(view: XrView, width: number, height: number, frame: XrFra
 
 /** Call `draw` with the eyes of every frame until the session ends. */
 export async function runSession(session: XrSession, gl: WebGL2RenderingContext, frame: XrFrameOfScene, draw: (eyes: EyeView[]) => void): Promise<void> {
+  let ended = false;
+  const end = new Promise<void>((resolve) => session.addEventListener("end", () => { // it may end before the first frame
+    ended = true;
+    resolve();
+  }));
   await (gl as WebGL2RenderingContext & { makeXRCompatible(): Promise<void> }).makeXRCompatible();
   const Layer = (globalThis as unknown as { XRWebGLLayer: new (session: XrSession, gl: WebGL2RenderingContext, options: object) => XrLayer }).XRWebGLLayer;
   const layer = new Layer(session, gl, { antialias: false, depth: false, stencil: false });
   await session.updateRenderState({ baseLayer: layer });
   const space = await session.requestReferenceSpace("local");
-  let ended = false;
   const step = (_: number, now: XrFrame) => {
     if (ended) return;
     session.requestAnimationFrame(step);
@@ -84,9 +88,8 @@ export async function runSession(session: XrSession, gl: WebGL2RenderingContext,
     });
     if (eyes.length) draw(eyes);
   };
-  session.requestAnimationFrame(step);
-  await new Promise<void>((resolve) => session.addEventListener("end", resolve));
-  ended = true;
+  if (!ended) session.requestAnimationFrame(step);
+  await end;
 }
 
 function product(a: readonly number[], b: readonly number[]): number[] {

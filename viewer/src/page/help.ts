@@ -27,7 +27,11 @@ const TOUCHING: [string, string][] = [
 export class Help {
   readonly element = make("dialog", { class: "help", "aria-labelledby": "help-title" });
 
-  constructor(private readonly actions: Actions) {}
+  constructor(private readonly actions: Actions) {
+    on(this.element, "click", (event) => {
+      if (event.target === this.element) this.element.close();
+    });
+  }
 
   open(): void {
     const close = make("button", { type: "button", class: "tool", "aria-label": "Close the help" }, icon("close"));
@@ -39,9 +43,6 @@ export class Help {
       make("div", { class: "columns", tabindex: 0, role: "group", "aria-label": "What mouse, fingers and keys do" },
         table("Mouse and keys", MOVING), table("Touch and gamepad", TOUCHING), table("Shortcuts", keys)),
     );
-    on(this.element, "click", (event) => {
-      if (event.target === this.element) this.element.close();
-    });
     this.element.showModal();
   }
 }

@@ -30,8 +30,9 @@ function streamUrl(path: string, root: string): string {
 /** Return the views that a static scene proposes; none for a stream. */
 export async function proposedPoses(scene: SceneAddress): Promise<Pose[]> {
   if (scene.kind !== "static") return [];
-  const told = scene.url === "inline:" ? readInline() : await ask(/\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`);
-  return isFields(told) ? readPoses(told.poses) : [];
+  const address = /\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`;
+  const content = scene.url === "inline:" ? readInline() : await ask(address);
+  return isFields(content) ? readPoses(content.poses) : [];
 }
 
 /** Hold poses back until the page has chosen its first view: no byte is spent on a view that nobody sees. */

@@ -439,7 +439,13 @@ export class ViewPage {
   private async savePicture(): Promise<void> {
     const { viewer } = this;
     if (!viewer) return;
-    const url = URL.createObjectURL(await viewer.screenshot());
+    let picture: Blob;
+    try {
+      picture = await viewer.screenshot();
+    } catch (error) {
+      return this.notices.say(`The picture could not be made. ${error instanceof Error ? error.message : ""}`.trim());
+    }
+    const url = URL.createObjectURL(picture);
     const link = make("a", { href: url, download: `${this.scene.name.replace(/[^\w.-]+/g, "_") || "scene"}.png` });
     link.click();
     setTimeout(() => URL.revokeObjectURL(url), 10_000);

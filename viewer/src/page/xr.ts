@@ -36,6 +36,9 @@ export class Immersion {
     this.session = session;
     try {
       await enter(session);
+    } catch (error) {
+      await session.end().catch(() => undefined); // else the headset stays in a session that shows nothing
+      throw error;
     } finally {
       this.session = null;
     }
