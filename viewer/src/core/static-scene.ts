@@ -1,5 +1,6 @@
 // What a static scene says of itself (docs/static.md): scene.json checked, its chunks and blocks as tables.
-import type { ColorTables, HarmonicTables, Header, Level, Pose } from "./types.ts";
+import { headerOf } from "./header.ts";
+import type { HarmonicTables, Header, Pose } from "./types.ts";
 
 export const BLOCK = 64;
 const MOST = 1 << 28;
@@ -40,7 +41,7 @@ export function parseScene(text: string): StaticScene {
   const top = object(said, "scene.json");
   if (top.format !== "gsvis-static") throw new Error("scene.json: expected a static scene of gsvis, got something else");
   if (top.version !== 1) throw new Error(`scene.json: expected version 1, got ${String(top.version)}; update the page`);
-  if (top.block_gaussians !== BLOCK || top.record_bytes !== 16) throw new Error("scene.json: expected blocks of 64 and records of 16 bytes");
+  if (top.block_gaussians !== BLOCK) throw new Error("scene.json: expected blocks of 64 Gaussians");
   const files = new Map<string, StaticFile>();
   for (const [kind, value] of Object.entries(object(top.files, "files"))) {
     const file = object(value, `files.${kind}`);
@@ -48,23 +49,7 @@ export function parseScene(text: string): StaticScene {
     files.set(kind, { name: file.name, bytes: whole(file.bytes, `files.${kind}.bytes`, 2 ** 40) });
   }
   const cells = object(top.cells, "cells");
-  const levels = list(top.levels, "levels").map((each): Level => {
-    const level = object(each, "levels");
-    return { name: String(level.name).slice(0, 100), count: whole(level.count, "levels.count", MOST) };
-  });
-  const header: Header = {
-    gaussians: whole(top.gaussians, "gaussians", MOST),
-    terms: whole(top.terms, "terms", MOST),
-    chunks: whole(top.chunks, "chunks", MOST),
-    levels,
-    termBits: whole(top.term_bits, "term_bits", 64),
-    colors: parseColors(top.colors),
-    harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics),
-    up: triple(top.up, "up"),
-    metersPerUnit: finite(top.meters_per_unit, "meters_per_unit"),
-    identity: String(top.identity),
-  };
-  if (levels.length < 1 || levels.length > 16) throw new Error("scene.json: levels: expected 1 to 16");
+  const header: Header = { ...headerOf(top, "scene.json"), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics) };
   const scene: StaticScene = {
     header, files,
     blocks: whole(top.blocks, "blocks", MOST),
@@ -96,25 +81,6 @@ function parsePose(said: Fields): Pose {
   const r = list(said.rotation, "rotation").map((v) => finite(v, "rotation"));
   if (r.length !== 4) throw new Error("scene.json: rotation: expected four numbers");
   return { position: triple(said.position, "position"), rotation: [r[0], r[1], r[2], r[3]] };
-}
-
-function parseColors(value: unknown): ColorTables {
-  const said = object(value, "colors"), p = object(said.precision, "colors.precision");
-  if (said.variant !== "rgb" && said.variant !== "hsl") throw new Error(`scene.json: colors.variant: expected rgb or hsl, got ${String(said.variant)}`);
-  const pair = (each: unknown): [number, number] => {
-    const two = list(each, "colors").map((v) => finite(v, "colors"));
-    return [two[0] ?? 0, two[1] ?? 0];
-  };
-  const bits = (name: string): number => whole(p[name], `colors.precision.${name}`, 16);
-  return {
-    variant: said.variant,
-    precision: {
-      name: String(p.name), base: bits("base"), scale: bits("scale"), axis: bits("axis"), center: bits("center"),
-      decay: bits("decay"), intensity: bits("intensity"),
-    },
-    base: list(said.base, "colors.base").map(pair),
-    scales: pair(said.scales), decays: pair(said.decays), intensity: finite(said.intensity, "colors.intensity"),
-  };
 }
 
 function parseHarmonics(value: unknown): HarmonicTables {
