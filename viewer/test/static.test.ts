@@ -301,7 +301,7 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
     ["<html>", /expected JSON/], ["{}", /expected a static scene/], [JSON.stringify({ ...scene, version: 2 }), /version 1, got 2; update/],
     [JSON.stringify({ ...scene, files: { records: { name: "../secret.bin", bytes: 1 } } }), /name without a path/],
     [JSON.stringify({ ...scene, gaussians: 151 }), /expected 2416 bytes/], [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
-    [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /scene.json, gaussians: expected a number from 0 to/], [JSON.stringify({ ...scene, levels: [] }), /levels/],
+    [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /scene.json, chunks: expected a number from 0 to/], [JSON.stringify({ ...scene, levels: [] }), /levels/],
   ];
   for (const [text, message] of wrong) {
     assert.throws(() => parseScene(text), message);
