@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.package import size_rows
 from gsvis.cli.source import Source
-from gsvis.cli.terminal import clock, facts, print_json, show, size_of
+from gsvis.cli.terminal import busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import kind_row, space_document
 from gsvis.scene.navigable import NavigableSpace
 
@@ -124,7 +124,7 @@ def tell_estimate(
     rows = [
         kind_row(space),
         ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
-        ("time", f"about {clock(estimate.seconds)}"),
+        ("time", f"about {clock(estimate.seconds)}{busy_note(estimate.load)}"),
         ("package", f"about {size_of(estimate.nbytes)}"),
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
     ]

@@ -23,7 +23,7 @@ from gsvis.cli.source import (
     parse_up,
     summarize_levels,
 )
-from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, kind_row, space_document, suspect_views
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import open_regular
@@ -230,7 +230,7 @@ def _tell_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
     if estimate.finished:
         rows.append(("found earlier", f"{estimate.finished:,} cells of an interrupted build, which would resume"))
     rows += [
-        ("time", f"about {clock(estimate.seconds)}"),
+        ("time", f"about {clock(estimate.seconds)}{busy_note(estimate.load)}"),
         ("memory", f"at most about {size_of(estimate.memory)}, all processes together"),
         ("disk", f"about {size_of(estimate.disk)}; {size_of(estimate.working_disk)} more while it works"),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import shutil
 import sys
 import textwrap
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
-__all__ = ["STDOUT", "Status", "check_stdout", "clock", "facts", "print_json", "show", "size_of"]
+__all__ = ["STDOUT", "Status", "busy_note", "check_stdout", "clock", "facts", "print_json", "show", "size_of"]
 
 STDOUT = "standard output"
 """Path of standard output in an OutputError."""
@@ -235,3 +236,9 @@ def show(*parts: Table | str) -> None:
             console.print(part, markup=False, soft_wrap=isinstance(part, str))
     with check_stdout():
         sys.stdout.write("\n".join(line.rstrip() for line in held.get().splitlines()) + "\n")
+
+
+def busy_note(load: float | None) -> str:
+    """Return what to say beside an estimated time if the machine was busy when it was made; empty if it was not."""
+    cores = os.cpu_count() or 1
+    return "" if load is None or load < 0.5 * cores else f"; the machine is busy (load {load:.1f} on {cores} cores)"

@@ -21,6 +21,7 @@ from gsvis.pvs.workers import (
     Workers,
     expected_memory,
     fitting_workers,
+    machine_load,
     speed_up,
 )
 from gsvis.scene.gaussians import Gaussians
@@ -57,6 +58,8 @@ class Estimate:
         visible: Gaussians that a cell sees, mean.
         disk: Bytes of the finished store.
         working_disk: Bytes of temporary files during the build.
+        load: Processes that used or waited for a core when the estimate began; None if unknown. Times on a busy machine
+            are longer than on a quiet one.
     """
 
     viewpoints: int
@@ -69,6 +72,7 @@ class Estimate:
     visible: float
     disk: int
     working_disk: int
+    load: float | None
 
 
 def estimate_pvs(
@@ -98,7 +102,7 @@ def estimate_pvs(
         SceneError: If the scene or a level has nothing to see.
         ValueError: If `max_memory` is too small, or the grid was made from another space.
     """
-    config, workers = config or PvsConfig(), workers or Workers()
+    config, workers, load = config or PvsConfig(), workers or Workers(), machine_load()
     _check.positive_int("sample", sample)
     work = plan_work(g, grid, space, path, config)
     levels, cells = work.levels, len(grid)
@@ -146,6 +150,7 @@ def estimate_pvs(
         disk=int(_BITS / 8.0 * visible / tried * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
         working_disk=int(held / looks * viewpoints + kept / tried * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
+        load=load,
     )
 
 

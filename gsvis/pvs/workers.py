@@ -11,7 +11,7 @@ from gsvis import _check
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.levels import Levels
 
-__all__ = ["SCENE_BYTES", "Workers", "expected_memory", "fitting_workers", "speed_up"]
+__all__ = ["SCENE_BYTES", "Workers", "expected_memory", "fitting_workers", "machine_load", "speed_up"]
 
 # Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian: of its
 # looks, and of the tracer that certifies.
@@ -92,6 +92,14 @@ def speed_up(count: int, workers: Workers) -> float:
         return max(1.0, 0.9 * count)
     cores = os.cpu_count() or 1
     return max(1.0, min(count, cores) * _PROCESSES_OVER_THREADS / cores) if count > 1 else 1.0
+
+
+def machine_load() -> float | None:
+    """Return how many processes have used or waited for a core in the last minute, mean; None where nobody knows."""
+    try:
+        return round(os.getloadavg()[0], 2)
+    except (AttributeError, OSError):
+        return None
 
 
 def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:

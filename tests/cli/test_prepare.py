@@ -90,6 +90,7 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     asked = json.loads(run(capsys, *words, "--json", "--dry-run")[0])
     assert list(tmp_path.iterdir()) == []
     assert (asked["format"], asked["version"]) == ("gsvis-preparation-estimate", 1)
+    assert asked["load"] is None or asked["load"] >= 0.0
     assert [stage["state"] for stage in asked["stages"]] == ["given", *["to do"] * 5]
     found = json.loads(run(capsys, *words, "--json")[0])
     assert (found["format"], found["version"]) == ("gsvis-preparation", 1)
