@@ -198,8 +198,9 @@ def test_a_bare_scene_reads_back_as_what_it_was(degree: int, tmp_path: Path) -> 
     from gsvis.color.records import PRECISIONS, Grids
 
     said = read.scene["colors"]
-    base = tuple(tuple(pair) for pair in said["base"])
-    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)  # type: ignore[arg-type]
+    red, green, blue = (tuple(pair) for pair in said["base"])
+    base = red, green, blue
+    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
     rgb = np.stack([grids.base_table(k)[read.records()[:, 1 + k]] for k in range(3)], axis=1)
     span = max(high - low for low, high in base)
     assert np.abs(rgb - (0.5 + SH_C0 * g.sh0[pairs, 0])).max() < 0.02 * span
