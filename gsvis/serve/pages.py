@@ -136,7 +136,7 @@ class Pages:
     def ask_token(self, status: int = 401) -> Response:
         """Answer with a page that asks for the token."""
         form = (
-            "<p>This server needs a token. Whoever runs it knows it.</p>"
+            "<p>This server needs a token. Ask the person who runs it.</p>"
             '<form><label>Token <input name="token" type="password" autocomplete="current-password" autofocus required>'
             "</label> <button>Open</button></form>"
         )
