@@ -7,11 +7,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.readers import PLAIN, PORT, Lod, hint
+from gsvis.cli.readers import PORT, Flag, Lod, hint
 
 __all__ = ["View"]
-
-Flag = Annotated[bool, PLAIN]
 
 
 @dataclass(frozen=True)

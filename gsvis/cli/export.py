@@ -12,15 +12,19 @@ from gsvis.cli.source import (
     check_folder,
     check_new,
     check_source,
-    inputs_of,
     is_builtin,
     load_source,
     parse_up,
+    title_of,
+    up_of,
 )
 from gsvis.cli.terminal import Status, print_json, show, size_of
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from gsvis.export import StaticOptions
     from gsvis.package import Package
     from gsvis.scene.gaussians import Gaussians
@@ -41,6 +45,7 @@ def run_export(command: Export) -> None:
     from gsvis.export import write_html, write_site
 
     _check_target(command)
+    _check_apart(command)
     writers = {"static": write_site, "html": write_html}
     with ExitStack() as stack, Status() as status:
         status("reading", 0, 1)
@@ -91,37 +96,33 @@ def _check_target(command: Export) -> None:
     check_new(out, command.overwrite)
 
 
+def _check_apart(command: Export) -> None:
+    """Raise if the result would be SCENE itself, or lie in the folder of SCENE."""
+    scene, out = Path(command.scene).resolve(), Path(command.out).resolve()
+    if not is_builtin(command.scene) and (out == scene or (scene.is_dir() and scene in out.parents)):
+        raise ValueError(f"--out: expected a place outside of SCENE, got {command.out}; name another")
+
+
 def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussians, StaticOptions]:
     """Return the package or scene of a command, and what its page says."""
     from gsvis.export import StaticOptions
 
     up = parse_up(command.up)
-    axis = None if up is None else _triple(up)
     if (Path(command.scene) / MANIFEST).is_file():
         from gsvis.package import Package
 
         if command.lod is not None:
             raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
         name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
-        return stack.enter_context(Package.open(command.scene)), StaticOptions(name, axis)
+        return stack.enter_context(Package.open(command.scene)), StaticOptions(name, _triple(up))
     check_source(command.scene, command.lod)
-    out = Path(command.out)
-    if not is_builtin(command.scene) and any(
-        out.exists() and p.exists() and out.samefile(p) for p in inputs_of(command.scene)
-    ):
-        raise ValueError(f"--out: expected another place than SCENE, got {command.out}; name another")
     source = load_source(command.scene, command.lod)
-    if axis is None:
-        axis = _likely_up(source.union, None if source.navigable is None else source.navigable.up)
-    return source.whole, StaticOptions(command.name or source.name.removeprefix("builtin:"), axis)
+    name = command.name or title_of(command.scene, source.lod)
+    return source.whole, StaticOptions(name, _triple(up_of(source) if up is None else up))
 
 
-def _likely_up(g: Gaussians, known: Any) -> tuple[float, float, float]:
-    from gsvis.scene.inspection import axis_vector, guess_up
-
-    return _triple(axis_vector(guess_up(g)[0]) if known is None else known)
-
-
-def _triple(vector: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in vector)
+def _triple(vector: NDArray[np.float64] | None) -> tuple[float, float, float] | None:
+    if vector is None:
+        return None
+    x, y, z = vector.tolist()
     return x, y, z

@@ -14,7 +14,7 @@ from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
 from gsvis.files.limits import open_regular
 
-__all__ = ["run_serve"]
+__all__ = ["log_to_stderr", "run_serve"]
 
 
 def run_serve(command: Serve) -> None:
@@ -28,7 +28,8 @@ def run_serve(command: Serve) -> None:
     from gsvis.abr.config import AbrConfig
     from gsvis.serve import Address, AppConfig, JsonLines, Limits, Server, TextLines, open_scenes
 
-    _log_to_stderr(JsonLines() if command.log_format == "json" else TextLines(), debug=command.debug)
+    form = JsonLines() if command.log_format == "json" else TextLines()
+    log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO)
     limits = Limits(
         connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
         poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
@@ -69,10 +70,11 @@ def _start_spared_by_gc() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _log_to_stderr(form: logging.Formatter, *, debug: bool) -> None:
+def log_to_stderr(form: logging.Formatter, level: int) -> None:
+    """Write the log of a server to stderr: lines of gsvis from a level on, and warnings of uvicorn."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(form)
-    for name, level in (("gsvis", logging.DEBUG if debug else logging.INFO), ("uvicorn", logging.WARNING)):
+    for name, least in (("gsvis", level), ("uvicorn", logging.WARNING)):
         logger = logging.getLogger(name)
         logger.handlers, logger.propagate = [handler], False
-        logger.setLevel(level)
+        logger.setLevel(least)

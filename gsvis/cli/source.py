@@ -17,7 +17,7 @@ from gsvis.files.limits import open_regular
 from gsvis.files.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import AXES, axis_vector, inspect_scene
+from gsvis.scene.inspection import AXES, axis_vector, guess_up, inspect_scene
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 
@@ -39,6 +39,8 @@ __all__ = [
     "navigable_space",
     "parse_up",
     "summarize_levels",
+    "title_of",
+    "up_of",
 ]
 
 BUILTIN = "builtin:"
@@ -129,7 +131,7 @@ def load_source(scene: str, lod: int | None) -> Source:
         from gsvis.io.levels import load_levels
 
         levels = load_levels(scene)
-        return Source(_title(Path(scene), None), levels.level(len(levels) - 1), Path(scene), levels=levels)
+        return Source(title_of(scene), levels.level(len(levels) - 1), Path(scene), levels=levels)
     from gsvis.io import load_scene
     from gsvis.io.streamed_sog import list_lods
 
@@ -139,7 +141,7 @@ def load_source(scene: str, lod: int | None) -> Source:
     lods = list_lods(meta) if meta.name == "lod-meta.json" and meta.is_file() else ()
     if lods and lod is None:
         lod = lods[0]
-    return Source(_title(path, lod), g, path, lod, lods)
+    return Source(title_of(scene, lod), g, path, lod, lods)
 
 
 def summarize_levels(source: Source) -> list[dict[str, Any]] | None:
@@ -165,12 +167,19 @@ def inspect_scene_of(source: Source) -> dict[str, Any]:
     return inspect_scene(source.gaussians, up=up).as_dict()
 
 
-def _title(path: Path, lod: int | None) -> str:
+def title_of(scene: str, lod: int | None = None) -> str:
     """Return a title: 'showroom, LOD 3' for showroom/lod-meta.json, 'biker' for biker.compressed.ply."""
-    resolved = path.resolve()
+    if is_builtin(scene):
+        return scene.removeprefix(BUILTIN)
+    resolved = Path(scene).resolve()
     inner = resolved.name in ("lod-meta.json", "meta.json") or resolved.is_dir()
     name = (resolved if resolved.is_dir() else resolved.parent).name if inner else resolved.name.split(".")[0]
-    return (name or resolved.name) + ("" if lod is None else f", LOD {lod}")
+    return (name or resolved.name or "scene") + ("" if lod is None else f", LOD {lod}")
+
+
+def up_of(source: Source) -> NDArray[np.float64]:
+    """Return the (3,) up axis of a scene: that of a built-in scene, else the likely one."""
+    return axis_vector(guess_up(source.union)[0]) if source.navigable is None else source.navigable.up
 
 
 def navigable_space(

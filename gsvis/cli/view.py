@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from gsvis.cli.arguments_view import View
+from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json
 from gsvis.errors import GsvisError
 from gsvis.package.manifest import MANIFEST
@@ -28,7 +29,6 @@ __all__ = ["run_view"]
 
 _PORT = 8765
 _CACHE = 512_000_000
-_IN_FOLDERS = ("lod-meta.json", "meta.json")  # files that are named by their folder
 
 
 def run_view(command: View) -> None:
@@ -40,18 +40,14 @@ def run_view(command: View) -> None:
         FileNotFoundError: If there is no such file.
         OSError: If the address is taken, or there is no room for temporary files.
     """
-    from gsvis.serve import TextLines, open_scenes
+    from gsvis.serve import TextLines
+    from gsvis.serve.scenes import Scenes, open_scene
 
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(TextLines())
-    for name in ("gsvis", "uvicorn"):
-        logger = logging.getLogger(name)
-        logger.handlers, logger.propagate = [handler], False
-        logger.setLevel(logging.DEBUG if command.debug else logging.WARNING)
+    log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING)
     with ExitStack() as stack:
-        folder = _folder_of(command, stack)
-        scenes = stack.enter_context(open_scenes([folder], max_cache_bytes=_CACHE))
-        (name,) = scenes
+        folder, name = _folder_of(command, stack)
+        scene = open_scene(folder, name, max_cache_bytes=_CACHE)
+        scenes, name = stack.enter_context(Scenes([scene])), scene.name
         server = _listen(command, scenes)
         stack.enter_context(_preparing(command, scenes, name))
         page = server.page(name)
@@ -67,41 +63,36 @@ def run_view(command: View) -> None:
             server.run()
 
 
-def _folder_of(command: View, stack: ExitStack) -> Path:
-    """Return the folder to serve: that of a package or of a static scene, or a temporary one for any other scene."""
+def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
+    """Return the folder to serve, and the name of the scene in addresses, "" for that of the folder.
+
+    A package and a static scene are served from their folder, any other scene from a temporary one.
+    """
+    from gsvis.serve.sites import is_site
+
     given = Path(command.scene)
-    if (given / MANIFEST).is_file() or (given / "scene.json").is_file():
+    if (given / MANIFEST).is_file() or is_site(given):
         for option, value in (("--lod", command.lod), ("--up", command.up), ("--prepare", command.prepare)):
             if value is not None:
                 raise ValueError(f"{option}: expected none for a package or a static scene, got {value}; leave it out")
-        return given
-    from gsvis.cli.source import check_new, load_source, parse_up
+        return given, ""
+    from gsvis.cli.source import check_folder, load_source, parse_up, title_of, up_of
     from gsvis.export.static import StaticOptions, write_static
-    from gsvis.scene.inspection import axis_vector, guess_up
 
     up = parse_up(command.up)
     if command.prepare is not None:
-        check_new(Path(command.prepare), False)
+        if os.path.lexists(command.prepare):
+            raise ValueError(f"--prepare: expected a new folder, got {command.prepare}, which exists; name another")
+        check_folder(Path(command.prepare).absolute().parent)
     with Status() as status:
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
         status("reading", 1, 1)
-        if up is None:
-            known = source.navigable.up if source.navigable is not None else None
-            up = axis_vector(guess_up(source.gaussians)[0]) if known is None else known
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-view-"))) / _name_of(command.scene)
-        x, y, z = (float(value) for value in up)
-        write_static(folder, source.whole, StaticOptions(source.name, (x, y, z)), progress=status)
-    return folder
-
-
-def _name_of(scene: str) -> str:
-    """Return a name for addresses: that of the file or folder, without suffixes. A streamed scene has its folder's."""
-    if scene.startswith("builtin:"):
-        return scene.rpartition(":")[2] or "scene"
-    path = Path(scene).resolve()
-    named = path.parent if path.name in _IN_FOLDERS else path
-    return named.name.partition(".")[0] or "scene"
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-view-")))
+        x, y, z = (float(value) for value in (up_of(source) if up is None else up))
+        options = StaticOptions(title_of(command.scene, source.lod), (x, y, z))
+        write_static(folder, source.whole, options, progress=status)
+    return folder, title_of(command.scene)
 
 
 def _listen(command: View, scenes: Scenes) -> Server:
@@ -132,30 +123,38 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
     words = [sys.executable, "-m", "gsvis.cli", "prepare", command.scene, "-o", command.prepare]
     words += [] if command.lod is None else ["--lod", str(command.lod)]
     words += [] if command.up is None else ["--up", command.up.strip()]
+    scenes[name].preparing, ending = True, threading.Event()
     running = subprocess.Popen(words, stdout=subprocess.DEVNULL, preexec_fn=_be_nice if os.name == "posix" else None)
-    threading.Thread(target=_change_over, args=(running, scenes, name, command.prepare), daemon=True).start()
+    waiting = threading.Thread(target=_change_over, args=(running, scenes, name, command.prepare, ending), daemon=True)
+    waiting.start()
     try:
         yield
     finally:
-        if running.poll() is None:
-            running.terminate()
-        running.wait()
+        ending.set()
+        running.terminate()  # does nothing to a process that has ended
+        waiting.join()  # it must not add a scene after these are closed
 
 
 def _be_nice() -> None:
     os.nice(10)
 
 
-def _change_over(running: subprocess.Popen[bytes], scenes: Scenes, name: str, package: str) -> None:
-    """Serve the package in place of the scene as soon as it is ready."""
+def _change_over(
+    running: subprocess.Popen[bytes], scenes: Scenes, name: str, package: str, ending: threading.Event
+) -> None:
+    """Serve the package in place of the scene as soon as it is ready, unless the server ends before."""
     from gsvis.serve.scenes import open_scene
 
-    if running.wait() != 0:
-        sys.stderr.write(f"gsvis: {package} was not prepared; the scene is shown as it is\n")
+    code = running.wait()
+    if ending.is_set():
         return
     try:
-        scenes.replace(open_scene(package, name, max_cache_bytes=_CACHE, warm=True))
+        if code == 0:
+            scenes.replace(open_scene(package, name, max_cache_bytes=_CACHE, warm=True))
+            line = "is prepared and served from now on"
+        else:
+            line = "was not prepared; the scene is shown as it is"
     except (GsvisError, OSError) as error:
-        sys.stderr.write(f"gsvis: {package} cannot be served: {error}\n")
-        return
-    sys.stderr.write(f"gsvis: {package} is prepared and served from now on\n")
+        line = f"cannot be served: {error}"
+    scenes[name].preparing = False
+    sys.stderr.write(f"gsvis: {package} {line}\n")

@@ -1,6 +1,6 @@
 """Blocks of a static scene: up to 64 Gaussians of one chunk that are fetched together, and their order in the files.
 
-Chunks of equal levels lie behind each other. Of each such run the files hold the first 64 Gaussians of every chunk,
+Chunks of equal levels follow each other. Of each such run the files hold the first 64 Gaussians of every chunk,
 then the next 64 of every chunk, and on. Gaussians of a chunk are in the order of their coverage. So the start of a run
 is a coarse picture of a region, in few ranges of bytes. Ids are those of the package; places are those in the files.
 """

@@ -11,6 +11,7 @@ import re
 import tempfile
 from base64 import b64encode
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from html import escape
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from gsvis import _check
-from gsvis.errors import BackendError
+from gsvis.errors import BackendError, FormatError
 from gsvis.export.static import SCENE, StaticOptions, StaticScene, is_static, write_static
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular, read_whole
@@ -93,7 +94,8 @@ def write_site(
     """Write a site: the page, and the static scene that it shows, in the folder `scene`.
 
     Args:
-        folder: Folder of the site; other files in it stay. A `settings.json` that is there stays, too.
+        folder: Folder of the site; other files in it stay. A `settings.json` stays too, unless it is the one that an
+            earlier export wrote.
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
         viewer: Folder of the built files of the viewer; None takes those of this package.
@@ -106,6 +108,7 @@ def write_site(
         OSError: If the folder cannot be written.
     """
     target, files = _check.path("folder", folder), _viewer_files(VIEWER if viewer is None else Path(viewer))
+    is_ours = _has_own_settings(target)
     found = write_static(target / FOLDER, scene, options, progress=progress)
     document = json.loads(read_whole(found.path / SCENE))
     scripts = target / "viewer"
@@ -113,7 +116,7 @@ def write_site(
     for name in ("page.css", *_SCRIPTS):
         with atomic_path(scripts / name) as partial:
             partial.write_bytes(files[name])
-    if not (target / SETTINGS).exists():
+    if is_ours or not (target / SETTINGS).exists():
         with atomic_path(target / SETTINGS) as partial:
             partial.write_bytes(_settings(document))
     page = _page(files["view.html"].decode(), document, content=f"{FOLDER}/", settings=SETTINGS, policy=_POLICY)
@@ -234,6 +237,16 @@ def _settings(document: dict[str, Any]) -> bytes:
     """Return the views to begin with in the form of settings.json."""
     cameras = [{"initial": view} for view in _views(document)]
     return json.dumps({"version": 2, "frame": "scene", "cameras": cameras}, indent=1).encode() + b"\n"
+
+
+def _has_own_settings(target: Path) -> bool:
+    """Return whether a site has the settings that an export wrote for the scene in it, and nobody changed them."""
+    if not is_static(target / FOLDER):
+        return False
+    with suppress(OSError, FormatError, ValueError, KeyError, TypeError):
+        document = json.loads(read_whole(target / FOLDER / SCENE))
+        return read_whole(target / SETTINGS) == _settings(document)
+    return False
 
 
 def _views(document: dict[str, Any]) -> Iterator[dict[str, Any]]:

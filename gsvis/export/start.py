@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.pvs.cells import CellGrid
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
 
 __all__ = ["Start", "start_poses"]
@@ -43,14 +44,9 @@ class Start:
     def looking(cls, eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Start:
         """Return the pose of an eye that looks at a target; the image stands upright."""
         at, above = np.asarray(eye, np.float64), np.asarray(up, np.float64)
-        forward = np.asarray(target, np.float64) - at
-        forward = forward / max(float(np.linalg.norm(forward)), 1e-12)
-        right = np.cross(forward, above)
-        if np.linalg.norm(right) < 1e-6:  # it looks along up: any upright image will do
-            right = np.cross(forward, np.roll(above, 1) + 1e-3)
-        right = right / np.linalg.norm(right)
-        turn = np.stack([right, np.cross(forward, right), forward], axis=1)
-        w, x, y, z = (round(v, 6) for v in quats_from_rotations(turn[None])[0].tolist())
+        camera = Cameras.look_at([at], [np.asarray(target, np.float64)], up=above)
+        turn = camera.viewmats[:, :3, :3].transpose(0, 2, 1)
+        w, x, y, z = (round(v, 6) for v in quats_from_rotations(turn)[0].tolist())
         a, b, c = (round(v, 6) for v in at.tolist())
         return cls((a, b, c), (w, x, y, z))
 
@@ -66,13 +62,22 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
     if grid is None:
         middle, size = bounds.mean(axis=0), float(np.linalg.norm(bounds[1] - bounds[0]))
-        side = np.roll(np.abs(above), 1) - np.roll(np.abs(above), 2)
-        return (Start.looking(middle + (0.9 * side / np.linalg.norm(side) + 0.3 * above) * size, middle, above),)
+        size = max(size, 1e-6 * float(np.linalg.norm(middle)), 1e-3)  # of a single point, too
+        first = _across(above)
+        corner = (first - np.cross(above, first)) / np.sqrt(2.0)
+        return (Start.looking(middle + (0.9 * corner + 0.3 * above) * size, middle, above),)
     centers = grid.centers
     eye = centers[np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin()]
     away = centers - eye
     away = away - np.outer(away @ above, above)
     far = away[np.linalg.norm(away, axis=1).argmax()]
     if np.linalg.norm(far) < 1e-9:
-        far = np.roll(above, 1)
+        far = _across(above)
     return (Start.looking(eye, eye + far, above), Start.looking(eye, eye - far, above))
+
+
+def _across(above: F64) -> F64:
+    """Return a unit axis across an axis: one of the scene's own axes where that is one of them."""
+    side = np.eye(3)[int(np.abs(above).argmin())]
+    side -= above * (side @ above)
+    return np.asarray(side / np.linalg.norm(side), np.float64)

@@ -309,7 +309,7 @@ def _digest(value: dict[str, Any]) -> str:
 
 
 def _is_vector(value: Any, count: int) -> bool:
-    """Return whether a JSON value is a list of so many numbers."""
+    """Return whether a JSON value is a list of `count` numbers."""
     if not isinstance(value, list) or len(value) != count:
         return False
     return all(isinstance(each, (int, float)) and not isinstance(each, bool) for each in value)

@@ -122,7 +122,7 @@ class Cors:
                 headers = MutableHeaders(scope=message)
                 if "*" not in origins:
                     headers.add_vary_header("Origin")
-                if is_open:
+                if is_open or "*" in origins:  # a cache may keep the answer to a program for pages
                     headers["access-control-allow-origin"] = "*" if "*" in origins else str(origin)
                     headers["access-control-expose-headers"] = _SHOWN
             await send(message)

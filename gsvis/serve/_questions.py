@@ -19,13 +19,13 @@ __all__ = ["FACTS", "Questions"]
 FACTS: dict[str, Callable[[StreamedScene], Any]] = {"cells": describe_cells, "floor": describe_floor}
 """Facts about a whole scene, by the last part of their address."""
 
-_MOST_WAITING = 8
+_MOST_WAITING = 8  # with the one that is being answered
 _KEPT_BYTES = 16 << 20
 _KEEP = "no-cache"
 
 
 class Questions:
-    """Answer one question after the other; refuse more than a few that wait."""
+    """Answer one question after the other; refuse more than a few at once."""
 
     def __init__(self) -> None:
         self._turn = asyncio.Semaphore(1)
@@ -54,7 +54,9 @@ class Questions:
             self._waiting += 1
             try:
                 async with self._turn:
-                    found = await asyncio.to_thread(_find, scene, fact, gaussian)
+                    found = self._kept.find(key)  # somebody before may have asked the same
+                    if found is None:
+                        found = await asyncio.to_thread(_find, scene, fact, gaussian)
             finally:
                 self._waiting -= 1
             self._kept.keep(key, found, len(found))

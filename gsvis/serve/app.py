@@ -192,6 +192,7 @@ class _App:
                 "stream": None if served.site else f"stream/{served.name}",
                 "manifest": None if served.site else f"packages/{served.name}/manifest.json",
                 "static": f"scenes/{served.name}/{SCENE}" if served.site else None,
+                "preparing": served.preparing,
             }
             for served in self.scenes.values()
         ]

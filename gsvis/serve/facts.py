@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.icosphere import NUM_FACES, face_directions
 from gsvis.stream import StreamedScene
@@ -113,7 +112,7 @@ def describe_floor(scene: StreamedScene) -> dict[str, Any] | None:
     levels = np.arange(low[2] + step / 2, high[2], step)
     x, y = low[0] + side * (np.arange(columns) + 0.5), low[1] + side * (np.arange(rows) + 0.5)
     flat = (x[None, :, None] * first + y[:, None, None] * second).reshape(-1, 3)
-    free = np.stack([_is_free(grid, flat + level * up) for level in levels], axis=1)
+    free = np.stack([grid.cell_at(flat + level * up) >= 0 for level in levels], axis=1)
     meters = scene.about.meters_per_unit
     eye = _EYE_M / meters if meters > 0 else np.inf
     heights = _eye_heights(free, levels, step, eye)
@@ -132,17 +131,6 @@ def _eye_heights(free: NDArray[np.bool_], levels: F64, step: float, eye: float) 
     ends = np.where((later & ~free).any(axis=1), (later & ~free).argmax(axis=1), free.shape[1])
     bottom, top = levels[start] - step / 2, levels[ends - 1] + step / 2
     return np.where(ever, np.minimum((bottom + top) / 2, bottom + eye), np.nan)
-
-
-def _is_free(grid: CellGrid, points: F64) -> NDArray[np.bool_]:
-    """Return whether each point lies in a cell."""
-    boxes = np.floor((points - grid.origin) / grid.cell_size).astype(np.int64)
-    inside = ((boxes >= 0) & (boxes < np.array(grid.shape))).all(axis=1)
-    filled = np.zeros(grid.shape, np.bool_)
-    filled[tuple(grid.coords.T)] = True
-    out = np.zeros(len(points), np.bool_)
-    out[inside] = filled[tuple(boxes[inside].T)]
-    return out
 
 
 def _level_axes(up: F64) -> tuple[F64, F64]:

@@ -18,6 +18,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from gsvis.files.limits import read_whole
+from gsvis.serve.parts import is_known
 
 __all__ = ["VIEWER", "Pages", "wants_page"]
 
@@ -115,7 +116,7 @@ class Pages:
             "etag": tag, "cache-control": "no-cache", "vary": "Accept-Encoding", "x-content-type-options": "nosniff",
             "cross-origin-resource-policy": "same-origin",
         }  # fmt: skip
-        if tag in [given.strip().removeprefix("W/") for given in request.headers.get("if-none-match", "").split(",")]:
+        if is_known(request, tag):
             return Response(status_code=304, headers=headers)
         if packed is not None:
             headers["content-encoding"] = "gzip"
@@ -135,7 +136,7 @@ class Pages:
     def ask_token(self, status: int = 401) -> Response:
         """Answer with a page that asks for the token."""
         form = (
-            "<p>This server needs a token. Whoever runs it knows it.</p>"
+            "<p>This server needs a token. Ask the person who runs it.</p>"
             '<form><label>Token <input name="token" type="password" autocomplete="current-password" autofocus required>'
             "</label> <button>Open</button></form>"
         )

@@ -19,7 +19,7 @@ from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import PARTS
 from gsvis.package.parts import MOST_BYTES
 
-__all__ = ["byte_range", "read_part", "respond"]
+__all__ = ["byte_range", "is_known", "part_of", "read_part", "respond"]
 
 _MOST_MANIFEST = 64 << 20  # most bytes of a manifest, which is held in memory
 _MOST_PART = 2 * MOST_BYTES
@@ -55,6 +55,34 @@ def byte_range(header: str, size: int) -> tuple[int, int] | None:
         return None
     stop = min(int(last) + 1, size) if last else size
     return (start, stop) if start < stop else (0, 0)
+
+
+def is_known(request: Request, tag: str) -> bool:
+    """Return whether a client has the content of a tag already; proxies that compress make a tag weak."""
+    given = [each.strip().removeprefix("W/") for each in request.headers.get("if-none-match", "").split(",")]
+    return tag in given
+
+
+def part_of(request: Request, size: int, headers: dict[str, str]) -> tuple[int, int] | Response:
+    """Return the first byte to send and the byte after the last, or an answer without content: 304 or 416.
+
+    Args:
+        request: A GET or HEAD request.
+        size: Bytes of the file.
+        headers: Headers of the answer, with `etag`; gains `content-length`, and `content-range` for a part.
+    """
+    tag = headers["etag"]
+    if is_known(request, tag):
+        return Response(status_code=304, headers=headers)
+    asked = request.headers.get("range")
+    part = None if asked is None or request.headers.get("if-range", tag) != tag else byte_range(asked, size)
+    if part == (0, 0):
+        return Response(status_code=416, headers={**headers, "content-range": f"bytes */{size}"})
+    start, stop = part or (0, size)
+    if part is not None:
+        headers["content-range"] = f"bytes {start}-{stop - 1}/{size}"
+    headers["content-length"] = str(stop - start)
+    return start, stop
 
 
 def read_part(package: Path, name: str) -> bytes:
@@ -108,17 +136,8 @@ async def respond(request: Request, package: Path, name: str, *, private: bool) 
         return PlainTextResponse("no such file\n", 404)
     headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
     headers["cache-control"] = keep.replace("public", "private") if private else keep
-    if tag in [given.strip() for given in request.headers.get("if-none-match", "").split(",")]:
-        return Response(status_code=304, headers=headers)
-    asked = request.headers.get("range")
-    part = None if asked is None or request.headers.get("if-range", tag) != tag else byte_range(asked, len(data))
-    if part == (0, 0):
-        return Response(status_code=416, headers={**headers, "content-range": f"bytes */{len(data)}"})
-    status, body = 200, data
-    if part is not None:
-        status, body = 206, data[part[0] : part[1]]
-        headers["content-range"] = f"bytes {part[0]}-{part[1] - 1}/{len(data)}"
-    if request.method == "HEAD":
-        headers["content-length"] = str(len(body))
-        body = b""
-    return Response(body, status, headers, kind)
+    part = part_of(request, len(data), headers)
+    if isinstance(part, Response):
+        return part
+    body = b"" if request.method == "HEAD" else data[slice(*part)]
+    return Response(body, 206 if "content-range" in headers else 200, headers, kind)

@@ -40,6 +40,7 @@ class ServedScene:
         opened: The scene, ready to send; None if it could not be opened, or is a static scene.
         fault: Why the scene is refused; "" while it is served. Only for the log: it may name files.
         site: Files of a static scene, which a viewer reads by itself; None for a package.
+        preparing: Whether a package is being prepared that will take its place; its page asks again until then.
     """
 
     name: str
@@ -47,6 +48,7 @@ class ServedScene:
     opened: StreamedScene | None
     fault: str = ""
     site: Site | None = None
+    preparing: bool = False
 
     @property
     def gaussians(self) -> int | None:

@@ -18,13 +18,12 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from gsvis.errors import FormatError
+from gsvis.export.static import FORMAT, SCENE
 from gsvis.files.limits import open_regular, read_whole
-from gsvis.serve.parts import byte_range
+from gsvis.serve.parts import part_of
 
 __all__ = ["SCENE", "Site", "is_site"]
 
-SCENE = "scene.json"
-_FORMAT = "gsvis-static"
 _MOST_JSON = 64 << 20
 _PIECE = 256 << 10  # bytes read and sent at a time
 _HASHED = re.compile(r"-[0-9a-f]{16}\.bin$")  # such a file never changes
@@ -58,8 +57,8 @@ class Site:
             about = json.loads(read_whole(path, _MOST_JSON))
         except (ValueError, RecursionError) as error:
             raise FormatError(path, "", "JSON", type(error).__name__) from error
-        if not isinstance(about, dict) or about.get("format") != _FORMAT:
-            raise FormatError(path, "format", _FORMAT, repr(about.get("format") if isinstance(about, dict) else None))
+        if not isinstance(about, dict) or about.get("format") != FORMAT:
+            raise FormatError(path, "format", FORMAT, repr(about.get("format") if isinstance(about, dict) else None))
         self.folder, self.about = folder, about
         names = [name for name in _names(about.get("files")) if _NAME.fullmatch(name) and ".." not in name]
         self.names = frozenset([SCENE, *names])
@@ -68,7 +67,7 @@ class Site:
     def gaussians(self) -> int | None:
         """Number of Gaussians; None if `scene.json` does not say."""
         found = self.about.get("gaussians")
-        return found if isinstance(found, int) else None
+        return found if isinstance(found, int) and 0 <= found < 1 << 31 else None
 
     async def respond(self, request: Request, name: str, *, private: bool) -> Response:
         """Answer a GET or HEAD request for a file, whole or a range.
@@ -101,25 +100,12 @@ class Site:
         whose = "private" if private else "public"
         headers["cache-control"] = f"{whose}, max-age=31536000, immutable" if _HASHED.search(name) else "no-cache"
         kind = "application/json" if name.endswith(".json") else "application/octet-stream"
-        if tag in [given.strip() for given in request.headers.get("if-none-match", "").split(",")]:
+        part = part_of(request, state.st_size, headers)
+        status = 206 if "content-range" in headers else 200
+        if isinstance(part, Response) or request.method == "HEAD":
             source.close()
-            return Response(status_code=304, headers=headers)
-        asked = request.headers.get("range")
-        part = None
-        if asked is not None and request.headers.get("if-range", tag) == tag:
-            part = byte_range(asked, state.st_size)
-        if part == (0, 0):
-            source.close()
-            return Response(status_code=416, headers={**headers, "content-range": f"bytes */{state.st_size}"})
-        start, stop = part or (0, state.st_size)
-        if part is not None:
-            headers["content-range"] = f"bytes {start}-{stop - 1}/{state.st_size}"
-        headers["content-length"] = str(stop - start)
-        status = 200 if part is None else 206
-        if request.method == "HEAD":
-            source.close()
-            return Response(b"", status, headers, kind)
-        return StreamingResponse(_pieces(source, start, stop), status, headers, kind)
+            return part if isinstance(part, Response) else Response(b"", status, headers, kind)
+        return StreamingResponse(_pieces(source, *part), status, headers, kind)
 
 
 async def _pieces(source: BinaryIO, start: int, stop: int) -> AsyncIterator[bytes]:

@@ -66,6 +66,8 @@ def test_a_scene_becomes_one_file_and_that_is_not_replaced(
         (["PLY", "-o", "PLY"], "folder"),
         (["PLY", "-o", "OUT", "--up", "sky"], "--up"),
         (["PACKAGE", "-o", "OUT", "--lod", "1"], "--lod"),
+        (["PACKAGE", "-o", "PACKAGE"], "outside of SCENE"),
+        (["PACKAGE", "-o", "PACKAGE/site"], "outside of SCENE"),
     ],
 )
 def test_wrong_arguments_are_one_line_and_write_nothing(
@@ -73,6 +75,7 @@ def test_wrong_arguments_are_one_line_and_write_nothing(
 ) -> None:
     write_package(tmp_path / "p.gsvis", levels_of(30), colors_of(30)[1])
     known = {"OUT": str(tmp_path / "out"), "PLY": str(ply), "PACKAGE": str(tmp_path / "p.gsvis")}
+    known["PACKAGE/site"] = f"{known['PACKAGE']}/site"
     assert main(["export", *(known.get(word, word) for word in words)]) == 2
     error = capsys.readouterr().err
     assert wanted in error

@@ -203,7 +203,7 @@ def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch
         frozen.append(gc.get_freeze_count())
         server._socket.close()
 
-    monkeypatch.setattr("gsvis.cli.serve._log_to_stderr", lambda *_, **__: None)
+    monkeypatch.setattr("gsvis.cli.serve.log_to_stderr", lambda *_, **__: None)
     monkeypatch.setattr(Server, "run", run)
     assert main(["serve", str(package), "--port", "0"]) == 0
     assert frozen[0] > 10_000

@@ -9,14 +9,18 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gsvis.cli import main
-from tests.serve.servers import PATIENCE, has_all, patient
+from gsvis.cli import main, view
+from gsvis.cli.arguments_view import View
+from gsvis.export import write_static
+from gsvis.scene.procedural import two_rooms
+from gsvis.serve.scenes import Scenes, open_scene
+from tests.serve.servers import PATIENCE, has_all, patient, until
 from tests.stream.worlds import package_of
 
 PLAIN = {key: value for key, value in os.environ.items() if key != "GSVIS_TOKEN"} | {"PYTHONWARNINGS": "error"}
@@ -86,12 +90,71 @@ def test_the_browser_gets_the_token_and_nobody_else(package: Path, tmp_path: Pat
     note = tmp_path / "opened"
     browser = f"{sys.executable} -c \"import sys; open({str(note)!r}, 'w').write(sys.argv[1])\" %s"
     with viewing(package, GSVIS_TOKEN="s3cret word", BROWSER=browser) as (running, found):
-        while not (note.exists() and note.read_text()):
-            assert running.poll() is None
+        until(lambda: running.poll() is not None or (note.exists() and note.read_text() != ""))
         assert note.read_text() == found["url"] + "?token=s3cret%20word"
         running.send_signal(signal.SIGTERM)
         _, said = running.communicate(timeout=PATIENCE)
     assert "s3cret" not in json.dumps(found) + said
+
+
+CHILD = """
+import pathlib, shutil, sys, time
+while not pathlib.Path("go").exists():
+    time.sleep(0.01)
+if sys.argv[1] == "fails":
+    sys.exit("no room")
+shutil.copytree(sys.argv[1], "made.gsvis")
+"""
+
+
+@pytest.fixture
+def scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scenes]:
+    """A static scene; the work folder is a new one."""
+    monkeypatch.chdir(tmp_path)
+    write_static("shown", two_rooms(1000).gaussians)
+    with Scenes([open_scene("shown", "room")]) as found:
+        yield found
+
+
+def preparing(monkeypatch: pytest.MonkeyPatch, scenes: Scenes, package: object) -> AbstractContextManager[None]:
+    """Prepare by a stand-in that waits for the file `go`, and then copies a package."""
+    start = subprocess.Popen
+
+    def stand_in(words: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        assert words[2:] == ["gsvis.cli", "prepare", "shown", "-o", "made.gsvis"]
+        return start([sys.executable, "-c", CHILD, str(package)], **options)
+
+    monkeypatch.setattr(view.subprocess, "Popen", stand_in)
+    return view._preparing(View("shown", prepare="made.gsvis"), scenes, "room")
+
+
+def test_a_prepared_package_takes_the_place_of_its_scene(
+    package: Path, scenes: Scenes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with preparing(monkeypatch, scenes, package):
+        assert (scenes["room"].preparing, scenes["room"].opened) == (True, None)
+        Path("go").touch()
+        until(lambda: scenes["room"].opened is not None)
+        assert (scenes["room"].preparing, scenes["room"].site) == (False, None)
+
+
+def test_a_scene_that_cannot_be_prepared_stays(
+    scenes: Scenes, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with preparing(monkeypatch, scenes, "fails"):
+        Path("go").touch()
+        until(lambda: not scenes["room"].preparing)
+        assert scenes["room"].site is not None
+    assert "was not prepared" in capsys.readouterr().err
+
+
+def test_preparation_ends_with_the_server_and_says_nothing(
+    scenes: Scenes, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with preparing(monkeypatch, scenes, "fails"):
+        pass
+    assert scenes["room"].site is not None
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
@@ -102,11 +165,17 @@ def test_the_browser_gets_the_token_and_nobody_else(package: Path, tmp_path: Pat
         (("PACKAGE", "--lod", "0"), "--lod: expected none for a package"),
         (("PACKAGE", "--prepare", "x.gsvis"), "--prepare: expected none for a package"),
         (("builtin:two_rooms", "--up", "z"), "--up: expected one of"),
+        (("builtin:two_rooms", "--prepare", "PACKAGE"), "--prepare: expected a new folder"),
+        (("DAMAGED",), "expected JSON"),
     ],
 )
 def test_what_cannot_be_shown_says_why(
-    package: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+    package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
 ) -> None:
-    words = [str(package) if word == "PACKAGE" else word for word in arguments]
+    (tmp_path / "manifest.json").write_text("{")
+    known = {"PACKAGE": str(package), "DAMAGED": str(tmp_path)}
+    words = [known.get(word, word) for word in arguments]
     assert main(["view", *words, "--no-browser"]) == 2
-    assert said in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.strip().splitlines()) == 1

@@ -90,6 +90,13 @@ def test_settings_of_a_person_stay_and_other_files_too(viewer: Path, scene: Gaus
     assert len(Reader(site / "scene").ids) == 100
 
 
+def test_settings_of_an_earlier_export_follow_the_scene(viewer: Path, scene: Gaussians, tmp_path: Path) -> None:
+    for folder, written in (("twice", (scene, scene[:20])), ("once", (scene[:20],))):
+        for each in written:
+            write_site(tmp_path / folder, each, viewer=viewer)
+    assert (tmp_path / "twice" / "settings.json").read_bytes() == (tmp_path / "once" / "settings.json").read_bytes()
+
+
 def test_a_page_of_something_else_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("mine")
     with pytest.raises(ValueError, match="something else"):

@@ -14,9 +14,10 @@ import pytest
 from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
 from gsvis.export.bare import Harmonics
+from gsvis.export.start import start_poses
 from gsvis.export.static import CHUNK_ROW
 from gsvis.package import ChunkTable, Package, RecordLayout, decode_records
-from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from gsvis.scene.sh import SH_C0
@@ -197,8 +198,9 @@ def test_a_bare_scene_reads_back_as_what_it_was(degree: int, tmp_path: Path) -> 
     from gsvis.color.records import PRECISIONS, Grids
 
     said = read.scene["colors"]
-    base = tuple(tuple(pair) for pair in said["base"])
-    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)  # type: ignore[arg-type]
+    red, green, blue = (tuple(pair) for pair in said["base"])
+    base = red, green, blue
+    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
     rgb = np.stack([grids.base_table(k)[read.records()[:, 1 + k]] for k in range(3)], axis=1)
     span = max(high - low for low, high in base)
     assert np.abs(rgb - (0.5 + SH_C0 * g.sh0[pairs, 0])).max() < 0.02 * span
@@ -302,3 +304,15 @@ def test_it_begins_in_a_cell_upright_or_outside_of_a_bare_scene(package: Package
     low, high = g.bounds(0.9)
     assert ((eye < low) | (eye > high)).any()
     assert (turn[:, 2] @ ((low + high) / 2 - eye)) > 0.99 * np.linalg.norm((low + high) / 2 - eye)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (3**-0.5, 3**-0.5, 3**-0.5)])
+@pytest.mark.parametrize("count", [1, 50])
+def test_a_view_to_begin_with_is_upright_and_shows_the_middle(up: tuple[float, float, float], count: int) -> None:
+    g = random_scene(np.random.default_rng(0), count)
+    (start,) = start_poses(g.bounds(0.9), None, up)
+    turn = rotations_from_quats(np.array([start.rotation]))[0]
+    away = g.bounds(0.9).mean(axis=0) - start.position
+    assert np.allclose(turn[:, 2], away / np.linalg.norm(away), atol=1e-3)
+    assert abs(turn[:, 0] @ np.array(up)) < 1e-5
+    assert turn[:, 1] @ np.array(up) < 0

@@ -100,11 +100,17 @@ def until(fact: Callable[[], bool], seconds: float = PATIENCE) -> None:
         time.sleep(0.005)
 
 
+def advance(server: Server, seconds: float) -> None:
+    """Let the time of a server pass."""
+    assert isinstance(server.clock, ManualClock)
+    server.clock.advance(seconds)
+
+
 def advance_until(server: Server, fact: Callable[[], bool], step: float = 1.0) -> None:
     """Let the time of a server pass until a fact holds; only for tests in which nobody is to be spared."""
 
     def passes() -> bool:
-        server.clock.advance(step)  # type: ignore[attr-defined]
+        advance(server, step)
         return fact()
 
     until(passes)

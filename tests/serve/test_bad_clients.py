@@ -24,6 +24,7 @@ from tests.serve.certificates import certificate
 from tests.serve.servers import (
     PATIENCE,
     VIEW,
+    advance,
     advance_until,
     ask,
     frame,
@@ -106,12 +107,12 @@ def test_one_byte_of_the_next_request_does_not_keep_a_connection(plain: Path) ->
 
         with crowd(20, one) as many:
             until(lambda: phases(server) == ["idle"] * 20)
-            server.clock.advance(14.9)  # type: ignore[attr-defined]
+            advance(server, 14.9)
             for found in many:
                 found.sendall(b"E")  # a byte now and then does not help
             assert ask(server, "/healthz")[0] == 200
             until(lambda: phases(server) == ["idle"] * 20)
-            server.clock.advance(0.2)  # type: ignore[attr-defined]
+            advance(server, 0.2)
             until(lambda: phases(server) == [])
             assert all(is_over(found) for found in many)
 
@@ -119,7 +120,7 @@ def test_one_byte_of_the_next_request_does_not_keep_a_connection(plain: Path) ->
 def test_an_idle_connection_is_closed_and_one_that_asks_again_is_answered(plain: Path) -> None:
     with serving(plain) as server, answered(server) as found:
         for _ in range(3):
-            server.clock.advance(14.0)  # type: ignore[attr-defined]
+            advance(server, 14.0)
             assert get(found).startswith(b"HTTP/1.1 200")
             until(lambda: phases(server) == ["idle"])
         advance_until(server, lambda: phases(server) == [])
@@ -202,7 +203,7 @@ def test_a_class_behind_one_address_comes_back_after_an_outage(plain: Path) -> N
             assert heard(ws)[0] == 129
         with raw(server, b"") as early:
             assert ServerFault.parse(heard(early)).code == FAULTS["too-many"]
-        server.clock.advance(5.1)  # type: ignore[attr-defined]
+        advance(server, 5.1)
         place, source = ("127.0.0.1", server.port), ("127.0.0.9", 0)
         with socket.create_connection(place, PATIENCE, source_address=source) as stranger:  # who takes nobody's seat
             stranger.sendall(UPGRADE + b"\r\n" + frame(Hello(VIEW).to_bytes()))
@@ -420,7 +421,7 @@ def test_the_log_of_all_loggers_is_bounded(plain: Path, caplog: pytest.LogCaptur
         for name in ("asyncio", "uvicorn.error"):
             for _ in range(1000):
                 logging.getLogger(name).warning("again and again")
-        server.clock.advance(1.0)  # type: ignore[attr-defined]
+        advance(server, 1.0)
         for name in ("asyncio", "uvicorn.error"):
             for _ in range(1000):
                 logging.getLogger(name).warning("a second later")

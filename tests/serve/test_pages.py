@@ -196,6 +196,7 @@ def test_pages_of_allowed_origins_may_read(plain: Path, viewer: Path) -> None:
         assert ask(server, "/", "OPTIONS", Host="evil.example", **friend, **preflight)[0] == 421
     with serving(plain, origins=("*",)) as server:
         assert ask(server, "/", **friend)[1]["access-control-allow-origin"] == "*"
+        assert ask(server, "/")[1]["access-control-allow-origin"] == "*"
     with serving(plain) as server:
         assert ask(server, "/", "OPTIONS", **friend, **preflight)[0] == 403
         assert "access-control-allow-origin" not in ask(server, "/", **friend)[1]

@@ -43,6 +43,7 @@ def test_files_are_served_in_ranges(site: Path, plain: Path) -> None:
         status, fields, body = ask(server, "/scenes/room/records.bin")
         assert (status, body, int(fields["content-length"])) == (200, RECORDS, len(RECORDS))
         assert ask(server, "/scenes/room/records.bin", If_None_Match=fields["etag"])[0] == 304
+        assert ask(server, "/scenes/room/records.bin", If_None_Match="W/" + fields["etag"])[0] == 304
         end = len(RECORDS)
         for asked, start, stop in (("bytes=5-9", 5, 10), ("bytes=-7", end - 7, end), ("bytes=300000-", 300_000, end)):
             status, found, body = ask(server, "/scenes/room/records.bin", Range=asked, If_Range=fields["etag"])
@@ -76,9 +77,13 @@ def test_a_scene_gives_way_to_its_package(site: Path, plain: Path) -> None:
         server = Server(scenes, None, Address(port=0))
         with server.running() as url:
             assert ask(server, "/scenes/room/scene.json")[0] == 200
+            scenes["room"].preparing = True
+            (row,) = json.loads(ask(server, "/")[2])["scenes"]
+            assert (row["static"], row["preparing"]) == ("scenes/room/scene.json", True)
             scenes.replace(open_scene(plain, "room"))
             (row,) = json.loads(ask(server, "/")[2])["scenes"]
             assert (row["name"], row["stream"], row["static"]) == ("room", "stream/room", None)
+            assert not row["preparing"]
             client, _ = patient(url + "/room", plain)
             assert has_all(client.receiver, plain)
 

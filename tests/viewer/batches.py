@@ -27,7 +27,7 @@ I64 = NDArray[np.int64]
 
 
 class Batches:
-    """Arrays of batches, one behind the other.
+    """Arrays of batches, one after the other.
 
     Args:
         contents: What to send.

@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -295,10 +294,11 @@ def _served(package: Path, port: int, log: Path) -> Iterator[None]:
 
 
 def _until_listening(port: int, is_alive: Callable[[], bool]) -> None:
-    while True:
+    def is_listening() -> bool:
         assert is_alive()
-        try:
-            socket.create_connection(("127.0.0.1", port), timeout=1).close()
-            return
-        except OSError:
-            time.sleep(0.1)
+        with suppress(OSError):
+            socket.create_connection(("127.0.0.1", port), timeout=PATIENCE).close()
+            return True
+        return False
+
+    until(is_listening)
