@@ -326,10 +326,10 @@ class Guard(asyncio.Protocol):
     # inside
 
     def _enter(self, phase: Phase, seconds: float | None = None) -> None:
-        self.phase, self.since = phase, next(_numbers)
         if self._deadline is not None:
             self._deadline.cancel()
         self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
+        self.phase, self.since = phase, next(_numbers)  # last: who reads it from another thread finds the deadline set
 
     def _rest(self) -> None:
         """Start the deadline of the next request after the answer is sent; until then check that the peer reads."""

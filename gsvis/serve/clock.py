@@ -87,6 +87,12 @@ class ManualClock(Clock):
         """Return seconds since some moment."""
         return self._now
 
+    @property
+    def due(self) -> list[float]:
+        """Seconds from now until each call that waits, shortest first; calls that were cancelled do not count."""
+        with self._lock:
+            return sorted(time - self._now for time, _, call in self._due if not call.is_cancelled)
+
     def call_later(self, seconds: float, call: Callable[[], object]) -> Timer:
         """Make a call in the running event loop once the clock has been advanced by so many seconds."""
         found = _Call(asyncio.get_running_loop(), call)
@@ -109,6 +115,10 @@ class _Call:
     def __init__(self, loop: asyncio.AbstractEventLoop, call: Callable[[], object]) -> None:
         self._loop = loop
         self._call: Callable[[], object] | None = call
+
+    @property
+    def is_cancelled(self) -> bool:
+        return self._call is None
 
     def cancel(self) -> None:
         self._call = None  # it may hold much alive until it is due

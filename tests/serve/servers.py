@@ -106,6 +106,12 @@ def advance(server: Server, seconds: float) -> None:
     server.clock.advance(seconds)
 
 
+def is_due(server: Server, seconds: float) -> bool:
+    """Return whether a server has set a deadline in so many seconds."""
+    assert isinstance(server.clock, ManualClock)
+    return any(abs(due - seconds) < 1e-6 for due in server.clock.due)
+
+
 def advance_until(server: Server, fact: Callable[[], bool], step: float = 1.0) -> None:
     """Let the time of a server pass until a fact holds; only for tests in which nobody is to be spared."""
 

@@ -85,3 +85,20 @@ def test_a_loop_that_has_ended_is_not_called() -> None:
 
     asyncio.run(leave())
     clock.advance(2.0)
+
+
+def test_calls_that_wait_are_listed() -> None:
+    clock = ManualClock()
+
+    async def three() -> None:
+        clock.call_later(5.0, lambda: None)
+        second = clock.call_later(2.0, lambda: None)
+        clock.call_later(1.0, lambda: None)
+        clock.advance(0.5)
+        assert clock.due == [0.5, 1.5, 4.5]
+        second.cancel()
+        assert clock.due == [0.5, 4.5]
+        clock.advance(0.5)
+        assert clock.due == [4.0]
+
+    asyncio.run(three())

@@ -36,6 +36,7 @@ from tests.serve.servers import (
     give_up,
     has_all,
     heard,
+    is_due,
     limits_of,
     patient,
     phases,
@@ -186,6 +187,7 @@ def test_a_token_that_nobody_needs_is_ignored_once(plain: Path) -> None:
 def test_a_client_that_shows_no_token_in_time_is_turned_away(plain: Path) -> None:
     with serving(plain, token="s3cret-word") as server, connect(server.url, proxy=None, ping_interval=None) as ws:
         until(lambda: phases(server) == ["greeting"])
+        until(lambda: is_due(server, LIMITS.handshake_s))
         advance(server, LIMITS.handshake_s + 1.0)
         assert ServerFault.parse(heard(ws)).code == 4
         assert close_code(ws) == 1008

@@ -87,13 +87,28 @@ def turned(page: Any) -> list[float]:
 
 
 @contextmanager
-def motion(page: Any, of: Callable[[Any], Any] = turned) -> Iterator[None]:
-    """Expect the view to change, and wait until it rests."""
-    before = of(page)
-    yield
-    name = "position" if of is eye else "rotation"
-    page.wait_for_function(f"before => JSON.stringify(fake.camera.{name}) !== JSON.stringify(before)", arg=before)
+def motion(page: Any, of: Callable[[Any], Any] = turned) -> Iterator[Callable[[], None]]:
+    """Expect the view to change, and wait until it rests.
+
+    Yields:
+        Waits for the change: what is held until a frame has seen it is let go after that.
+    """
+    before, name = of(page), "position" if of is eye else "rotation"
+
+    def changed() -> None:
+        page.wait_for_function(f"before => JSON.stringify(fake.camera.{name}) !== JSON.stringify(before)", arg=before)
+
+    yield changed
+    changed()
     rest(page)
+
+
+def hold(page: Any, key: str, of: Callable[[Any], Any] = turned) -> None:
+    """Hold a key until the view changes."""
+    with motion(page, of) as changed:
+        page.keyboard.down(key)
+        changed()
+        page.keyboard.up(key)
 
 
 def rest(page: Any) -> None:
@@ -148,11 +163,9 @@ def test_keys_turn_and_move_in_every_way_to_move(visit: Open, way: str) -> None:
     page = visit(f"{ROOM}#eye=2.5,1.5,1.6&to=4,2.5,1&mode={way}")
     page.locator("canvas").first.focus()
     for key in ("ArrowLeft", "ArrowRight"):
-        with motion(page):
-            page.keyboard.press(key, delay=150)
+        hold(page, key)
     for key in ("w", "a", "s", "d", *("qe" if way != "walk" else "")):
-        with motion(page, eye):
-            page.keyboard.press(key, delay=150)
+        hold(page, key, eye)
     if way != "walk":  # a wall may be ahead
         with motion(page, eye):
             page.keyboard.press("+")
@@ -164,7 +177,7 @@ def test_walking_stays_on_the_floor(visit: Open) -> None:
     page.keyboard.down("Shift")
     page.keyboard.down("KeyW")
     page.wait_for_function("() => fake.camera.position[0] > 5.5")
-    page.wait_for_timeout(800)
+    rest(page)  # at the wall
     page.keyboard.up("KeyW")
     page.keyboard.up("Shift")
     rest(page)
@@ -177,8 +190,7 @@ def test_walking_stays_on_the_floor(visit: Open) -> None:
 def test_letters_move_when_a_button_has_the_focus_and_not_when_somebody_types(visit: Open) -> None:
     page = visit()
     page.get_by_role("button", name="Options").focus()
-    with motion(page, eye):
-        page.keyboard.press("w", delay=150)
+    hold(page, "w", eye)
     page.evaluate("fake.become({kind: 'failed', message: 'no', code: 4})")
     before = eye(page)
     page.get_by_label("Token").press_sequentially("wasd?h")
@@ -208,26 +220,26 @@ def test_fingers_turn_pan_and_pinch(visit: Open) -> None:
     assert mode(page) == "fly"
     box = page.locator(".joystick").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    with motion(page, eye):
+    with motion(page, eye) as changed:
         touch("touchStart", (x, y - 30))
-        page.wait_for_timeout(200)
+        changed()
         touch("touchEnd")
 
 
 def test_a_gamepad_moves_looks_and_runs_actions(visit: Open) -> None:
     page = visit()
-    with motion(page):
+    with motion(page) as changed:
         page.evaluate("""() => {
             const buttons = Array.from({length: 17}, () => ({pressed: false, value: 0}));
             window.pad = {index: 0, connected: true, mapping: "standard", axes: [0, 0, 0.8, 0], buttons};
             navigator.getGamepads = () => [window.pad];
             window.dispatchEvent(new Event("gamepadconnected"));
         }""")
-        page.wait_for_timeout(200)
+        changed()
         page.evaluate("pad.axes = [0, 0, 0, 0]")
-    with motion(page, eye):
+    with motion(page, eye) as changed:
         page.evaluate("pad.axes = [0, -1, 0, 0]")
-        page.wait_for_timeout(200)
+        changed()
         page.evaluate("pad.axes = [0, 0, 0, 0]")
     page.evaluate("pad.buttons[0] = {pressed: true, value: 1}")
     page.wait_for_function("() => document.documentElement.dataset.mode === 'orbit'")
