@@ -38,6 +38,7 @@ export class Renderer {
   readonly #colored: WebGLFramebuffer;
   readonly #target: WebGLFramebuffer;
   readonly #quads: WebGLVertexArrayObject;
+  readonly #indices: WebGLBuffer;
   readonly #empty: WebGLVertexArrayObject;
   #picture: WebGLTexture | null = null;
   #size = [0, 0];
@@ -57,7 +58,7 @@ export class Renderer {
     this.#shapes = new GrowingTexture(gl, "RGBA32UI");
     this.#paints = new GrowingTexture(gl, "RGBA32UI");
     [this.#splats, this.#colored, this.#target] = [0, 1, 2].map(() => gl.createFramebuffer());
-    this.#quads = makeQuads(gl);
+    [this.#quads, this.#indices] = makeQuads(gl);
     this.#empty = gl.createVertexArray();
     gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.DITHER);
@@ -242,6 +243,7 @@ export class Renderer {
     for (const program of [this.#splat, this.#present, this.#project, this.#colors]) if (program) gl.deleteProgram(program.program);
     gl.deleteTexture(this.#picture);
     gl.deleteVertexArray(this.#quads);
+    gl.deleteBuffer(this.#indices);
     gl.deleteVertexArray(this.#empty);
   }
 }
@@ -253,14 +255,14 @@ export function choosePrecision(gl: WebGL2RenderingContext, wanted: Precision): 
   return wanted !== "bytes" && half ? "half" : "bytes";
 }
 
-/** Return the corners of many quads: vertex 4 q + c is corner c of quad q. */
-function makeQuads(gl: WebGL2RenderingContext): WebGLVertexArrayObject {
+/** Return the corners of many quads, and the buffer of their indices: vertex 4 q + c is corner c of quad q. */
+function makeQuads(gl: WebGL2RenderingContext): [WebGLVertexArrayObject, WebGLBuffer] {
   const indices = new Uint16Array(6 * QUADS);
   for (let q = 0; q < QUADS; q++) indices.set([4 * q, 4 * q + 1, 4 * q + 2, 4 * q + 2, 4 * q + 1, 4 * q + 3], 6 * q);
-  const array = gl.createVertexArray();
+  const array = gl.createVertexArray(), buffer = gl.createBuffer();
   gl.bindVertexArray(array);
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
   gl.bindVertexArray(null);
-  return array;
+  return [array, buffer];
 }

@@ -24,11 +24,12 @@ export class GrowingTexture {
   get rows(): number { return this.#rows; }
   get bytes(): number { return this.#rows * ROW * 4 * LENGTHS[this.#format]; }
 
-  /** Make room for `texels`; `most` bounds how far ahead it grows. Returns whether the texture is another one now. */
+  /** Make room for `texels`; `most` bounds how far ahead it grows. Returns whether the texture is another one now: never one of a lost context. */
   reserve(texels: number, most = Infinity): boolean {
     const needed = Math.max(1, Math.ceil(texels / ROW));
-    if (needed <= this.#rows) return false;
-    const gl = this.#gl, limit = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
+    const gl = this.#gl;
+    if (needed <= this.#rows || gl.isContextLost()) return false;
+    const limit = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
     if (needed > limit) throw new Error(`this device draws at most ${limit * ROW} Gaussians or terms of a scene, got ${texels}`);
     const ahead = Math.max(this.#rows * 2, needed > 1 ? LEAST_ROWS : 1);
     const rows = Math.min(limit, Math.max(needed, Math.min(ahead, Math.ceil(most / ROW))));

@@ -71,7 +71,7 @@ export class Viewer extends EventTarget {
   #levels: boolean[] = [];
   #lost = false;
   #immersed = false;
-  #waiting: Batch[] | null = null; // what arrived while the GPU is filled anew
+  #waiting: Batch[] | null = null; // what arrived while the GPU is lost or filled anew
   #dirty = true;
   #version = 0; // of the data
   #sorted: { camera: Camera; version: number; region: Region } | null = null; // what the last order is for
@@ -301,7 +301,8 @@ export class Viewer extends EventTarget {
       this.#figures.dropped = this.#figures.replaced = this.#replaced = 0;
       this.#waiting = null;
       this.#version += 1;
-      if (!this.#lost) {
+      if (this.#isLost()) this.#waiting = [];
+      else {
         this.#beginStore(null);
         this.#finishStore();
       }
@@ -310,20 +311,21 @@ export class Viewer extends EventTarget {
   }
 
   #takeBatch(batch: Batch): void {
+    if (this.#isLost()) this.#waiting ??= [];
     if (this.#waiting) {
       this.#waiting.push(batch);
       return;
     }
     const begin = performance.now(), store = this.#store;
     const fitting = this.#trim(batch);
-    if (!this.#lost) store?.append(fitting);
+    store?.append(fitting);
     this.#replaced += batch.gone.length;
     this.#figures.replaced += batch.gone.length;
     this.#version += 1;
     if (batch.owners.length) this.#dirty = true;
     this.#sorter.append(fitting);
     this.#figures.append = performance.now() - begin;
-    if (store && !this.#lost && this.#replaced > 100_000 && this.#replaced > store.count * 0.35) this.#refill();
+    if (store && this.#replaced > 100_000 && this.#replaced > store.count * 0.35) this.#refill();
     this.#request();
   }
 
@@ -341,15 +343,20 @@ export class Viewer extends EventTarget {
     return { ...batch, ids: none, records: none, rows: none, harmonics: null };
   }
 
+  /** Return whether the GPU has lost all; the event that says so may come later. */
+  #isLost(): boolean {
+    return this.#lost || this.#gl.isContextLost();
+  }
+
   /** Fill the GPU anew from what the Worker holds: after a lost context, or to close the gaps of what was replaced. */
   #refill(): void {
-    this.#waiting = [];
+    this.#waiting ??= [];
     this.#replaced = 0;
     this.#sorter.content();
   }
 
   #beginStore(slots: Uint32Array | null): void {
-    if (!this.#header || this.#lost) return;
+    if (!this.#header || this.#isLost()) return;
     this.#store?.dispose();
     this.#store = new Store(this.#gl, this.#header);
     this.#store.slots = slots;
@@ -378,14 +385,18 @@ export class Viewer extends EventTarget {
   #lose = (event: Event): void => {
     event.preventDefault(); // otherwise it never comes back
     this.#lost = true;
+    this.#waiting ??= [];
+    this.#sorter.forget();
     this.#say("contextlost");
   };
 
   #restore = (): void => {
+    if (this.#gl.isContextLost()) return; // lost once more since
     this.#lost = false;
     this.#renderer = new Renderer(this.#gl, this.#options.precision);
     this.#store = null;
     if (this.#header) this.#refill();
+    else this.#waiting = null;
     this.#say("contextrestored");
     this.redraw();
   };
