@@ -271,6 +271,16 @@ test("traffic is reported with its rate, which falls to 0", () => {
   assert.equal(stage.traffic.at(-1)?.rate, 0);
 });
 
+test("the rate falls to 0 also when the connection is lost", () => {
+  const stage = new Stage().begin();
+  stage.socket.hear(batches[0]);
+  stage.clock.advance(300);
+  assert.ok((stage.traffic.at(-1)?.rate ?? 0) > 0);
+  stage.socket.break();
+  stage.clock.advance(5000);
+  assert.equal(stage.traffic.at(-1)?.rate, 0);
+});
+
 test("a bug in what listens is reported, not swallowed", () => {
   const stage = new Stage().begin();
   (stage.batches as { push: unknown }).push = () => { throw new TypeError("oops"); };

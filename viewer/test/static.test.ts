@@ -13,7 +13,9 @@ import { HELD, frustum, rank, regimeOf, slice } from "../src/core/static-plan.ts
 import { parseRow, Cells } from "../src/core/static-cells.ts";
 import { parseScene } from "../src/core/static-scene.ts";
 import { baseOf } from "../src/core/static-source.ts";
-import type { Batch, Pose, SourceState, View } from "../src/core/types.ts";
+import { type Clock, REAL_TIME } from "../src/core/traffic.ts";
+import type { Batch, Pose, SourceState, Traffic, View } from "../src/core/types.ts";
+import { FakeClock } from "./fakes.ts";
 
 interface Recorded {
   files: Record<string, string>;
@@ -64,12 +66,12 @@ class Client {
   readonly batches: Batch[] = [];
   readonly states: SourceState[] = [];
   headers = 0;
-  bytes = 0;
+  readonly traffic: Traffic[] = [];
   private listeners: (() => void)[] = [];
   readonly host: StaticHost;
 
-  constructor(t: TestContext, url: string, held: Map<string, Blob> | null = null) {
-    this.host = new StaticHost((report) => this.take(report), { now: () => performance.now() / 1000 }, (events, stop) =>
+  constructor(t: TestContext, url: string, held: Map<string, Blob> | null = null, clock: Clock = REAL_TIME) {
+    this.host = new StaticHost((report) => this.take(report), clock, (events, stop) =>
       held === null ? new HttpParts(url, events, stop, { sleep: () => new Promise((done) => { setImmediate(done); }), random: () => 0.5 }) : new HeldParts(held, events));
     t.after(() => this.host.close()); // also where a test fails: what asks on keeps Node alive
   }
@@ -78,7 +80,7 @@ class Client {
     if (report.kind === "batch") this.batches.push(report.batch);
     else if (report.kind === "state") this.states.push(report.state);
     else if (report.kind === "header") this.headers++;
-    else this.bytes = report.traffic.bytes;
+    else this.traffic.push(report.traffic);
     for (const listener of this.listeners) listener();
   }
 
@@ -157,7 +159,23 @@ test("all that a cell needs arrives, in the order of arrival, and what its neigh
   assert.ok(client.batches.some((batch) => batch.owners.length > 0));
   assert.deepEqual(client.states.map((state) => state.kind), ["connecting", "streaming", "complete"]);
   assert.equal(client.headers, 1);
-  assert.ok(client.bytes > 0);
+});
+
+test("bytes are reported with their rate, which falls to 0 when no more come", async (t) => {
+  const { url } = await serve(t, filesOf(VECTOR.package)), clock = new FakeClock();
+  const client = new Client(t, url, null, clock);
+  client.look(VECTOR.package.centers![0]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  clock.advance(300);
+  const busy = client.traffic.at(-1)!;
+  assert.ok(busy.bytes > 0 && busy.rate > 0 && busy.gaussians > 0, JSON.stringify(busy));
+  clock.advance(5000);
+  const last = client.traffic.at(-1)!, reports = client.traffic.length;
+  assert.equal(last.rate, 0);
+  assert.ok(last.bytes >= busy.bytes);
+  clock.advance(60_000);
+  assert.equal(client.traffic.length, reports);
 });
 
 test("a bare scene has one cell with everything, and harmonics beside its records", async (t) => {

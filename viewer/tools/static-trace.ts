@@ -64,7 +64,7 @@ for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose
     const { ids, owners, gone } = report.batch;
     steps.push({ bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now, ids: [...ids], owners: [...new Set(owners)], gone: [...gone] });
   };
-  const host = new StaticHost(post, { now: () => parts?.now ?? 0 }, (events) => (parts = new LinkedParts(folder, events, rate, trip)));
+  const host = new StaticHost(post, { now: () => 1000 * (parts?.now ?? 0), after: () => () => undefined }, (events) => (parts = new LinkedParts(folder, events, rate, trip)));
   host.setView(view);
   host.setPose(pose);
   void host.start();

@@ -1,6 +1,7 @@
 // What the network Worker does: one `Connection`, orders from the page in, events for it out. The arrays of batches move.
 import { Connection } from "./connection.ts";
 import type { Clock, ConnectionOptions, Socket } from "./connection.ts";
+import { REAL_TIME } from "./traffic.ts";
 import type { Batch, Header, Pose, SourceState, Traffic, View } from "./types.ts";
 
 /** From the page. */
@@ -52,13 +53,5 @@ function buffersOf(batch: Batch): ArrayBuffer[] {
   return [...found];
 }
 
-/** The time of a browser or of node. */
-export const REAL_CLOCK: Clock = {
-  now: () => performance.now(),
-  wall: () => Date.now(),
-  after: (milliseconds, work) => {
-    const timer = setTimeout(work, milliseconds);
-    return () => clearTimeout(timer);
-  },
-  random: () => Math.random(),
-};
+/** Time and chance of a browser or of node. */
+export const REAL_CLOCK: Clock = { ...REAL_TIME, wall: () => Date.now(), random: () => Math.random() };

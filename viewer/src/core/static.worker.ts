@@ -2,6 +2,7 @@
 import { StaticHost } from "./static-host.ts";
 import type { Order, Report } from "./static-host.ts";
 import { HeldParts, HttpParts } from "./static-parts.ts";
+import { REAL_TIME } from "./traffic.ts";
 import type { Batch } from "./types.ts";
 
 declare const self: DedicatedWorkerGlobalScope;
@@ -11,7 +12,7 @@ let host: StaticHost | null = null;
 self.onmessage = (event: MessageEvent<Order>) => {
   const order = event.data;
   if (order.kind === "start") {
-    host = new StaticHost(post, { now: () => performance.now() / 1000 }, (events, stop) =>
+    host = new StaticHost(post, REAL_TIME, (events, stop) =>
       order.held === null ? new HttpParts(order.base, events, stop) : new HeldParts(order.held, events));
     void host.start();
   } else if (order.kind === "pose") host?.setPose(order.pose);
