@@ -48,6 +48,12 @@ class FakeViewer extends EventTarget implements ViewerLike {
     this.dispatchEvent(new Event("state"));
   }
 
+  /** Say the header again, as after a lost connection; with an identity it is of another scene. */
+  greet(identity = HEADER.identity): void {
+    this.header = { ...HEADER, identity };
+    this.dispatchEvent(new Event("header"));
+  }
+
   get camera(): PageCamera {
     return this.#camera;
   }

@@ -26,9 +26,13 @@ interface Part {
 export class Panel {
   readonly element = make("div", { class: "panel" });
   private readonly legend = make("p", { class: "legend" });
+  private readonly buttons: HTMLElement; // made once: each of them watches the actions as long as the page lives
   private parts: Part[] = [];
 
-  constructor(private readonly targets: PanelTargets) {}
+  constructor(private readonly targets: PanelTargets) {
+    const names = ["statistics", "share", "picture", "full", "help"];
+    this.buttons = make("div", { class: "actions" }, ...names.map((id) => actionButton(targets.actions, id, true)));
+  }
 
   /** Build the panel anew for a scene. */
   fill(header: Header | null): void {
@@ -50,7 +54,7 @@ export class Panel {
         targets.cells.known() ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show)) : null,
       ));
     }
-    const { fov, pace, theme, actions } = targets;
+    const { fov, pace, theme } = targets;
     sections.push(
       section("Camera",
         add(slider("fov", "Field of view", { low: 20, high: 110, step: 1, text: (x) => `${Math.round(x)}°` }, fov.degrees, fov.choose)),
@@ -59,7 +63,7 @@ export class Panel {
       ),
       section("Appearance", add(choices<Theme>("theme", "Appearance", [{ value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" }],
         () => theme.chosen, (chosen) => theme.choose(chosen)))),
-      make("div", { class: "actions" }, ...["statistics", "share", "picture", "full", "help"].map((id) => actionButton(actions, id, true))),
+      this.buttons,
     );
     this.element.replaceChildren(...sections);
     this.refresh();

@@ -147,6 +147,7 @@ export class ViewPage {
 
   /** Open the scene in a fresh canvas. */
   private open(): void {
+    this.header = null;
     this.canvas.replaceWith((this.canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
@@ -192,7 +193,7 @@ export class ViewPage {
     const header = viewer.header;
     if (!header) return;
     await this.ready;
-    if (this.viewer !== viewer) return;
+    if (this.viewer !== viewer || this.header?.identity === header.identity) return; // connected again: all stays as it is
     this.header = header;
     const { navigator, surroundings } = this;
     navigator.reframe(frameFromUp(header.up));
