@@ -1,9 +1,9 @@
 // What the page makes of a server's facts: first views, globes, addresses, lists; and of a server that says nonsense.
 
 import assert from "node:assert/strict";
-import { test } from "node:test";
+import { test, type TestContext } from "node:test";
 import type { Header, Source } from "../src/core/types.ts";
-import { readAddress } from "../src/page/address.ts";
+import { readAddress, type SceneAddress } from "../src/page/address.ts";
 import { begin, guessMeter } from "../src/page/begin.ts";
 import { readCells, readFloor, readWhy } from "../src/page/facts.ts";
 import type { Cells } from "../src/page/facts.ts";
@@ -13,7 +13,7 @@ import { readScenes } from "../src/page/list.ts";
 import { describeState, explainFailure } from "../src/page/messages.ts";
 import { edgesOf } from "../src/page/overlay.ts";
 import { pivot } from "../src/page/rig.ts";
-import { holdPoses } from "../src/page/scene.ts";
+import { awaitStream, holdPoses } from "../src/page/scene.ts";
 import { startInCells, startOnFloor, surroundedBy } from "../src/page/start.ts";
 import * as v from "../src/page/vector.ts";
 import type { Vec3 } from "../src/page/vector.ts";
@@ -167,4 +167,34 @@ test("every end of a source has words", () => {
     assert.ok(title && text && retry);
   }
   assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Offline · next try in 3 s");
+});
+
+/** Answer requests of a test, one after the other; `null` is a server that does not answer. */
+function answer(t: TestContext, ...answers: unknown[]): string[] {
+  const asked: string[] = [];
+  t.mock.method(globalThis, "fetch", (address: string) => {
+    asked.push(address);
+    const next = answers.shift();
+    if (next === null) return Promise.reject(new TypeError("no connection"));
+    return Promise.resolve(typeof next === "number" ? new Response("", { status: next }) : Response.json(next));
+  });
+  return asked;
+}
+
+const SCENE: SceneAddress = { kind: "static", name: "hall", url: "http://a.example/scenes/hall/", root: "http://a.example/" };
+const listed = (row: object): object => ({ scenes: [{ name: "hall", stream: null, static: null, ...row }] });
+
+test("a scene that is being prepared is asked for until its stream is there, also after questions without an answer", async (t) => {
+  const waits: number[] = [], preparing = listed({ static: "scenes/hall/", preparing: true });
+  const asked = answer(t, preparing, null, 503, null, { nonsense: 1 }, null, null, preparing, listed({ stream: "stream/hall" }));
+  const found = await awaitStream(SCENE, async (milliseconds) => void waits.push(milliseconds));
+  assert.deepEqual(found, { ...SCENE, kind: "stream", url: "ws://a.example/stream/hall" });
+  assert.equal(asked.length, 9);
+  assert.deepEqual(waits, [3000, 3000, 6000, 12_000, 24_000, 48_000, 60_000, 60_000, 3000]);
+});
+
+test("a scene whose preparation has ended without a stream is not asked for again", async (t) => {
+  const asked = answer(t, listed({ static: "scenes/hall/", preparing: false }));
+  assert.equal(await awaitStream(SCENE, async () => undefined), null);
+  assert.equal(asked.length, 1);
 });

@@ -4,22 +4,44 @@ import type { Pose, Source } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
 
-/** Where a scene is read from, and whether its server prepares it for streaming meanwhile. */
-export interface Located {
+/** Where a scene is read from, and whether its server prepares it for streaming meanwhile; `answered`: the server has said so. */
+interface Located {
   scene: SceneAddress;
   preparing: boolean;
+  answered: boolean;
 }
+
+const LOOK_MS = 3000; // between two questions whether a scene is prepared
+const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
 
 /** Return the address to read a scene from: a server has some scenes as streams and some as files. */
 export async function locate(scene: SceneAddress): Promise<Located> {
-  if (!scene.root) return { scene, preparing: false };
+  if (!scene.root) return { scene, preparing: false, answered: false };
   const listed = await ask(scene.root);
-  const rows = isFields(listed) && Array.isArray(listed.scenes) ? listed.scenes.filter(isFields) : [];
-  const row = rows.find((each) => each.name === scene.name);
-  if (typeof row?.stream === "string") return { scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) }, preparing: false };
-  if (typeof row?.static !== "string") return { scene, preparing: false };
-  return { scene: { ...scene, kind: "static", url: new URL(row.static, scene.root).href }, preparing: row.preparing === true };
+  const rows = isFields(listed) && Array.isArray(listed.scenes) ? listed.scenes.filter(isFields) : null;
+  const row = rows?.find((each) => each.name === scene.name), said = { preparing: false, answered: rows !== null };
+  if (typeof row?.stream === "string") {
+    return { ...said, scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) } };
+  }
+  if (typeof row?.static !== "string") return { ...said, scene };
+  const url = new URL(row.static, scene.root).href;
+  return { ...said, scene: { ...scene, kind: "static", url }, preparing: row.preparing === true };
 }
+
+/** Ask until the server has prepared a scene; return its stream, or null where none will come. */
+export async function awaitStream(
+  scene: SceneAddress, sleep: (milliseconds: number) => Promise<void> = rest,
+): Promise<SceneAddress | null> {
+  for (let wait = LOOK_MS; ; ) {
+    await sleep(wait);
+    const now = await locate(scene);
+    wait = now.answered ? LOOK_MS : Math.min(2 * wait, LONGEST_LOOK_MS); // a question without an answer settles nothing
+    if (!now.answered || now.preparing) continue;
+    return now.scene.kind === "stream" ? now.scene : null;
+  }
+}
+
+const rest = (milliseconds: number): Promise<void> => new Promise((done) => { setTimeout(done, milliseconds); });
 
 function streamUrl(path: string, root: string): string {
   const url = new URL(path, root);
