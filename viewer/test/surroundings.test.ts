@@ -5,7 +5,7 @@ import { test, type TestContext } from "node:test";
 import type { Header, Source } from "../src/core/types.ts";
 import { readAddress, type SceneAddress } from "../src/page/address.ts";
 import { begin, guessMeter } from "../src/page/begin.ts";
-import { readCells, readFloor, readWhy } from "../src/page/facts.ts";
+import { Facts, readCells, readFloor, readWhy } from "../src/page/facts.ts";
 import type { Cells } from "../src/page/facts.ts";
 import { readPad } from "../src/page/gamepad.ts";
 import { globeFaces, matchFaces } from "../src/page/globe.ts";
@@ -20,6 +20,8 @@ import type { Vec3 } from "../src/page/vector.ts";
 
 const FRAME = v.frameFromUp([0, 0, 1]);
 const NONE = { floor: null, cells: null, poses: [] };
+
+const FLOOR = { origin: [0, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 1, rows: 2, heights: [1, 1, 1] };
 
 /** A hall of 9 x 5 squares with a niche; heights of 1.6. */
 const hall = () => {
@@ -90,13 +92,33 @@ test("a meter is what the scene says, else a tenth of the cells", () => {
 
 test("a server that says nonsense costs a panel, never an error", () => {
   const nonsense = [null, 3, "x", [], {}, { origin: "a" }, { seeing: 3 }, { cells: 5, directions: { of: "x", seen: [[1]] } },
-    { origin: [0, 0, 0], size: -1, boxes: [] }, { columns: 1e9, rows: 1e9, heights: [] }];
+    { origin: [0, 0, 0], size: -1, boxes: [] }, { origin: [0, 0, 0], size: 1, boxes: [] }, { origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], 7] },
+    { ...FLOOR, columns: 1.5 }, { ...FLOOR, heights: [null, null] }, { columns: 1e9, rows: 1e9, heights: [] }];
   for (const one of nonsense) {
     assert.equal(readFloor(one), null);
     assert.equal(readCells(one), null);
     assert.doesNotThrow(() => readWhy(one));
   }
   assert.deepEqual(readWhy({ cells: null, directions: null }), { cells: null, directions: null });
+});
+
+test("a hundred thousand cells are read and begun in, more are not", () => {
+  const boxes = Array.from({ length: 100_000 }, (_, k): Vec3 => [k, 0, 0]), many = { origin: [0, 0, 0], size: 1, boxes };
+  const cells = readCells(many);
+  assert.ok(cells);
+  const rig = startInCells(cells, FRAME);
+  assert.ok(rig && Math.abs(rig.eye[0] - 50_000) <= 1);
+  assert.equal(guessMeter({ metersPerUnit: 0 } as Header, cells), Math.hypot(100_000, 1, 1) / 10);
+  assert.doesNotThrow(() => begin("#eye=1,0,0&to=2,0,0", [], FRAME, { ...NONE, cells }));
+  assert.equal(readCells({ ...many, boxes: [...boxes, [0, 1, 0]] }), null);
+});
+
+test("an answer is kept, and so is that there is none; a question without an answer is asked again", async (t) => {
+  const asked = answer(t, null, 503, row(), 404), facts = new Facts("http://a.example/scenes/hall/");
+  for (const expected of [null, null, row(), row()]) assert.deepEqual(await facts.cells(), expected);
+  assert.equal(asked.length, 3);
+  for (let k = 0; k < 2; k++) assert.equal(await facts.why(7), null);
+  assert.equal(asked.length, 4);
 });
 
 test("facts of a Gaussian are read, rows of directions nested or not", () => {

@@ -10,7 +10,7 @@ import { BAD_HASH, FAR_HASH } from "./messages.ts";
 import type { Mode } from "./navigator.ts";
 import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, distance, rotate, scale } from "./vector.ts";
+import { add, boundsOf, distance, rotate, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const PATIENCE = 2500; // milliseconds that a first picture waits for facts
@@ -82,8 +82,8 @@ function isFar(eye: Vec3, cells: Cells): boolean {
 
 function extent(cells: Cells): number {
   const sides = [0, 1, 2].map((k) => {
-    const places = cells.boxes.map((box) => box[k]);
-    return (Math.max(...places) - Math.min(...places) + 1) * cells.size;
+    const [low, high] = boundsOf(cells.boxes.map((box) => box[k]));
+    return (high - low + 1) * cells.size;
   });
   return Math.hypot(...sides);
 }

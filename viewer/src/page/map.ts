@@ -4,7 +4,7 @@ import { draw } from "./dom.ts";
 import type { Cells, Sight } from "./facts.ts";
 import { forward } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, dot, scale } from "./vector.ts";
+import { add, boundsOf, dot, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const SIDE = 200; // of the picture, its own units
@@ -15,8 +15,8 @@ export function drawMap(cells: Cells, seeing: readonly Sight[], at: Vec3, rig: R
   const half = cells.size / 2;
   const centers = cells.boxes.map((box) => flat(add(cells.origin, scale(add(box, [0.5, 0.5, 0.5]), cells.size))));
   const all = [...centers, flat(at), flat(rig.eye)];
-  const low = [0, 1].map((k) => Math.min(...all.map((p) => p[k])) - half);
-  const high = [0, 1].map((k) => Math.max(...all.map((p) => p[k])) + half);
+  const bounds = [0, 1].map((k) => boundsOf(all.map((p) => p[k])));
+  const low = bounds.map(([least]) => least - half), high = bounds.map(([, most]) => most + half);
   const size = Math.max(high[0] - low[0], high[1] - low[1], 1e-9);
   const zoom = (SIDE - 2 * MARGIN) / size;
   const place = ([x, y]: [number, number]): [number, number] => [

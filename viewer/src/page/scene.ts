@@ -3,6 +3,7 @@
 import type { Pose, Source } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
+import { fields, list } from "./json.ts";
 
 /** Where a scene is read from, and whether its server prepares it for streaming meanwhile; `answered`: the server has said so. */
 interface Located {
@@ -18,8 +19,8 @@ const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
 export async function locate(scene: SceneAddress): Promise<Located> {
   if (!scene.root) return { scene, preparing: false, answered: false };
   const listed = await ask(scene.root);
-  const rows = isFields(listed) && Array.isArray(listed.scenes) ? listed.scenes.filter(isFields) : null;
-  const row = rows?.find((each) => each.name === scene.name), said = { preparing: false, answered: rows !== null };
+  const rows = fields(listed)?.scenes, said = { preparing: false, answered: Array.isArray(rows) };
+  const row = list(rows).map(fields).find((each) => each?.name === scene.name);
   if (typeof row?.stream === "string") {
     return { ...said, scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) } };
   }
@@ -54,7 +55,7 @@ export async function proposedPoses(scene: SceneAddress): Promise<Pose[]> {
   if (scene.kind !== "static") return [];
   const address = /\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`;
   const content = scene.url === "inline:" ? readInline() : await ask(address);
-  return isFields(content) ? readPoses(content.poses) : [];
+  return readPoses(fields(content)?.poses);
 }
 
 /** Hold poses back until the page has chosen its first view: no byte is spent on a view that nobody sees. */
@@ -92,8 +93,4 @@ async function ask(address: string): Promise<unknown> {
   } catch {
     return null; // the source says what is wrong
   }
-}
-
-function isFields(value: unknown): value is Record<string, unknown> {
-  return typeof value === "object" && value !== null && !Array.isArray(value);
 }

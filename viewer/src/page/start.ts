@@ -4,7 +4,7 @@ import type { Cells } from "./facts.ts";
 import type { Floor } from "./ground.ts";
 import { NORMAL_FOV, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, dot, scale, subtract } from "./vector.ts";
+import { add, boundsOf, dot, scale, subtract } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const WAYS = 16; // directions looked at from the first place
@@ -39,7 +39,7 @@ export function startInCells(cells: Cells, frame: Frame): Rig | null {
   const middle = scale(centers.reduce(add), 1 / centers.length);
   const away = (center: Vec3): number => dot(subtract(center, middle), subtract(center, middle));
   const eye = centers.reduce((a, b) => (away(b) < away(a) ? b : a));
-  const reach = (axis: Vec3): number => Math.max(...centers.map((center) => dot(subtract(center, eye), axis)));
+  const reach = (axis: Vec3): number => boundsOf(centers.map((center) => dot(subtract(center, eye), axis)))[1];
   const axes = [frame.north, frame.east, scale(frame.north, -1), scale(frame.east, -1)];
   const ahead = axes.reduce((a, b) => (reach(b) > reach(a) + 1e-9 ? b : a));
   return rigFromTarget(eye, add(eye, scale(ahead, Math.max(reach(ahead), cells.size))), frame, NORMAL_FOV);

@@ -12,6 +12,13 @@ export const distance = (a: Vec3, b: Vec3): number => length(subtract(a, b));
 export const mix = (a: Vec3, b: Vec3, t: number): Vec3 => add(scale(a, 1 - t), scale(b, t));
 export const clamp = (x: number, low: number, high: number): number => Math.min(Math.max(x, low), high);
 
+/** Return the least and the largest value, of any number of values. */
+export function boundsOf(values: readonly number[]): [number, number] {
+  let [low, high] = [Infinity, -Infinity];
+  for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+  return [low, high];
+}
+
 export function cross(a: Vec3, b: Vec3): Vec3 {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
