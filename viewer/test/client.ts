@@ -3,7 +3,8 @@
 import { writeFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 import { host, REAL_CLOCK } from "../src/core/network.host.ts";
-import type { Order, Report } from "../src/core/network.host.ts";
+import type { NetworkOrder as Order } from "../src/core/network.host.ts";
+import type { Report } from "../src/core/worker-source.ts";
 import type { Socket } from "../src/core/connection.ts";
 import { add } from "../src/core/bits.ts";
 import { serialize } from "../src/core/roaring.ts";

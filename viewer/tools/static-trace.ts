@@ -3,7 +3,7 @@
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { StaticHost } from "../src/core/static-host.ts";
-import type { Report } from "../src/core/static-host.ts";
+import type { Report } from "../src/core/worker-source.ts";
 import type { PartEvents, Parts } from "../src/core/static-parts.ts";
 import type { StaticFile } from "../src/core/static-scene.ts";
 import type { Pose, View } from "../src/core/types.ts";

@@ -2,26 +2,22 @@
 import { Connection } from "./connection.ts";
 import type { Clock, ConnectionOptions, Socket } from "./connection.ts";
 import { REAL_TIME } from "./traffic.ts";
-import type { Batch, Header, Pose, SourceState, Traffic, View } from "./types.ts";
+import type { Pose, View } from "./types.ts";
+import { buffersOf, type Order, type Report } from "./worker-source.ts";
 
-/** From the page. */
-export type Order =
-  | { kind: "start"; options: ConnectionOptions }
-  | { kind: "pose"; pose: Pose }
-  | { kind: "view"; view: View }
-  | { kind: "retry" }
-  | { kind: "online" }
-  | { kind: "close" };
+/** Of a stream alone: try again at once. */
+export interface Retry {
+  kind: "retry";
+}
 
-/** To the page. */
-export type Report =
-  | { kind: "header"; header: Header; fresh: boolean }
-  | { kind: "batch"; batch: Batch }
-  | { kind: "state"; state: SourceState }
-  | { kind: "traffic"; traffic: Traffic };
+/** From the page, and from the Worker itself when the device is on a network again. */
+export type NetworkOrder = Order<{ options: ConnectionOptions }, Retry | { kind: "online" }>;
 
 /** Return what takes orders; it reports through `post`. */
-export function host(post: (report: Report, moved: ArrayBuffer[]) => void, connect: (url: string) => Socket, clock: Clock): (order: Order) => void {
+export function host(
+  post: (report: Report, moved: ArrayBuffer[]) => void, connect: (url: string) => Socket, clock: Clock,
+): (order: NetworkOrder) => void {
+  const say = (report: Report): void => post(report, buffersOf(report));
   let connection: Connection | null = null;
   let view: View | null = null, pose: Pose | null = null;
   return (order) => {
@@ -29,10 +25,10 @@ export function host(post: (report: Report, moved: ArrayBuffer[]) => void, conne
     if (order.kind === "pose") pose = order.pose;
     if (order.kind === "start" && connection === null) {
       connection = new Connection(order.options, {
-        header: (header, fresh) => post({ kind: "header", header, fresh }, []),
-        batch: (batch) => post({ kind: "batch", batch }, buffersOf(batch)),
-        state: (state) => post({ kind: "state", state }, []),
-        traffic: (traffic) => post({ kind: "traffic", traffic }, []),
+        header: (header, fresh) => say({ kind: "header", header, fresh }),
+        batch: (batch) => say({ kind: "batch", batch }),
+        state: (state) => say({ kind: "state", state }),
+        traffic: (traffic) => say({ kind: "traffic", traffic }),
       }, connect, clock);
       if (view !== null) connection.setView(view);
       if (pose !== null) connection.setPose(pose);
@@ -43,14 +39,6 @@ export function host(post: (report: Report, moved: ArrayBuffer[]) => void, conne
     else if (order.kind === "online") connection?.renew();
     else if (order.kind === "close") connection?.close();
   };
-}
-
-function buffersOf(batch: Batch): ArrayBuffer[] {
-  const found = new Set<ArrayBuffer>();
-  for (const value of Object.values(batch) as unknown[]) {
-    if (ArrayBuffer.isView(value) && value.buffer instanceof ArrayBuffer) found.add(value.buffer);
-  }
-  return [...found];
 }
 
 /** Time and chance of a browser or of node. */

@@ -4,19 +4,14 @@ import type { PartEvents, Parts } from "./static-parts.ts";
 import { parseScene } from "./static-scene.ts";
 import { StaticSession } from "./static-session.ts";
 import { type Clock, Meter } from "./traffic.ts";
-import type { Batch, Header, Pose, SourceState, Traffic, View } from "./types.ts";
+import type { Pose, View } from "./types.ts";
+import type { Report } from "./worker-source.ts";
 
-export type Order =
-  | { kind: "start"; base: string; held: Map<string, Blob> | null }
-  | { kind: "pose"; pose: Pose }
-  | { kind: "view"; view: View }
-  | { kind: "close" };
-
-export type Report =
-  | { kind: "header"; header: Header; fresh: boolean }
-  | { kind: "batch"; batch: Batch }
-  | { kind: "state"; state: SourceState }
-  | { kind: "traffic"; traffic: Traffic };
+/** Where a scene is: its address, and the files that the page itself holds. */
+export interface StaticStart {
+  base: string;
+  held: Map<string, Blob> | null;
+}
 
 const AGAIN_MS = 30_000; // before scene.json is read anew
 
