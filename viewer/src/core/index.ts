@@ -1,6 +1,6 @@
 // What the module `gsvis-viewer` exports: a viewer for a canvas, and the sources it shows.
 
-export { cameraOf, viewOf } from "./camera.ts";
+export { cameraOf, quaternionOf, rotationOf, viewOf } from "./camera.ts";
 export type { Pick, Picked } from "./picking.ts";
 export type { Precision } from "./renderer.ts";
 export { type StaticOptions, staticSource } from "./static-source.ts";

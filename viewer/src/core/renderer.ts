@@ -18,7 +18,7 @@ export interface Look {
 }
 
 /** Where a picture goes: null is the canvas. */
-export interface Destination {
+interface Destination {
   framebuffer: WebGLFramebuffer | null;
   x: number;
   y: number;

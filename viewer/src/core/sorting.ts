@@ -11,7 +11,7 @@ const DIGIT = 14; // bits of one of the two passes of a sort
 const MOST_KEY = 2 ** (2 * DIGIT) - 1;
 const NEAR_BITS = new Uint32Array(Float32Array.of(NEAR).buffer)[0];
 
-export interface Page {
+interface Page {
   records: Uint32Array; // (4 PAGE)
   rows: Uint32Array; // (PAGE), GONE for those replaced
   ids: Uint32Array;

@@ -5,6 +5,7 @@ import { parseScene } from "./static-scene.ts";
 import { StaticSession } from "./static-session.ts";
 import { type Clock, Meter } from "./traffic.ts";
 import type { Pose, View } from "./types.ts";
+import { isPose, isView } from "./wire.ts";
 import type { Report } from "./worker-source.ts";
 
 /** Where a scene is: its address, and the files that the page itself holds. */
@@ -51,11 +52,13 @@ export class StaticHost {
   }
 
   setPose(pose: Pose): void {
+    if (!isPose(pose)) return;
     this.pose = pose;
     this.session?.setPose(pose);
   }
 
   setView(view: View): void {
+    if (!isView(view)) return;
     this.view = view;
     this.session?.setView(view);
   }

@@ -24,7 +24,7 @@ export interface PartEvents {
   resumed(): void;
 }
 
-export interface HttpOptions {
+interface HttpOptions {
   fetch?: typeof fetch;
   sleep?: (seconds: number) => Promise<void>;
   random?: () => number;

@@ -1,5 +1,6 @@
 // What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring bytes.
 // The factors are those of the streaming server's policy "utility" (gsvis.abr.policies).
+import { rotationOf } from "./camera.ts";
 import type { Blocks } from "./static-blocks.ts";
 import type { CellRow } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
@@ -61,13 +62,7 @@ export function levelBytes(blocks: Blocks, row: CellRow, bytesEach: number): num
 
 /** Return five planes (normal, offset): points inside have a positive distance from all; see `FieldOfView.planes`. */
 export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
-  const [w0, x0, y0, z0] = pose.rotation, n = Math.hypot(w0, x0, y0, z0) || 1;
-  const w = w0 / n, x = x0 / n, y = y0 / n, z = z0 / n;
-  const turn = [
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  ];
+  const turn = rotationOf(pose.rotation);
   const widest = (89 * Math.PI) / 180, planes = new Float64Array(20);
   const sides = [[view.left, 0, 1], [view.right, 0, -1], [view.up, 1, 1], [view.down, 1, -1]] as const;
   for (let k = 0; k < 5; k++) {

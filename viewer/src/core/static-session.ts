@@ -22,7 +22,7 @@ const KEPT_ROWS = 64; // cells
 
 const NOTHING: Order = { blocks: new Uint32Array(0), terms: new Uint8Array(0) };
 
-export interface SessionEvents extends SourceEvents {
+interface SessionEvents extends SourceEvents {
   gone(): void; // a file of this scene is missing: there may be a new one
 }
 

@@ -185,7 +185,7 @@ function clamp(value: number): number {
 }
 
 /** Return RGB of hue in turns, saturation and lightness in [0, 1]. */
-export function rgbOfHsl(hue: number, saturation: number, lightness: number): [number, number, number] {
+function rgbOfHsl(hue: number, saturation: number, lightness: number): [number, number, number] {
   const chroma = saturation * Math.min(lightness, 1 - lightness);
   const channel = (shift: number) => {
     const k = shift + 12 * hue, turn = k - 12 * Math.floor(k / 12);

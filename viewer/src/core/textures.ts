@@ -1,6 +1,6 @@
 // A texture of unsigned integers that is filled from its first texel on and grows, on the GPU, without a copy on the CPU.
 
-export type Format = "R32UI" | "RG32UI" | "RGBA32UI";
+type Format = "R32UI" | "RG32UI" | "RGBA32UI";
 
 /** Texels in a row of every growing texture. */
 export const ROW = 2048;

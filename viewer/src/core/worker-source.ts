@@ -17,14 +17,14 @@ export type Report =
   | { kind: "traffic"; traffic: Traffic };
 
 /** What a source is made of. `begin` returns what the Worker needs, or why there is nothing to begin with. */
-export interface Work<Start> {
+interface Work<Start> {
   title: string; // of the Worker, in messages
   make(): Worker;
   begin(): Start | Error;
 }
 
 /** A source, and `tell` for orders beyond those of every source. */
-export interface WorkerSource<More> extends Source {
+interface WorkerSource<More> extends Source {
   tell(order: More): void;
 }
 

@@ -1,5 +1,5 @@
 // Immersive sessions: the eyes of a headset as cameras of the scene. WebXR's frame is meters, +y up, -z forward.
-import { rotationOf } from "./camera.ts";
+import { quaternionOf, rotationOf } from "./camera.ts";
 import type { Camera, Pose } from "./types.ts";
 
 /** What is used of WebXR; browsers' own objects fit. */
@@ -33,7 +33,7 @@ export interface EyeView {
 }
 
 /** The frame of a session in the scene: rotation row by row, origin, scene units in a meter. */
-export interface XrFrameOfScene {
+interface XrFrameOfScene {
   rotation: number[];
   origin: [number, number, number];
   scale: number;
@@ -97,14 +97,4 @@ function product(a: readonly number[], b: readonly number[]): number[] {
     a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3], a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
     a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1], a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
   ];
-}
-
-/** Return the quaternion wxyz of a rotation, row by row: from the largest of its four components. */
-function quaternionOf(r: readonly number[]): number[] {
-  const w = 1 + r[0] + r[4] + r[8], x = 1 + r[0] - r[4] - r[8], y = 1 - r[0] + r[4] - r[8], z = 1 - r[0] - r[4] + r[8];
-  const most = Math.max(w, x, y, z), n = 0.5 / Math.sqrt(most);
-  if (most === w) return [w * n, (r[7] - r[5]) * n, (r[2] - r[6]) * n, (r[3] - r[1]) * n];
-  if (most === x) return [(r[7] - r[5]) * n, x * n, (r[1] + r[3]) * n, (r[2] + r[6]) * n];
-  if (most === y) return [(r[2] - r[6]) * n, (r[1] + r[3]) * n, y * n, (r[5] + r[7]) * n];
-  return [(r[3] - r[1]) * n, (r[2] + r[6]) * n, (r[5] + r[7]) * n, z * n];
 }

@@ -15,7 +15,7 @@ export interface PageAddress {
   bare: boolean; // no interface
 }
 
-export interface Metas {
+interface Metas {
   scene: string | null; // name of a scene of this server
   content: string | null; // address of a static scene
   settings: string | null;

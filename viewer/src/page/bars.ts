@@ -40,7 +40,7 @@ export function toolBar(actions: Actions): HTMLElement {
   return bar;
 }
 
-export interface DockTargets {
+interface DockTargets {
   mode(): Mode;
   setMode(mode: Mode): void;
   views(): { count: number; label: string };

@@ -23,7 +23,7 @@ export interface Surroundings {
   poses: readonly Pose[]; // views that the scene itself proposes
 }
 
-export interface Beginning {
+interface Beginning {
   rig: Rig;
   mode: Mode;
   problem: string | null;

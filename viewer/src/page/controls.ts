@@ -58,7 +58,7 @@ export function toggle(label: string, text: string, current: () => boolean, chan
   return { element, refresh };
 }
 
-export interface Scale {
+interface Scale {
   low: number;
   high: number;
   step: number;

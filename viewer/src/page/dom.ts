@@ -1,6 +1,6 @@
 // Elements made in code: text only ever enters as text, styles only through the object model.
 
-export type Child = Node | string | null | undefined | false;
+type Child = Node | string | null | undefined | false;
 type Attributes = Record<string, string | number | boolean | undefined>;
 
 export function make<K extends keyof HTMLElementTagNameMap>(tag: K, attributes: Attributes = {}, ...children: Child[]): HTMLElementTagNameMap[K] {

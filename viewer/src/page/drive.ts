@@ -13,7 +13,7 @@ import { frameFromUp } from "./vector.ts";
 const REST_MS = 300; // without motion, after which a view is at rest
 const LONGEST_FRAME = 0.25; // seconds of motion in one frame
 
-export interface DriveTargets {
+interface DriveTargets {
   actions: Actions;
   moved(): void;
   rested(): void;

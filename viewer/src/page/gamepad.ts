@@ -5,7 +5,7 @@ import type { Held } from "./navigator.ts";
 const DEAD = 0.12; // of a stick
 const ACTIONS: Record<number, string> = { 0: "mode", 1: "home", 2: "inspect", 3: "statistics", 14: "previous", 15: "next" };
 
-export interface PadState {
+interface PadState {
   axes: readonly number[];
   buttons: readonly { pressed: boolean; value: number }[];
 }

@@ -4,7 +4,7 @@ import { draw } from "./dom.ts";
 import { cross, dot, normalize, scale, add, subtract } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 
-export interface Face {
+interface Face {
   corners: [Vec3, Vec3, Vec3];
   center: Vec3;
 }

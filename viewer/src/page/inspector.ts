@@ -8,7 +8,7 @@ import type { ViewerLike } from "./viewer-like.ts";
 import { describePick, describeWhy } from "./why-card.ts";
 import type { Place } from "./why-card.ts";
 
-export interface InspectorTargets {
+interface InspectorTargets {
   side: Side;
   facts(): Facts;
   viewer(): ViewerLike | null;

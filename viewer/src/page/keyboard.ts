@@ -9,7 +9,7 @@ const MOVES: Record<string, Partial<Held>> = {
 };
 const ARROWS = { orbit: { ArrowUp: { tilt: 1 }, ArrowDown: { tilt: -1 } }, other: { ArrowUp: { ahead: 1 }, ArrowDown: { ahead: -1 } } };
 
-export interface KeyTargets {
+interface KeyTargets {
   actions: Actions;
   mode(): Mode;
   wake(): void;

@@ -5,7 +5,7 @@ import { formatCount } from "./format.ts";
 import { icon } from "./icons.ts";
 import { ThemeChoice } from "./theme.ts";
 
-export interface ListedScene {
+interface ListedScene {
   name: string;
   href: string;
   gaussians: number | null;

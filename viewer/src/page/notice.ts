@@ -5,7 +5,7 @@ import type { Message } from "./messages.ts";
 
 const PASSES = 6000; // milliseconds
 
-export interface NoticeTargets {
+interface NoticeTargets {
   retry(): void;
   token(token: string): void;
 }

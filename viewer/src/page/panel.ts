@@ -9,7 +9,7 @@ import { LEGENDS, levelColor, PAINTS } from "./paints.ts";
 import type { Theme } from "./theme.ts";
 import type { ViewerLike } from "./viewer-like.ts";
 
-export interface PanelTargets {
+interface PanelTargets {
   viewer: () => ViewerLike | null;
   actions: Actions;
   theme: { chosen: Theme; choose(theme: Theme): void };

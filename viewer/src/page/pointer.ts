@@ -6,7 +6,7 @@ const STILL = 6; // pixels that a click may move
 const CLICK = 400; // milliseconds that it may last
 const DOUBLE = 320; // between two clicks
 
-export interface PointerTargets {
+interface PointerTargets {
   navigator: Navigator;
   wake(): void;
   click(x: number, y: number, event: PointerEvent): void;

@@ -81,7 +81,7 @@ export class ViewPage {
     this.token = page.token;
     this.facts = factsOf(scene);
     this.theme = new ThemeChoice(() => this.showBackground());
-    this.notices = new Notices({ retry: () => this.restart(), token: (token) => this.restart((this.token = token)) });
+    this.notices = new Notices({ retry: () => this.restart(), token: (token) => ((this.token = token), this.restart()) });
     this.drive = new Drive({
       actions: this.actions, moved: () => this.sendCamera(), rested: () => (this.panel.refresh(), this.writeAddress()),
       click: (x, y, withAlt) => void (this.inspector.on || withAlt ? this.inspector.inspect(x, y) : undefined),
@@ -172,7 +172,7 @@ export class ViewPage {
     if (viewer.header) void this.takeHeader(viewer);
   }
 
-  private restart(_token?: string): void {
+  private restart(): void {
     this.viewer?.dispose();
     this.viewer = null;
     this.notices.clear();
