@@ -1,9 +1,11 @@
-// Bundle the viewer into gsvis/viewer. `--check` compares with what lies there; `--tests` bundles the tests instead.
+// Bundle the viewer into gsvis/viewer, with its types and a package.json: that folder is the npm package `gsvis-viewer`.
+// `--check` compares with what lies there; `--tests` bundles the tests instead.
 import { build, transform } from "esbuild";
 import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
+import { bundleTypes } from "./types.mjs";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "../gsvis/viewer");
@@ -30,6 +32,11 @@ if (process.argv.includes("--tests")) {
   for (const name of ["view.html", "list.html"]) {
     files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
   }
+  files.push({ path: join(out, "gsvis-viewer.d.ts"), bytes: Buffer.from(bundleTypes()) });
+  const { name, version, description, license } = JSON.parse(readFileSync(join(here, "package.json"), "utf8"));
+  const types = "./gsvis-viewer.d.ts", exports = { ".": { types, default: "./gsvis-viewer.js" }, "./*": "./*" };
+  const manifest = JSON.stringify({ name, version, description, license, type: "module", types, exports }, null, 2);
+  files.push({ path: join(out, "package.json"), bytes: Buffer.from(`${manifest}\n`) });
   const style = await transform(readFileSync(join(here, "src/page/page.css"), "utf8"), { loader: "css", minify: true, target: common.target, charset: "utf8" });
   files.push({ path: join(out, "page.css"), bytes: Buffer.from(style.code) });
   let differ = 0;

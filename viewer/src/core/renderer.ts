@@ -7,6 +7,7 @@ import type { Store } from "./store.ts";
 import { GrowingTexture, ROW, takeRuns } from "./textures.ts";
 import type { Camera, Paint } from "./types.ts";
 
+/** What a picture is blended in: 32 or 16 bits of a float, or 8 bits, which clip colors above 1. */
 export type Precision = "float" | "half" | "bytes";
 
 /** How to draw. */

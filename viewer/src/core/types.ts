@@ -58,12 +58,13 @@ export interface Batch {
   harmonics: Uint8Array | null; // (3 K G) of a bare scene, K coefficients of R, G, B each
 }
 
-/** Where an eye is, and what it sees: tangents of the angles from the axis to the four borders. */
+/** Where an eye is: quaternion wxyz, world from camera. */
 export interface Pose {
   position: [number, number, number];
   rotation: [number, number, number, number];
 }
 
+/** What an eye sees: tangents of the angles from its axis to the four borders. */
 export interface View {
   left: number;
   right: number;
@@ -89,6 +90,7 @@ export type SourceState =
   | { kind: "waiting"; seconds: number; message: string } // the connection is lost; next try in `seconds`
   | { kind: "failed"; message: string; code?: number }; // does not try again; `code` of ERROR: 2 another version, 4 token or origin
 
+/** What has come so far. */
 export interface Traffic {
   bytes: number; // received so far
   rate: number; // bytes a second of late
@@ -98,6 +100,7 @@ export interface Traffic {
   reconnects: number;
 }
 
+/** What a source reports. */
 export interface SourceEvents {
   header(header: Header, fresh: boolean): void; // fresh: drop everything drawn so far
   batch(batch: Batch): void;

@@ -45,7 +45,7 @@ export interface Statistics {
   reconnects: number;
 }
 
-/** Events: `detail` of the last one is a sentence for people; the others say that a property has changed. */
+/** Names of events: `problem` has a sentence for people as `detail`, the others say that a property has changed. */
 export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlost" | "contextrestored" | "problem";
 
 /** Raised where the browser cannot draw at all. */
@@ -54,6 +54,9 @@ export class UnsupportedError extends Error {}
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
 const MIB = 2 ** 20;
 
+/**
+ * Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed; the `detail` of `problem` is a sentence for people.
+ */
 export class Viewer extends EventTarget {
   readonly canvas: HTMLCanvasElement;
   readonly #gl: WebGL2RenderingContext;
@@ -84,9 +87,7 @@ export class Viewer extends EventTarget {
   readonly #figures = { frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null };
   #traffic: Traffic = { bytes: 0, rate: 0, gaussians: 0, terms: 0, replaced: 0, reconnects: 0 };
 
-  /**
-   * Throws `UnsupportedError` where there is no WebGL2.
-   */
+  /** Draw on a canvas. Throws `UnsupportedError` where there is no WebGL2. */
   constructor(canvas: HTMLCanvasElement, options: ViewerOptions = {}) {
     super();
     this.canvas = canvas;
@@ -147,7 +148,10 @@ export class Viewer extends EventTarget {
     this.#renderer.dispose();
   }
 
+  /** What is known of the scene, null before the source has said it. */
   get header(): Header | null { return this.#header; }
+
+  /** How the source fares. */
   get state(): SourceState { return this.#state; }
 
   /** Where the eye is and how wide it sees; setting it draws. */
@@ -186,6 +190,7 @@ export class Viewer extends EventTarget {
     return Math.min(globalThis.devicePixelRatio || 1, this.#options.maxPixelRatio ?? (isSmall() ? 1.5 : 2));
   }
 
+  /** What the colors show. */
   get paint(): Paint { return this.#look.paint; }
   set paint(paint: Paint) { this.#look.paint = paint; this.redraw(); }
 
@@ -193,9 +198,11 @@ export class Viewer extends EventTarget {
   get termsShown(): boolean { return this.#look.detailed; }
   set termsShown(shown: boolean) { this.#look.detailed = shown; this.redraw(); }
 
+  /** What lies behind the scene: RGB from 0 to 1. */
   get background(): [number, number, number] { return this.#look.background; }
   set background(background: [number, number, number]) { this.#look.background = background; this.redraw(); }
 
+  /** Whether opacities are lowered to make up for the blur of 0.3 square pixels. */
   get antialiased(): boolean { return this.#look.antialiased; }
   set antialiased(antialiased: boolean) { this.#look.antialiased = antialiased; this.redraw(); }
 
@@ -203,6 +210,7 @@ export class Viewer extends EventTarget {
   get levelsShown(): boolean[] { return this.#levels; }
   set levelsShown(shown: boolean[]) { this.#levels = shown; this.redraw(); }
 
+  /** Figures of this moment. */
   get statistics(): Statistics {
     const now = performance.now(), figures = this.#figures, { bytes, rate, reconnects } = this.#traffic;
     this.#recent = this.#recent.filter((time) => now - time < 1000);
