@@ -11,6 +11,16 @@ const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "../gsvis/viewer");
 const common = { bundle: true, format: "esm", target: "es2022", write: false, charset: "utf8", legalComments: "none", absWorkingDir: here };
 
+// Programs of the GPU travel without comments and indentation; neither means anything around them.
+const shaders = {
+  name: "shaders",
+  setup({ onLoad }) {
+    onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({
+      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, ""), loader: "ts",
+    }));
+  },
+};
+
 if (process.argv.includes("--tests")) {
   const tests = readdirSync(join(here, "test")).filter((name) => name.endsWith(".test.ts"));
   await build({
@@ -19,7 +29,7 @@ if (process.argv.includes("--tests")) {
   });
 } else {
   const bundled = await build({
-    ...common, minify: true, outdir: out,
+    ...common, minify: true, outdir: out, plugins: [shaders],
     entryPoints: {
       "gsvis-viewer": join(here, "src/core/index.ts"),
       network: join(here, "src/core/network.worker.ts"),

@@ -1,4 +1,4 @@
-// A page of somebody else that uses the module with its types; tests/types.test.ts has tsc check it, and it never runs.
+// A page of somebody else that uses the module with its types; test/built.test.ts has tsc check it, and it never runs.
 import {
   cameraOf, type Batch, type Header, type Pick, type Source, type SourceEvents, staticSource, streamSource, supportedPrecision, UnsupportedError, Viewer,
 } from "gsvis-viewer";

@@ -1,4 +1,4 @@
-// The types of the built module: a small program of somebody else is checked against them, and names are those of the script.
+// What is built: types that a small program of somebody else is checked against, names, and how much a page weighs.
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
@@ -6,6 +6,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
 import { pathToFileURL } from "node:url";
+import { gzipSync } from "node:zlib";
 
 const BUILT = join(process.cwd(), "../gsvis/viewer");
 
@@ -31,4 +32,10 @@ test("the types declare what the script exports, nothing more and nothing less",
   const declared = [...types.matchAll(/^export declare (?:function|class|const) (\w+)/gm)].map(([, name]) => name);
   const script = await import(pathToFileURL(join(BUILT, "gsvis-viewer.js")).href) as object;
   assert.deepEqual(declared.sort(), Object.keys(script).sort());
+});
+
+test("the page of a stream and the page of a static scene weigh at most 60 kB, gzipped", () => {
+  const weigh = (name: string): number => gzipSync(readFileSync(join(BUILT, name)), { level: 9 }).length;
+  const shared = ["view.html", "page.css", "page.js", "sort.js"].reduce((sum, name) => sum + weigh(name), 0);
+  for (const reader of ["network.js", "static.js"]) assert.ok(shared + weigh(reader) <= 60_000, `${reader}: ${shared + weigh(reader)}`);
 });
