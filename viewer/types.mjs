@@ -43,7 +43,7 @@ function joinTypes(folder) {
     if (index.includes(`export type * from "./${module}.ts"`)) for (const name of source.keys()) asked.add(name);
   }
   for (const [, names] of index.matchAll(/^export (?:type )?\{([^}]*)\}/gm)) {
-    for (const name of names.split(",")) asked.add(name.replace("type ", "").trim());
+    for (const name of names.match(/\w+(?=\s*(?:,|$))/g)) asked.add(name);
   }
   const exported = new Set(asked), blocks = [];
   for (const name of asked) { // grows while it is walked through

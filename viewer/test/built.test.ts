@@ -18,9 +18,15 @@ test("a program that uses the module as a package passes a strict check of types
   cpSync("test/consumer/index.ts", join(folder, "index.ts"));
   writeFileSync(join(folder, "package.json"), '{"type": "module"}');
   for (const module of ["nodenext", "esnext"]) {
-    const options = { strict: true, noEmit: true, target: "es2022", module, types: [], lib: ["es2022", "dom"], exactOptionalPropertyTypes: true };
+    const options = {
+      strict: true, noEmit: true, target: "es2022", module, types: [], lib: ["es2022", "dom"],
+      exactOptionalPropertyTypes: true,
+    };
     const resolution = module === "esnext" ? { moduleResolution: "bundler" } : {};
-    writeFileSync(join(folder, "tsconfig.json"), JSON.stringify({ compilerOptions: { ...options, ...resolution }, include: ["index.ts"] }));
+    writeFileSync(
+      join(folder, "tsconfig.json"),
+      JSON.stringify({ compilerOptions: { ...options, ...resolution }, include: ["index.ts"] }),
+    );
     const found = spawnSync(process.execPath, ["node_modules/typescript/bin/tsc", "-p", folder], { encoding: "utf8" });
     assert.equal(found.stdout + found.stderr, "");
     assert.equal(found.status, 0);
@@ -37,5 +43,9 @@ test("the types declare what the script exports, nothing more and nothing less",
 test("the page of a stream and the page of a static scene weigh at most 60 kB, gzipped", () => {
   const weigh = (name: string): number => gzipSync(readFileSync(join(BUILT, name)), { level: 9 }).length;
   const shared = ["view.html", "page.css", "page.js", "sort.js"].reduce((sum, name) => sum + weigh(name), 0);
-  for (const reader of ["network.js", "static.js"]) assert.ok(shared + weigh(reader) <= 60_000, `${reader}: ${shared + weigh(reader)}`);
+  for (const reader of ["network.js", "static.js"]) {
+    assert.ok(
+      shared + weigh(reader) <= 60_000, `${reader}: ${shared + weigh(reader)}`,
+    );
+  }
 });

@@ -23,7 +23,9 @@ class FakeWorker {
   }
 }
 
-function begin(url: string, options: StreamOptions = {}): { worker: FakeWorker; states: SourceState[]; source: ReturnType<typeof streamSource> } {
+function begin(url: string, options: StreamOptions = {}): {
+  worker: FakeWorker; states: SourceState[]; source: ReturnType<typeof streamSource>
+} {
   const worker = new FakeWorker(), states: SourceState[] = [];
   const source = streamSource(url, { worker: () => worker as unknown as Worker, ...options });
   source.start({ header: () => {}, batch: () => {}, state: (state) => states.push(state), traffic: () => {} });
@@ -31,7 +33,9 @@ function begin(url: string, options: StreamOptions = {}): { worker: FakeWorker; 
 }
 
 const urlOf = (worker: FakeWorker) => worker.orders[0]?.kind === "start" ? worker.orders[0].options.url : "";
-const pose = (x: number) => ({ position: [x, 0, 0] as [number, number, number], rotation: [1, 0, 0, 0] as [number, number, number, number] });
+const pose = (x: number) => ({
+  position: [x, 0, 0] as [number, number, number], rotation: [1, 0, 0, 0] as [number, number, number, number],
+});
 
 test("addresses of pages become addresses of sockets", () => {
   for (const [url, expected] of [

@@ -21,22 +21,37 @@ import type { Vec3 } from "../src/page/vector.ts";
 const FRAME = v.frameFromUp([0, 0, 1]);
 const NONE = { floor: null, cells: null, poses: [] };
 
-const FLOOR = { origin: [0, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 1, rows: 2, heights: [1, 1, 1] };
+const FLOOR = {
+  origin: [0, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 1, rows: 2,
+  heights: [1, 1, 1],
+};
 
 /** A hall of 9 x 5 squares with a niche; heights of 1.6. */
 const hall = () => {
   const heights = new Array<number | null>(45).fill(1.6);
   for (let y = 0; y < 5; y++) heights[y * 9 + 8] = y === 2 ? 1.6 : null;
-  return readFloor({ origin: [10, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 9, rows: 5, heights });
+  return readFloor(
+    { origin: [10, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 9, rows: 5, heights }
+  );
 };
 
 const ring = (): Cells => {
   const boxes: Vec3[] = [];
-  for (let x = 0; x < 7; x++) for (let y = 0; y < 7; y++) if (Math.max(Math.abs(x - 3), Math.abs(y - 3)) >= 2) boxes.push([x, y, 0]);
+  for (let x = 0; x < 7; x++) {
+    for (let y = 0; y < 7; y++) {
+      if (
+        Math.max(Math.abs(x - 3), Math.abs(y - 3)) >= 2
+      ) {
+        boxes.push([x, y, 0]);
+      }
+    }
+  }
   return { origin: [0, 0, 0], size: 2, boxes };
 };
 
-const row = (): Cells => ({ origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]] });
+const row = (): Cells => ({
+  origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]],
+});
 
 test("a visit begins where the floor is widest and looks where it reaches farthest", () => {
   const floor = hall();
@@ -91,8 +106,11 @@ test("a meter is what the scene says, else a tenth of the cells", () => {
 });
 
 test("a server that says nonsense costs a panel, never an error", () => {
-  const nonsense = [null, 3, "x", [], {}, { origin: "a" }, { seeing: 3 }, { cells: 5, directions: { of: "x", seen: [[1]] } },
-    { origin: [0, 0, 0], size: -1, boxes: [] }, { origin: [0, 0, 0], size: 1, boxes: [] }, { origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], 7] },
+  const nonsense = [null, 3, "x", [], {}, { origin: "a" }, { seeing: 3 }, {
+    cells: 5, directions: { of: "x", seen: [[1]] },
+  },
+    { origin: [0, 0, 0], size: -1, boxes: [] }, { origin: [0, 0, 0], size: 1, boxes: [] },
+    { origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], 7] },
     { ...FLOOR, columns: 1.5 }, { ...FLOOR, heights: [null, null] }, { columns: 1e9, rows: 1e9, heights: [] }];
   for (const one of nonsense) {
     assert.equal(readFloor(one), null);
@@ -103,7 +121,8 @@ test("a server that says nonsense costs a panel, never an error", () => {
 });
 
 test("a hundred thousand cells are read and begun in, more are not", () => {
-  const boxes = Array.from({ length: 100_000 }, (_, k): Vec3 => [k, 0, 0]), many = { origin: [0, 0, 0], size: 1, boxes };
+  const boxes = Array.from({ length: 100_000 }, (_, k): Vec3 => [k, 0, 0]),
+    many = { origin: [0, 0, 0], size: 1, boxes };
   const cells = readCells(many);
   assert.ok(cells);
   const rig = startInCells(cells, FRAME);
@@ -123,7 +142,10 @@ test("an answer is kept, and so is that there is none; a question without an ans
 
 test("facts of a Gaussian are read, rows of directions nested or not", () => {
   const why = readWhy({
-    cells: { of: 12, size: 1, seeing: [{ cell: 3, distance: 2, weight: [0.1, 0.2] }, { cell: 4, distance: 9, weight: null }, { cell: "x" }] },
+    cells: {
+      of: 12, size: 1,
+      seeing: [{ cell: 3, distance: 2, weight: [0.1, 0.2] }, { cell: 4, distance: 9, weight: null }, { cell: "x" }],
+    },
     directions: { of: 80, seen: [[0, 0, 2], [[1, 0, 0]]] },
   });
   assert.deepEqual(why?.cells?.seeing.map(({ cell }) => cell), [3, 4]);
@@ -145,7 +167,9 @@ test("edges that cells share are drawn once", () => {
 test("addresses: a server's scene behind any prefix, a static folder, a stream, and what no page opens", () => {
   const none = { scene: null, content: null, settings: null };
   const one = readAddress("https://x.org/a/b/view/my%20room?token=t", none);
-  assert.deepEqual(one.scene, { kind: "stream", name: "my room", url: "wss://x.org/a/b/stream/my%20room", root: "https://x.org/a/b/" });
+  assert.deepEqual(
+    one.scene, { kind: "stream", name: "my room", url: "wss://x.org/a/b/stream/my%20room", root: "https://x.org/a/b/" },
+  );
   assert.equal(one.token, "t");
   const folder = readAddress("https://x.org/site/index.html", { ...none, content: "room/" });
   assert.deepEqual(folder.scene, { kind: "static", name: "room", url: "https://x.org/site/room/", root: null });
@@ -158,13 +182,19 @@ test("addresses: a server's scene behind any prefix, a static folder, a stream, 
 
 test("lists of scenes: rows with names, nothing that is none", () => {
   const rows = readScenes({ scenes: [{ name: "a b", gaussians: 5 }, { name: "<img>" }, 7, {}] });
-  assert.deepEqual(rows.map(({ name, href, gaussians }) => [name, href, gaussians]), [["a b", "view/a%20b", 5], ["<img>", "view/%3Cimg%3E", null]]);
+  assert.deepEqual(
+    rows.map(({ name, href, gaussians }) => [name, href, gaussians]),
+    [["a b", "view/a%20b", 5], ["<img>", "view/%3Cimg%3E", null]],
+  );
   assert.deepEqual(readScenes(null), []);
 });
 
 test("no pose reaches a source before the first view is chosen; then the latest does", () => {
   const sent: number[] = [];
-  const inner: Source = { start: () => undefined, view: () => undefined, close: () => undefined, pose: (pose) => void sent.push(pose.position[0]) };
+  const inner: Source = {
+    start: () => undefined, view: () => undefined, close: () => undefined,
+    pose: (pose) => void sent.push(pose.position[0]),
+  };
   const { source, release } = holdPoses(inner);
   for (const x of [1, 2]) source.pose({ position: [x, 0, 0], rotation: [1, 0, 0, 0] });
   assert.deepEqual(sent, []);
@@ -203,12 +233,16 @@ function answer(t: TestContext, ...answers: unknown[]): string[] {
   return asked;
 }
 
-const SCENE: SceneAddress = { kind: "static", name: "hall", url: "http://a.example/scenes/hall/", root: "http://a.example/" };
+const SCENE: SceneAddress = {
+  kind: "static", name: "hall", url: "http://a.example/scenes/hall/", root: "http://a.example/",
+};
 const listed = (row: object): object => ({ scenes: [{ name: "hall", stream: null, static: null, ...row }] });
 
-test("a scene that is being prepared is asked for until its stream is there, also after questions without an answer", async (t) => {
+test("a scene that is being prepared is asked for until it streams, also after silence", async (t) => {
   const waits: number[] = [], preparing = listed({ static: "scenes/hall/", preparing: true });
-  const asked = answer(t, preparing, null, 503, null, { nonsense: 1 }, null, null, preparing, listed({ stream: "stream/hall" }));
+  const asked = answer(
+    t, preparing, null, 503, null, { nonsense: 1 }, null, null, preparing, listed({ stream: "stream/hall" }),
+  );
   const found = await awaitStream(SCENE, async (milliseconds) => void waits.push(milliseconds));
   assert.deepEqual(found, { ...SCENE, kind: "stream", url: "ws://a.example/stream/hall" });
   assert.equal(asked.length, 9);

@@ -98,7 +98,9 @@ export class Connection {
     this.sayPose();
   }
 
-  /** Take what the eye sees. HELLO has the view, so a wider one needs a new connection, which keeps all that is held. */
+  /**
+   * Take what the eye sees. HELLO has the view, so a wider one needs a new connection, which keeps all that is held.
+   */
   setView(view: View): void {
     if (!isView(view)) return;
     this.view = { ...view };
@@ -173,7 +175,9 @@ export class Connection {
   private hear(data: unknown): void {
     try {
       if (!(data instanceof ArrayBuffer)) throw new ProtocolError("message: expected bytes, got text");
-      if (data.byteLength > MOST_MESSAGE) throw new ProtocolError(`message: expected at most ${MOST_MESSAGE} bytes, got ${data.byteLength}`);
+      if (data.byteLength > MOST_MESSAGE) {
+        throw new ProtocolError(`message: expected at most ${MOST_MESSAGE} bytes, got ${data.byteLength}`);
+      }
       const message = new Uint8Array(data);
       this.meter.add(message.length);
       if (message[0] === ERROR) this.hearError(message);
@@ -204,7 +208,8 @@ export class Connection {
 
   private hearBatch(message: Uint8Array): void {
     const receiver = this.receiver as Receiver;
-    if (sequenceOf(message) === receiver.next) this.send(ack(receiver.next)); // before the work of decoding: the server measures the link
+    // before the work of decoding: the server measures the link
+    if (sequenceOf(message) === receiver.next) this.send(ack(receiver.next));
     const batch = receiver.receive(message);
     this.bad = 0;
     this.wait = FIRST_WAIT_MS;
@@ -232,7 +237,10 @@ export class Connection {
   /** Close a connection whose server breaks the protocol; some such errors no further try can heal. */
   private refuse(error: Error): void {
     if (!(error instanceof ProtocolError)) {
-      this.fail(error instanceof RangeError ? "This scene is too large for the memory of this device." : `The viewer failed: ${error.message}`);
+      this.fail(
+        error instanceof RangeError ? "This scene is too large for the memory of this device."
+          : `The viewer failed: ${error.message}`
+      );
     } else if (error.code === FAULTS.version || error.code === FAULTS.tooLarge) {
       this.fail(error.code === FAULTS.version ? `${ANOTHER_VERSION}: ${error.message}` : error.message, error.code);
     } else if (++this.bad >= MOST_BAD) {

@@ -1,4 +1,5 @@
-// What is known of a scene before its first Gaussian, from WELCOME or any JSON with the same keys; all of it is checked.
+// What is known of a scene before its first Gaussian, from WELCOME or any JSON with the same keys; all of it is
+// checked.
 import { schemaMetadata } from "./arrow.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
 import type { ColorTables, Header, Level } from "./types.ts";
@@ -39,7 +40,9 @@ export function headerOf(said: unknown, where: string): Header {
   const length = Math.hypot(...up);
   const identity = o["identity"];
   if (!(length > 0)) refuse(`${where}, up`, "a direction", up);
-  if (typeof identity !== "string" || !/^[0-9a-f]{64}$/.test(identity)) refuse(`${where}, identity`, "64 hexadecimal digits", identity);
+  if (typeof identity !== "string" || !/^[0-9a-f]{64}$/.test(identity)) {
+    refuse(`${where}, identity`, "64 hexadecimal digits", identity);
+  }
   if (termBits > 64) refuse(where, "terms of at most 64 bits", termBits);
   if (integer(o, "record_bytes", 0, 64, where) !== 16) refuse(`${where}, record_bytes`, "16", o["record_bytes"]);
   if (integer(o, "term_bits", 0, 64, where) !== termBits) refuse(`${where}, term_bits`, `${termBits}`, o["term_bits"]);
@@ -77,7 +80,8 @@ function colorsOf(o: Fields, where: string): ColorTables {
     variant: variant as "rgb" | "hsl",
     precision: {
       name: String(bits["name"]).slice(0, 100),
-      base: part("base", 8), scale: part("scale", variant === "hsl" ? 8 : 16), axis: part("axis", 16), center: part("center", 15),
+      base: part("base", 8), scale: part("scale", variant === "hsl" ? 8 : 16), axis: part("axis", 16),
+      center: part("center", 15),
       decay: part("decay", 16), intensity: part("intensity", 16),
     },
     base: list(o, "base", 3, 3, where).map((value) => pair(value, "base", -1e30, 1e30)),

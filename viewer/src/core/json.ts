@@ -9,12 +9,16 @@ export function refuse(where: string, expected: string, got: unknown): never {
 }
 
 export function object(value: unknown, where: string): Fields {
-  if (typeof value !== "object" || value === null || Array.isArray(value)) return refuse(where, "an object", typeof value);
+  if (typeof value !== "object" || value === null || Array.isArray(value)) {
+    return refuse(where, "an object", typeof value);
+  }
   return value as Fields;
 }
 
 export function number(value: unknown, low: number, high: number, where: string): number {
-  if (typeof value !== "number" || !(value >= low && value <= high)) return refuse(where, `a number from ${low} to ${high}`, value);
+  if (typeof value !== "number" || !(value >= low && value <= high)) {
+    return refuse(where, `a number from ${low} to ${high}`, value);
+  }
   return value;
 }
 
@@ -26,7 +30,9 @@ export function integer(o: Fields, key: string, low: number, high: number, where
 export function list(o: Fields, key: string, least: number, most: number, where: string): unknown[] {
   const value = o[key];
   if (!Array.isArray(value)) return refuse(`${where}, ${key}`, "a list", typeof value);
-  if (value.length < least || value.length > most) refuse(`${where}, ${key}`, `${least} to ${most} entries`, value.length);
+  if (value.length < least || value.length > most) {
+    refuse(`${where}, ${key}`, `${least} to ${most} entries`, value.length);
+  }
   return value;
 }
 

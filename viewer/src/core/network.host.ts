@@ -1,4 +1,5 @@
-// What the network Worker does: one `Connection`, orders from the page in, events for it out. The arrays of batches move.
+// What the network Worker does: one `Connection`, orders from the page in, events for it out. The arrays of batches
+// move.
 import { Connection } from "./connection.ts";
 import type { Clock, ConnectionOptions, Socket } from "./connection.ts";
 import { REAL_TIME } from "./traffic.ts";

@@ -7,7 +7,9 @@ declare const self: DedicatedWorkerGlobalScope;
 
 const CLOSE_MS = 500; // for BYE to leave
 
-const take = host((report, moved) => self.postMessage(report, moved), (url) => new WebSocket(url) as Socket, REAL_CLOCK);
+const take = host(
+  (report, moved) => self.postMessage(report, moved), (url) => new WebSocket(url) as Socket, REAL_CLOCK,
+);
 let wasOffline = false;
 self.onmessage = (event: MessageEvent<NetworkOrder>) => {
   take(event.data);

@@ -1,8 +1,11 @@
-// Draws what a store holds: finds colors where they are stale, projects the sorted Gaussians once each, blends their quads
+// Draws what a store holds: finds colors where they are stale, projects the sorted Gaussians once each, blends their
+// quads
 // back to front into a half-float picture, and brings that to the canvas.
 import { axesOf } from "./camera.ts";
 import { harmonicRanges, PAINTS } from "./colors.ts";
-import { colors, compile, cover, present, project, type Program, QUADS, splatFragment, splatVertex } from "./shaders.ts";
+import {
+  colors, compile, cover, present, project, type Program, QUADS, splatFragment, splatVertex,
+} from "./shaders.ts";
 import type { Store } from "./store.ts";
 import { GrowingTexture, ROW, takeRuns } from "./textures.ts";
 import type { Camera, Paint } from "./types.ts";
@@ -67,7 +70,8 @@ export class Renderer {
 
   get bytes(): number {
     const pixel = { float: 16, half: 8, bytes: 4 }[this.precision];
-    return this.#order.bytes + this.#shapes.bytes + this.#paints.bytes + this.#size[0] * this.#size[1] * pixel + (this.#store?.bytes ?? 0);
+    const own = this.#order.bytes + this.#shapes.bytes + this.#paints.bytes;
+    return own + this.#size[0] * this.#size[1] * pixel + (this.#store?.bytes ?? 0);
   }
 
   /** Draw this store from now on; programs follow its variant. */
@@ -123,7 +127,11 @@ export class Renderer {
     this.draw(camera, look, { framebuffer, x: 0, y: 0 });
     const upward = new Uint8Array(4 * width * height), out = new Uint8ClampedArray(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upward);
-    for (let y = 0; y < height; y++) out.set(upward.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y);
+    for (let y = 0; y < height; y++) {
+      out.set(
+        upward.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y,
+      );
+    }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(framebuffer);
     gl.deleteTexture(texture);
@@ -136,7 +144,9 @@ export class Renderer {
     gl.deleteTexture(this.#picture);
     this.#picture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.#picture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, { float: gl.RGBA32F, half: gl.RGBA16F, bytes: gl.RGBA8 }[this.precision], width, height);
+    gl.texStorage2D(
+      gl.TEXTURE_2D, 1, { float: gl.RGBA32F, half: gl.RGBA16F, bytes: gl.RGBA8 }[this.precision], width, height,
+    );
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#target);
@@ -159,7 +169,8 @@ export class Renderer {
   #findColors(store: Store, camera: Camera, look: Look): void {
     const gl = this.#gl, program = this.#colors!, { paint, detailed } = look;
     const moves = (paint === "color" && detailed && store.viewDependent) || paint === "depth";
-    const seen = `${paint} ${paint === "color" || paint === "terms" ? detailed : ""} ${moves ? camera.position.join(" ") : ""}`;
+    const details = paint === "color" || paint === "terms" ? detailed : "";
+    const seen = `${paint} ${details} ${moves ? camera.position.join(" ") : ""}`;
     if (seen !== this.#seen) for (let row = 0; row * ROW < store.count; row++) store.stale.add(row);
     this.#seen = seen;
     if (store.stale.size === 0) return;
@@ -171,14 +182,18 @@ export class Renderer {
     gl.viewport(0, 0, ROW, store.colors.rows);
     gl.useProgram(program.program);
     this.#bind(program, {
-      records: store.records.texture, links: store.links.texture, chunks: store.chunks.texture, heads: store.heads.texture,
+      records: store.records.texture, links: store.links.texture, chunks: store.chunks.texture,
+      heads: store.heads.texture,
       terms: store.terms.texture, harmonics: store.harmonics.texture, tables: store.tableTexture,
     });
     const { harmonics, gaussians, levels } = store.header;
     gl.uniform1i(program.at("mode"), PAINTS[paint]);
     gl.uniform1i(program.at("levels"), levels.length);
     gl.uniform1i(program.at("detailed"), detailed ? 1 : 0);
-    gl.uniform1f(program.at("total"), paint === "arrival" ? Math.max(1, gaussians) : paint === "terms" ? 12 : 5 / (store.header.metersPerUnit || 1));
+    gl.uniform1f(
+      program.at("total"),
+      paint === "arrival" ? Math.max(1, gaussians) : paint === "terms" ? 12 : 5 / (store.header.metersPerUnit || 1),
+    );
     gl.uniform3fv(program.at("eye"), camera.position);
     if (harmonics) {
       const { lows, spans } = harmonicRanges(harmonics);
@@ -241,7 +256,9 @@ export class Renderer {
     const gl = this.#gl;
     for (const texture of [this.#order, this.#shapes, this.#paints]) texture.dispose();
     for (const framebuffer of [this.#splats, this.#colored, this.#target]) gl.deleteFramebuffer(framebuffer);
-    for (const program of [this.#splat, this.#present, this.#project, this.#colors]) if (program) gl.deleteProgram(program.program);
+    for (const program of [
+      this.#splat, this.#present, this.#project, this.#colors,
+    ]) if (program) gl.deleteProgram(program.program);
     gl.deleteTexture(this.#picture);
     gl.deleteVertexArray(this.#quads);
     gl.deleteBuffer(this.#indices);

@@ -1,4 +1,5 @@
-// What the Worker of a static scene does: orders from the page in, events for it out. Reads scene.json anew when files are gone.
+// What the Worker of a static scene does: orders from the page in, events for it out. Reads scene.json anew when files
+// are gone.
 import { Link } from "./static-link.ts";
 import type { PartEvents, Parts } from "./static-parts.ts";
 import { parseScene } from "./static-scene.ts";
@@ -27,7 +28,10 @@ export class StaticHost {
   private restarts = 0;
   private readonly meter: Meter;
 
-  constructor(private readonly post: (report: Report) => void, private readonly clock: Clock, make: (events: PartEvents, stop: AbortSignal) => Parts) {
+  constructor(
+    private readonly post: (report: Report) => void, private readonly clock: Clock,
+    make: (events: PartEvents, stop: AbortSignal) => Parts,
+  ) {
     this.link = new Link(() => clock.now() / 1000);
     this.meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
     this.parts = make({
@@ -127,6 +131,8 @@ export class StaticHost {
 
   private fail(error: unknown): void {
     if (this.stop.signal.aborted) return;
-    this.post({ kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } });
+    this.post(
+      { kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } }
+    );
   }
 }

@@ -49,7 +49,9 @@ export function parseScene(text: string): StaticScene {
     blocks: integer(top, "blocks", 0, MOST, WHERE),
     termBytes: integer(top, "term_bytes", 0, 8, WHERE),
     cells: parseCells(object(top.cells, `${WHERE}, cells`), `${WHERE}, cells`),
-    poses: list(top, "poses", 0, MOST, WHERE).map((each) => parsePose(object(each, `${WHERE}, poses`), `${WHERE}, poses`)),
+    poses: list(top, "poses", 0, MOST, WHERE).map(
+      (each) => parsePose(object(each, `${WHERE}, poses`), `${WHERE}, poses`),
+    ),
   };
   checkSizes(scene);
   return scene;
@@ -80,7 +82,9 @@ function checkSizes(scene: StaticScene): void {
     ["chunks", 32 * header.chunks], ["records", 16 * header.gaussians], ["grid", 16 * scene.cells.count],
   ];
   if (k > 0) wanted.push(["harmonics", 3 * k * header.gaussians]);
-  if (header.terms > 0) wanted.push(["blocks", 2 * scene.blocks], ["terms", header.gaussians + scene.termBytes * header.terms]);
+  if (header.terms > 0) {
+    wanted.push(["blocks", 2 * scene.blocks], ["terms", header.gaussians + scene.termBytes * header.terms]);
+  }
   for (const [kind, bytes] of wanted) {
     const got = files.get(kind)?.bytes;
     if (got !== bytes) refuse(`${WHERE}, files, ${kind}`, `${bytes} bytes`, got);
@@ -94,7 +98,8 @@ function parsePose(said: Fields, where: string): Pose {
 }
 
 function parseHarmonics(value: unknown): HarmonicTables {
-  const where = `${WHERE}, harmonics`, said = object(value, where), degree = integer(said, "degree", 1, 3, where) as 1 | 2 | 3;
+  const where = `${WHERE}, harmonics`, said = object(value, where),
+    degree = integer(said, "degree", 1, 3, where) as 1 | 2 | 3;
   const count = (degree + 1) ** 2 - 1;
   return { degree, low: numbers(said, "low", count, where), high: numbers(said, "high", count, where) };
 }

@@ -1,4 +1,5 @@
-// A source that reads a static scene (docs/static.md) from any file server, or from the page itself; the work is in a Worker.
+// A source that reads a static scene (docs/static.md) from any file server, or from the page itself; the work is in a
+// Worker.
 import type { StaticStart } from "./static-host.ts";
 import type { Source } from "./types.ts";
 import { workerSource } from "./worker-source.ts";
@@ -12,7 +13,9 @@ export interface StaticOptions {
 const INLINE = "inline:";
 
 // Written out, so that bundlers of other pages find the file.
-const startWorker = (): Worker => new Worker(new URL("static.js", import.meta.url), { type: "module", name: "gsvis static" });
+const startWorker = (): Worker => new Worker(
+  new URL("static.js", import.meta.url), { type: "module", name: "gsvis static" },
+);
 
 /** Return a source for the folder of a static scene, or for its scene.json. */
 export function staticSource(url: string | URL, options: StaticOptions = {}): Source {

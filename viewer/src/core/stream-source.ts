@@ -24,7 +24,9 @@ const MARGIN = 0.14;
 const NEAR = 0.01;
 
 // Written out, so that bundlers of other pages find the file.
-const startWorker = (): Worker => new Worker(new URL("network.js", import.meta.url), { type: "module", name: "gsvis network" });
+const startWorker = (): Worker => new Worker(
+  new URL("network.js", import.meta.url), { type: "module", name: "gsvis network" },
+);
 
 /** Return a source for the address of a stream, such as `/stream/NAME`, of this page's host or another. */
 export function streamSource(url: string | URL, options: StreamOptions = {}): StreamSource {

@@ -4,14 +4,18 @@
 /** Numbers that define the tables of base colors and terms; `colors` of WELCOME (docs/streaming.md). */
 export interface ColorTables {
   variant: "rgb" | "hsl";
-  precision: { name: string; base: number; scale: number; axis: number; center: number; decay: number; intensity: number };
+  precision: {
+    name: string; base: number; scale: number; axis: number; center: number; decay: number; intensity: number
+  };
   base: [number, number][];
   scales: [number, number];
   decays: [number, number];
   intensity: number;
 }
 
-/** Spherical harmonics of a bare scene: `bands` of (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`. */
+/**
+ * Spherical harmonics of a bare scene: `bands` of (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`.
+ */
 export interface HarmonicTables {
   degree: 1 | 2 | 3;
   low: number[];
@@ -39,7 +43,8 @@ export interface Header {
 }
 
 /**
- * What has arrived, decoded as far as the CPU needs it. Slots number the Gaussians in the order of their arrival, from 0 on; terms and
+ * What has arrived, decoded as far as the CPU needs it. Slots number the Gaussians in the order of their arrival, from
+ * 0 on; terms and
  * rows of chunks are numbered in the same way. All arrays may be transferred.
  */
 export interface Batch {
@@ -88,7 +93,8 @@ export type SourceState =
   | { kind: "streaming"; message?: string } // `message`: what is missing and gone round
   | { kind: "complete"; message?: string }
   | { kind: "waiting"; seconds: number; message: string } // the connection is lost; next try in `seconds`
-  | { kind: "failed"; message: string; code?: number }; // does not try again; `code` of ERROR: 2 another version, 4 token or origin
+  // does not try again; `code` of ERROR: 2 another version, 4 token or origin
+  | { kind: "failed"; message: string; code?: number };
 
 /** What has come so far. */
 export interface Traffic {

@@ -54,9 +54,7 @@ export class UnsupportedError extends Error {}
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
 const MIB = 2 ** 20;
 
-/**
- * Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed; the `detail` of `problem` is a sentence for people.
- */
+/** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
 export class Viewer extends EventTarget {
   readonly canvas: HTMLCanvasElement;
   readonly #gl: WebGL2RenderingContext;
@@ -84,7 +82,9 @@ export class Viewer extends EventTarget {
   #settled: (() => void)[] = [];
   #opened = 0;
   #replaced = 0; // since the last compaction
-  readonly #figures = { frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null };
+  readonly #figures = {
+    frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null,
+  };
   #traffic: Traffic = { bytes: 0, rate: 0, gaussians: 0, terms: 0, replaced: 0, reconnects: 0 };
 
   /** Draw on a canvas. Throws `UnsupportedError` where there is no WebGL2. */
@@ -92,11 +92,16 @@ export class Viewer extends EventTarget {
     super();
     this.canvas = canvas;
     this.#options = options;
-    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" });
+    const gl = canvas.getContext(
+      "webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" },
+    );
     if (!gl) throw new UnsupportedError("This browser does not offer WebGL2, or graphics are switched off in it.");
     this.#gl = gl;
     this.#renderer = new Renderer(gl, options.precision);
-    this.#look = { background: options.background ?? [0, 0, 0], antialiased: options.antialiased ?? false, paint: "color", detailed: true };
+    this.#look = {
+      background: options.background ?? [0, 0, 0], antialiased: options.antialiased ?? false, paint: "color",
+      detailed: true,
+    };
     this.#sorter = new Sorter(options.sortWorker);
     this.#sorter.onOrder = ({ order, count, milliseconds }) => this.#takeOrder(order, count, milliseconds);
     this.#sorter.onRenumbered = (slots) => this.#beginStore(slots);
@@ -166,11 +171,14 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
-  /** The exact camera of the canvas. Set one to draw it whatever the canvas's size on the page, until `camera` is set. */
+  /** The exact camera of the canvas. Set one to draw it whatever the size of the canvas, until `camera` is set. */
   get lens(): Camera {
     if (this.#fixed) return this.#fixed;
     const { clientWidth, clientHeight } = this.canvas, ratio = this.pixelRatio;
-    return cameraOf(this.#eye, Math.max(1, Math.round(clientWidth * ratio)), Math.max(1, Math.round(clientHeight * ratio)), this.#eye.fovY);
+    return cameraOf(
+      this.#eye, Math.max(1, Math.round(clientWidth * ratio)), Math.max(1, Math.round(clientHeight * ratio)),
+      this.#eye.fovY,
+    );
   }
 
   set lens(lens: Camera) {
@@ -215,10 +223,11 @@ export class Viewer extends EventTarget {
     const now = performance.now(), figures = this.#figures, { bytes, rate, reconnects } = this.#traffic;
     this.#recent = this.#recent.filter((time) => now - time < 1000);
     return {
-      fps: this.#recent.length, frames: figures.frames, frameMilliseconds: figures.frame, sortMilliseconds: figures.sort,
-      appendMilliseconds: figures.append, gaussians: this.#store?.count ?? 0, drawn: this.#renderer.count,
-      replaced: figures.replaced, terms: this.#store?.termCount ?? 0, dropped: figures.dropped, gpuBytes: this.#renderer.bytes,
-      firstImageSeconds: figures.first, precision: this.#renderer.precision, state: this.#state, bytes, rate, reconnects,
+      fps: this.#recent.length, frames: figures.frames, frameMilliseconds: figures.frame,
+      sortMilliseconds: figures.sort, appendMilliseconds: figures.append, gaussians: this.#store?.count ?? 0,
+      drawn: this.#renderer.count, replaced: figures.replaced, terms: this.#store?.termCount ?? 0,
+      dropped: figures.dropped, gpuBytes: this.#renderer.bytes, firstImageSeconds: figures.first,
+      precision: this.#renderer.precision, state: this.#state, bytes, rate, reconnects,
     };
   }
 
@@ -262,7 +271,10 @@ export class Viewer extends EventTarget {
     canvas.height = image.height;
     canvas.getContext("2d")?.putImageData(image, 0, 0);
     return new Promise((resolve, reject) => {
-      canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG of the picture."))), "image/png");
+      canvas.toBlob(
+        (blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG of the picture."))),
+        "image/png",
+      );
     });
   }
 
@@ -341,10 +353,15 @@ export class Viewer extends EventTarget {
   #trim(batch: Batch): Batch {
     const store = this.#store, count = batch.ids.length;
     if (!store || count === 0) return batch;
-    const most = Math.min(store.most, (this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB) / (store.perGaussian + 36));
+    const memory = this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB;
+    const most = Math.min(store.most, memory / (store.perGaussian + 36));
     if (store.count + count <= most) return batch;
     if (this.#figures.dropped === 0) {
-      this.#say("problem", `This device's memory holds ${store.count.toLocaleString("en")} Gaussians of this scene; the others are left out.`);
+      this.#say(
+        "problem",
+        `This device's memory holds ${store.count.toLocaleString("en")} Gaussians of this scene;` +
+          " the others are left out.",
+      );
     }
     this.#figures.dropped += count;
     const none = new Uint32Array(0);
@@ -420,9 +437,13 @@ export class Viewer extends EventTarget {
     if (!this.#store) return true;
     const turned = last ? angleBetween(last.camera, camera) : 0;
     const still = last !== null && sameCamera(last.camera, camera);
-    const slack = still ? last.region.right - camera.width : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
+    const slack = still
+      ? last.region.right - camera.width
+      : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
     const { width, height } = camera;
-    const region: Region = { left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask() };
+    const region: Region = {
+      left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask(),
+    };
     const done = still && last.version === this.#version && last.region.levels === this.#mask();
     if (!done && !this.#sorter.sorting) {
       this.#asked = { camera, version: this.#version, region };
@@ -452,7 +473,9 @@ export class Viewer extends EventTarget {
       this.#renderer.draw(camera, this.#look);
       this.#count(begin);
       this.#figures.frame = performance.now() - begin;
-      if (this.#figures.first === null && this.#renderer.count) this.#figures.first = (performance.now() - this.#opened) / 1000;
+      if (this.#figures.first === null && this.#renderer.count) {
+        this.#figures.first = (performance.now() - this.#opened) / 1000;
+      }
       this.#say("frame");
     }
     if (ordered) for (const resolve of this.#settled.splice(0)) resolve();

@@ -1,4 +1,5 @@
-// The page's end of a source whose work is in a Worker: orders go in, reports come out, and the Worker ends with the source.
+// The page's end of a source whose work is in a Worker: orders go in, reports come out, and the Worker ends with the
+// source.
 import type { Batch, Header, Pose, Source, SourceEvents, SourceState, Traffic, View } from "./types.ts";
 
 /** From the page; `Start` is what the Worker needs to begin, `More` what else it understands. */
@@ -29,7 +30,9 @@ interface WorkerSource<More> extends Source {
 }
 
 /** Return a source that starts its Worker when it is started itself. */
-export function workerSource<Start extends object, More extends { kind: string } = never>(work: Work<Start>): WorkerSource<More> {
+export function workerSource<Start extends object, More extends { kind: string } = never>(
+  work: Work<Start>,
+): WorkerSource<More> {
   type Own = Order<Start, More>;
   let worker: Worker | null = null, isClosed = false, lastPose = "";
   const waiting = new Map<string, Own>();

@@ -21,7 +21,9 @@ interface Metas {
   settings: string | null;
 }
 
-/** Read the address of a page: `?content=` names a folder of a static scene or a stream, `?settings=` a settings.json. */
+/**
+ * Read the address of a page: `?content=` names a folder of a static scene or a stream, `?settings=` a settings.json.
+ */
 export function readAddress(href: string, metas: Metas): PageAddress {
   const page = new URL(href);
   const query = page.searchParams;

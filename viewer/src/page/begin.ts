@@ -30,7 +30,9 @@ interface Beginning {
   focused: boolean; // whether it is known how far away lies what is looked at
 }
 
-export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, view.fov * DEGREES);
+export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(
+  view.eye, view.to, frame, view.fov * DEGREES,
+);
 
 /** Return views that the scene proposes as people write them. */
 export function viewsFromPoses(poses: readonly Pose[]): View[] {
@@ -43,7 +45,9 @@ export function viewsFromPoses(poses: readonly Pose[]): View[] {
 /** Ask for floor and cells; what does not come in time counts as unknown. */
 export async function survey(facts: Facts, poses: readonly Pose[]): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
-  const [floor, cells, known] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]);
+  const [floor, cells, known] = await Promise.all(
+    [Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]
+  );
   return { floor, cells, poses: poses.length ? poses : (known ?? []) };
 }
 
@@ -76,7 +80,9 @@ function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }:
 }
 
 function isFar(eye: Vec3, cells: Cells): boolean {
-  const middle = add(cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)));
+  const middle = add(
+    cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)),
+  );
   return distance(eye, middle) > FAR * extent(cells);
 }
 

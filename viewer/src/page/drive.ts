@@ -46,7 +46,10 @@ export class Drive {
   listen(canvas: HTMLCanvasElement): void {
     const { navigator, targets } = this;
     const wake = (): void => this.wake();
-    new Pointers(canvas, { navigator, wake, click: (x, y, event) => targets.click(x, y, event.altKey), doubleClick: targets.doubleClick });
+    new Pointers(
+      canvas,
+      { navigator, wake, click: (x, y, event) => targets.click(x, y, event.altKey), doubleClick: targets.doubleClick },
+    );
     this.keyboard?.stop();
     this.keyboard = new Keyboard(canvas, {
       actions: targets.actions, mode: () => navigator.mode, wake, view: targets.view, escape: targets.escape,

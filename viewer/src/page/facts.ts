@@ -109,11 +109,15 @@ export function readWhy(json: unknown): Why | null {
   if (!it) return null;
   const [cells, directions] = [fields(it.cells), fields(it.directions)];
   const seeing = list(cells?.seeing, MOST_CELLS).map(readSight).filter((sight): sight is Sight => sight !== null);
-  const seen = list(directions?.seen, MOST_DIRECTIONS).map((one) => vector(Array.isArray(one) && Array.isArray(one[0]) ? one[0] : one));
+  const seen = list(directions?.seen, MOST_DIRECTIONS).map(
+    (one) => vector(Array.isArray(one) && Array.isArray(one[0]) ? one[0] : one),
+  );
   return {
     cells: cells && isPositive(cells.of) ? { of: cells.of, seeing } : null,
     directions: directions && isPositive(directions.of)
-      ? { of: directions.of, seen: seen.filter((one): one is Vec3 => one !== null).map((one) => normalize(one)) } : null,
+      ? {
+        of: directions.of, seen: seen.filter((one): one is Vec3 => one !== null).map((one) => normalize(one)),
+      } : null,
   };
 }
 

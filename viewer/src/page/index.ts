@@ -14,11 +14,15 @@ import type { Core } from "./view.ts";
 if (document.querySelector("#scenes")) {
   void showList();
 } else {
-  const page = readAddress(location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") });
+  const page = readAddress(
+    location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
+  );
   if (page.scene) {
     const core: Core = {
       makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
-      makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(scene.url, token ? { token } : {}) : gsvis.staticSource(scene.url)),
+      makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
+        scene.url, token ? { token } : {},
+      ) : gsvis.staticSource(scene.url)),
     };
     void locate(page.scene).then(({ scene, preparing }) => {
       const shown = new ViewPage(scene, page, core);

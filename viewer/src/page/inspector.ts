@@ -47,7 +47,9 @@ export class Inspector {
     side.open("why", TITLE, summary, pending);
     const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);
     if (!pending.isConnected) return;
-    pending.replaceWith(...(why ? describeWhy(why, pick, cells, this.targets.place()) : [note("The server knows no more about it.")]));
+    pending.replaceWith(
+      ...(why ? describeWhy(why, pick, cells, this.targets.place()) : [note("The server knows no more about it.")])
+    );
   }
 }
 

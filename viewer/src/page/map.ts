@@ -33,7 +33,13 @@ export function drawMap(cells: Cells, seeing: readonly Sight[], at: Vec3, rig: R
   const side = Math.max(cells.size * zoom - 0.6, 1);
   const svg = draw("svg", { viewBox: `0 0 ${SIDE} ${SIDE}`, class: "map", "aria-hidden": "true" });
   for (const { at: [x, y], weight } of columns.values()) {
-    const box = draw("rect", { x: x - side / 2, y: y - side / 2, width: side, height: side, rx: Math.min(1.5, side / 4), class: weight ? "seeing" : "cell" });
+    const box = draw(
+      "rect",
+      {
+        x: x - side / 2, y: y - side / 2, width: side, height: side, rx: Math.min(1.5, side / 4),
+        class: weight ? "seeing" : "cell",
+      },
+    );
     if (weight) box.style.setProperty("opacity", String(0.35 + 0.65 * Math.min(1, Math.sqrt(weight))));
     svg.append(box);
   }
@@ -44,7 +50,9 @@ export function drawMap(cells: Cells, seeing: readonly Sight[], at: Vec3, rig: R
   svg.append(
     draw("line", { x1: ex, y1: ey, x2: gx, y2: gy, class: "sight" }),
     draw("circle", { cx: gx, cy: gy, r: 4, class: "gaussian" }),
-    draw("path", { d: "M9 0L-5 5.5L-2.5 0L-5 -5.5z", class: "eye", transform: `translate(${ex} ${ey}) rotate(${turned})` }),
+    draw(
+      "path", { d: "M9 0L-5 5.5L-2.5 0L-5 -5.5z", class: "eye", transform: `translate(${ex} ${ey}) rotate(${turned})` },
+    ),
   );
   return svg;
 }

@@ -164,7 +164,9 @@ export class Navigator {
     const turn = TURN_SPEED * seconds;
     if (this.mode === "orbit") this.wanted = orbit(this.wanted, this.frame, -held.turn * turn, -held.tilt * turn);
     else this.wanted = look(this.wanted, held.turn * turn, held.tilt * turn);
-    const fit = this.mode === "orbit" ? Math.max(0.3 * this.wanted.reach, 0.2 * this.meter) : METERS_A_SECOND[this.mode] * this.meter;
+    const fit = this.mode === "orbit"
+      ? Math.max(0.3 * this.wanted.reach, 0.2 * this.meter)
+      : METERS_A_SECOND[this.mode] * this.meter;
     const way = fit * this.pace * seconds * (held.fast ? FAST : 1);
     if (held.ahead === 0 && held.aside === 0 && held.above === 0) return;
     const size = Math.max(1, Math.hypot(held.ahead, held.aside));

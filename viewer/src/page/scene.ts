@@ -5,7 +5,10 @@ import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
 import { fields, list } from "./json.ts";
 
-/** Where a scene is read from, and whether its server prepares it for streaming meanwhile; `answered`: the server has said so. */
+/**
+ * Where a scene is read from, and whether its server prepares it for streaming meanwhile; `answered`: the server has
+ * said so.
+ */
 interface Located {
   scene: SceneAddress;
   preparing: boolean;
@@ -53,7 +56,9 @@ function streamUrl(path: string, root: string): string {
 /** Return the views that a static scene proposes; none for a stream. */
 export async function proposedPoses(scene: SceneAddress): Promise<Pose[]> {
   if (scene.kind !== "static") return [];
-  const address = /\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`;
+  const address = /\.json$/.test(new URL(scene.url).pathname)
+    ? scene.url
+    : `${scene.url.replace(/\/?$/, "/")}scene.json`;
   const content = scene.url === "inline:" ? readInline() : await ask(address);
   return readPoses(fields(content)?.poses);
 }

@@ -1,4 +1,5 @@
-// Vectors, quaternions (wxyz) and the frame of a scene: which way is up, and two level axes that turns are counted from.
+// Vectors, quaternions (wxyz) and the frame of a scene: which way is up, and two level axes that turns are counted
+// from.
 
 import { quaternionOf } from "../core/index.ts";
 
@@ -39,7 +40,10 @@ export function rotate(q: Quat, v: Vec3): Vec3 {
   return add(add(v, scale(twice, w)), cross(axis, twice));
 }
 
-/** Return the unit quaternion whose rotation has these columns, which are orthonormal and right-handed; its w is not negative. */
+/**
+ * Return the unit quaternion whose rotation has these columns, which are orthonormal and right-handed; its w is not
+ * negative.
+ */
 export function quaternionFromColumns(a: Vec3, b: Vec3, c: Vec3): Quat {
   const [w, x, y, z] = quaternionOf([0, 1, 2].flatMap((k) => [a[k], b[k], c[k]]));
   return w < 0 ? [-w, -x, -y, -z] : [w, x, y, z];

@@ -1,13 +1,16 @@
 // A page of somebody else that uses the module with its types; test/built.test.ts has tsc check it, and it never runs.
 import {
-  cameraOf, type Batch, type Header, type Pick, type Source, type SourceEvents, staticSource, streamSource, supportedPrecision, UnsupportedError, Viewer,
+  cameraOf, type Batch, type Header, type Pick, type Source, type SourceEvents, staticSource, streamSource,
+  supportedPrecision, UnsupportedError, Viewer,
 } from "gsvis-viewer";
 
 const canvas = document.querySelector("canvas") as HTMLCanvasElement;
 
 export async function show(url: string, token: string): Promise<Pick | null> {
   const source = streamSource(url, { token, worker: () => new Worker("network.js") });
-  const viewer = new Viewer(canvas, { source, background: [0, 0, 0], memory: 2 ** 28, precision: supportedPrecision() ?? "bytes" });
+  const viewer = new Viewer(
+    canvas, { source, background: [0, 0, 0], memory: 2 ** 28, precision: supportedPrecision() ?? "bytes" },
+  );
   viewer.camera = { position: [0, 0, 1.6], rotation: [0.5, -0.5, 0.5, -0.5], fovY: 1 };
   viewer.lens = cameraOf(viewer.camera, 640, 360, 1);
   viewer.paint = "depth";
