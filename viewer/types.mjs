@@ -24,7 +24,8 @@ export function bundleTypes() {
   const folder = join(here, ".types");
   rmSync(folder, { recursive: true, force: true });
   try {
-    execFileSync(process.execPath, [join(here, "node_modules/typescript/bin/tsc"), "-p", join(here, "tsconfig.types.json")]);
+    const tsc = join(here, "node_modules/typescript/bin/tsc");
+    execFileSync(process.execPath, [tsc, "-p", join(here, "tsconfig.types.json")]);
     return joinTypes(folder);
   } finally {
     rmSync(folder, { recursive: true, force: true });
@@ -35,7 +36,8 @@ export function bundleTypes() {
 function joinTypes(folder) {
   const all = new Map(), index = readFileSync(join(folder, "index.d.ts"), "utf8"), asked = new Set();
   for (const file of readdirSync(folder).filter((name) => name !== "index.d.ts")) {
-    const module = basename(file, ".d.ts"), source = declarationsOf(readFileSync(join(here, "src/core", `${module}.ts`), "utf8"));
+    const module = basename(file, ".d.ts");
+    const source = declarationsOf(readFileSync(join(here, "src/core", `${module}.ts`), "utf8"));
     for (const [name, { kind, text }] of declarationsOf(readFileSync(join(folder, file), "utf8"))) {
       const written = kind === "interface" || kind === "type" ? source.get(name)?.text : undefined;
       (all.get(name) ?? all.set(name, []).get(name)).push({ module, text: written ?? text });
@@ -53,8 +55,10 @@ function joinTypes(folder) {
     const code = found[0].text.replace(/\/\*[^]*?\*\/|\/\/.*/g, "");
     for (const word of new Set(code.match(/\b[A-Z]\w*/g))) if (all.has(word)) asked.add(word);
   }
-  const texts = blocks.map(({ name, text }) => text.replace(
-    new RegExp(`^(${COMMENT})(?:export )?(?:declare )?(interface|type|class|function|const)`),
-    (_, comment, kind) => `${comment}${exported.has(name) ? "export " : ""}${/interface|type/.test(kind) ? "" : "declare "}${kind}`));
+  const head = new RegExp(`^(${COMMENT})(?:export )?(?:declare )?(interface|type|class|function|const)`);
+  const texts = blocks.map(({ name, text }) => text.replace(head, (_, comment, kind) => {
+    const words = [exported.has(name) ? "export " : "", /interface|type/.test(kind) ? "" : "declare "];
+    return comment + words.join("") + kind;
+  }));
   return `${HEAD}${texts.join("\n")}\nexport {};\n`;
 }
