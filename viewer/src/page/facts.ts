@@ -7,6 +7,11 @@ import { fields, isPositive, list, numbers, vector } from "./json.ts";
 import { normalize } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 
+/** A view that a scene proposes, and how to move from there, if that is known. */
+export interface StartPose extends Pose {
+  mode?: "orbit" | "fly";
+}
+
 export interface Cells {
   origin: Vec3;
   size: number;
@@ -49,7 +54,7 @@ export class Facts {
   }
 
   /** Views that the package proposes, the best first. */
-  async views(): Promise<Pose[]> {
+  async views(): Promise<StartPose[]> {
     return readPoses(fields(await this.ask("cells"))?.views);
   }
 
@@ -97,10 +102,12 @@ export function readCells(json: unknown): Cells | null {
 }
 
 /** Return the poses in a list; what is none is left out. */
-export function readPoses(json: unknown): Pose[] {
+export function readPoses(json: unknown): StartPose[] {
   return list(json, MOST_POSES).flatMap((each) => {
-    const it = fields(each), position = vector(it?.position), rotation = numbers(it?.rotation, 4);
-    return position && rotation ? [{ position, rotation: rotation as Pose["rotation"] }] : [];
+    const it = fields(each), position = vector(it?.position);
+    const rotation = numbers(it?.rotation, 4) as Pose["rotation"] | null;
+    if (!it || !position || !rotation) return [];
+    return [{ position, rotation, ...(it.mode === "orbit" || it.mode === "fly" ? { mode: it.mode } : {}) }];
   });
 }
 
