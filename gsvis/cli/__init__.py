@@ -40,6 +40,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
   gsvis export scene.gsvis -o site           a site for any file server
+  gsvis space scene.ply -o walk.glb          where one can walk, as meshes
   gsvis view scene.gsvis                     in the browser; any scene
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report

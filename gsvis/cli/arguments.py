@@ -14,6 +14,7 @@ from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
@@ -67,6 +68,7 @@ __all__ = [
     "Render",
     "Serve",
     "Simulate",
+    "Space",
     "Train",
     "Unpack",
     "Verify",
@@ -439,6 +441,7 @@ Command = (
     | Verify
     | Unpack
     | Export
+    | Space
     | View
     | Serve
     | Simulate
