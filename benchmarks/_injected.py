@@ -1,4 +1,4 @@
-"""Put things into a scene that do not belong there: floaters, fog, what is hidden. Seeded; knows nothing of cleaning."""
+"""Put floaters, fog and hidden Gaussians into a scene. Seeded; knows nothing of cleaning."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.pvs.look import Look
+from gsvis.render import view_weights
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["KINDS", "Injected", "inject", "seen_by"]
+__all__ = ["KINDS", "Injected", "drawn_by", "inject", "seen_by"]
 
 KINDS = ("scene", "floaters", "fog", "interior")
 HAZE = 0.35  # optical depth that fog adds over a path as long as the scene is wide
 TAU = 1.0 / 255.0
-CERTAIN = 1e-4  # weight below which what is put in is hidden without doubt
+CERTAIN = TAU / 4.0  # weight below which what is put in is hidden without doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ def inject(g: Gaussians, space: NavigableSpace, share: float, seed: int) -> Inje
 
     Floaters are groups of 1 to 4 of 0.1% to 1% of the scene's width and opacities 0.1 to 0.95, at random places of
     navigable space. Fog has 2% to 6% of the width and opacities 0.02 to 0.05, at such places too; as many as make a
-    path across the scene lose a third of its light, at most a third of all. Hidden ones lie behind surfaces, where 64
+    path across the scene lose a third of its light, at most a third of all. Hidden ones lie behind surfaces, where 48
     eyes do not see them.
     """
     rng = np.random.default_rng([seed, 77])
@@ -64,6 +66,14 @@ def inject(g: Gaussians, space: NavigableSpace, share: float, seed: int) -> Inje
     return Injected(Gaussians.concatenate([g, floaters, fog, hidden]), kinds)
 
 
+def drawn_by(g: Gaussians, eyes: NDArray[np.float64], size: int = 192) -> NDArray[np.bool_]:
+    """Return (N,) what the rasterizer draws on cubemaps around eyes (E, 3), with a weight of at least 1/255."""
+    seen = np.zeros(len(g), bool)
+    for eye in eyes:
+        seen |= view_weights(g, Cameras.cubemap(eye[None], size)).largest.max(axis=0) >= TAU
+    return seen
+
+
 def seen_by(g: Gaussians, eyes: NDArray[np.float64], size: int = 256, floor: float = TAU) -> NDArray[np.bool_]:
     """Return (N,) what eyes (E, 3) see, on cubemaps, with a weight of at least `floor`."""
     look, seen = Look(g, "hybrid", size, floor), np.zeros(len(g), bool)
@@ -74,7 +84,7 @@ def seen_by(g: Gaussians, eyes: NDArray[np.float64], size: int = 256, floor: flo
 
 def _hidden(g: Gaussians, space: NavigableSpace, rng: np.random.Generator, side: float, count: int) -> Gaussians:
     """Return Gaussians behind surfaces that eyes do not see."""
-    eyes = space.sample_viewpoints(64, rng)
+    eyes = space.sample_viewpoints(48, rng)
     solid = np.flatnonzero(g.opacities >= 0.5)
     low, high = g.bounds(0.98)
     parts: list[Gaussians] = []
@@ -91,7 +101,7 @@ def _hidden(g: Gaussians, space: NavigableSpace, rng: np.random.Generator, side:
         parts.append(made[~seen])
         if sum(map(len, parts)) >= count:
             break
-    return Gaussians.concatenate(parts)[: count]
+    return Gaussians.concatenate(parts)[:count]
 
 
 def _make(
@@ -101,5 +111,5 @@ def _make(
     """Return Gaussians with random turns and colors, of the SH degree of a scene."""
     n = len(means)
     base = rng.normal(0.0, 0.2, (n, 1, 1)) + (0.0 if gray else 1.0) * rng.normal(0.0, 1.0, (n, 1, 3))
-    shN = np.zeros((n, like.shN.shape[1], 3))  # noqa: N806
+    shN = np.zeros((n, like.shN.shape[1], 3))
     return Gaussians(means, rng.normal(size=(n, 4)), scales, opacities, base, shN)

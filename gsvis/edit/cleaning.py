@@ -21,6 +21,7 @@ __all__ = ["Cleaning", "clean", "core_of", "held_out_cameras"]
 
 _WIDTH, _HEIGHT, _FOV = 320, 240, 75.0  # of held-out views
 _STREAM = 2  # of the seed, for held-out views
+_DRAWN, _MOST = 12_000_000, 256  # Gaussians drawn in further views of the guard, and most of these views
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,9 @@ def clean(
     held_out = None
     if config.held_out:
         held_out = held_out_cameras(g, shape, navigable, config.held_out, config.seed)
-        classes, costs = guard(g, found, held_out, config, progress=progress)
+        count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # as many as take a few seconds
+        more = held_out_cameras(g, shape, navigable, count, config.seed, stream=_STREAM + 1) if count else None
+        classes, costs = guard(g, found, held_out, config, more=more, progress=progress)
     return Cleaning(classes, found, costs, evidence, navigable, held_out)
 
 
@@ -126,7 +129,9 @@ def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:
     return core
 
 
-def held_out_cameras(g: Gaussians, shape: Shape, navigable: NavigableSpace, count: int, seed: int) -> Cameras:
+def held_out_cameras(
+    g: Gaussians, shape: Shape, navigable: NavigableSpace, count: int, seed: int, *, stream: int = _STREAM
+) -> Cameras:
     """Return random cameras in navigable space that are no part of the evidence.
 
     Args:
@@ -135,9 +140,10 @@ def held_out_cameras(g: Gaussians, shape: Shape, navigable: NavigableSpace, coun
         navigable: Where eyes may be.
         count: Number of cameras.
         seed: Seed of the cameras.
+        stream: Index of one of the seed's independent random streams.
 
     Raises:
         SceneError: If all viewpoints drawn lie inside something solid.
     """
-    sampling = ViewSampling(count, _WIDTH, _HEIGHT, _FOV, seed, _STREAM)
+    sampling = ViewSampling(count, _WIDTH, _HEIGHT, _FOV, seed, stream)
     return sampling.cameras(core_of(g, shape), navigable)

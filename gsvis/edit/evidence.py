@@ -39,10 +39,11 @@ FEW = 24  # Gaussians, at strength 1, of a group that is no surface
 SMALL = 1000  # voxels of such a group, at strength 1
 LARGE = 0.01  # middle standard deviation of a large Gaussian, as a share of the longest side
 ROUND = 0.3  # least over middle standard deviation of a large Gaussian that is no disc
-DOUBT = 0.25  # share of tau from which a Gaussian counts as seen: another eye may see it better
+DOUBT = 0.5  # share of tau from which a Gaussian counts as seen: another eye may see it better
 FAINT = 0.3  # opacity below which a large Gaussian does not count as part of a surface
 BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
 _EYES = 512  # that find air
+_RAYS = 4_000_000  # outward, at most, to look again at what the first found hidden
 _SAMPLES = 32  # points of a Gaussian that say where its mass lies
 
 
@@ -161,7 +162,7 @@ def gather_evidence(
     seen, faces = np.zeros(len(g), bool), np.zeros(len(g), np.uint8)
     seen[ids], faces[ids] = _look(core, looked, config, progress)
     rest = np.flatnonzero(~seen[ids])
-    seen[ids[rest]] = _look_outward(core, navigable, rest, DOUBT * config.tau, progress)
+    seen[ids[rest]] = _look_outward(core, navigable, rest, config.tau, progress)
     hazy = ~shape.core & ~shape.far & (g.opacities >= MIN_ALPHA)
     seen[hazy] = met[hazy]  # light gets to where it is
     far = np.flatnonzero(shape.far)
@@ -276,7 +277,15 @@ def _look_outward(
     tracer = Tracer(EllipsoidProxies.from_scene(core))
     _ = tracer.hierarchy
     progress("structure", 1, 1)
-    return seen_from_space(tracer, navigable, ids=ids, tau=tau, progress=progress)
+    seen = np.zeros(len(ids), bool)
+    for fineness in (1, 4, 16, 64):
+        rest = np.flatnonzero(~seen)
+        if fineness > 1 and 80 * fineness * len(rest) > _RAYS:
+            break
+        least = tau if fineness > 1 else DOUBT * tau
+        told = progress if fineness == 1 else silent
+        seen[rest] = seen_from_space(tracer, navigable, ids=ids[rest], rays_per_face=fineness, tau=least, progress=told)
+    return seen
 
 
 def _part_of_backdrop(far: Gaussians, middle: F64) -> Mask:

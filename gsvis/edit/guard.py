@@ -87,7 +87,13 @@ def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cos
 
 
 def guard(
-    g: Gaussians, classes: U8, cameras: Cameras, config: CleanConfig, *, progress: Progress = silent
+    g: Gaussians,
+    classes: U8,
+    cameras: Cameras,
+    config: CleanConfig,
+    *,
+    more: Cameras | None = None,
+    progress: Progress = silent,
 ) -> tuple[U8, dict[str, Cost]]:
     """Give back what held-out views need.
 
@@ -100,7 +106,8 @@ def guard(
         classes: (N,) uint8, the class of each Gaussian; not changed.
         cameras: C > 0 held-out cameras.
         config: The limits.
-        progress: Called with stage "guard", in views.
+        more: Further cameras, in which only Gaussians of `HIDDEN` are looked for; cheaper than a comparison.
+        progress: Called with stage "guard", in steps.
 
     Returns:
         The classes (N,) after it, and the cost of each class that held Gaussians, by name. "all" is the cost of what
@@ -110,7 +117,7 @@ def guard(
     names = [name for name in CLASSES if np.any(classes == class_of(name))]
     steps = 2 + len([name for name in names if name not in HIDDEN]) + any(name in HIDDEN for name in names)
     progress(_STAGE, 0, steps)
-    classes, back = _rescue(g, classes, cameras, config.tau)
+    classes, back = _rescue(g, classes, [cameras] if more is None else [cameras, more], config.tau)
     whole = _Views.draw(g, cameras)
     progress(_STAGE, 1, steps)
     costs: dict[str, Cost] = {}
@@ -136,7 +143,7 @@ def guard(
     return classes, costs
 
 
-def _rescue(g: Gaussians, classes: U8, cameras: Cameras, tau: float) -> tuple[U8, dict[str, int]]:
+def _rescue(g: Gaussians, classes: U8, cameras: list[Cameras], tau: float) -> tuple[U8, dict[str, int]]:
     """Return the classes without Gaussians of `HIDDEN` that a camera sees, and how many of each class that were.
 
     Fog and floaters are left out: what they hide is seen when they are gone.
@@ -146,8 +153,8 @@ def _rescue(g: Gaussians, classes: U8, cameras: Cameras, tau: float) -> tuple[U8
         return classes, {}
     stays = np.flatnonzero(hidden | (classes == KEPT))
     part, seen = g[stays], np.zeros(len(g), bool)
-    for c in range(len(cameras)):
-        seen[stays[view_weights(part, cameras[c]).largest[0] >= tau]] = True
+    for camera in (some[c] for some in cameras for c in range(len(some))):
+        seen[stays[view_weights(part, camera).largest[0] >= tau]] = True
     rescued = hidden & seen
     counts = {name: int(np.count_nonzero(rescued & (classes == class_of(name)))) for name in HIDDEN}
     return np.where(rescued, np.uint8(KEPT), classes), counts
