@@ -1,7 +1,7 @@
 """Does cleaning find what does not belong into a scene, and does the rest stay?
 
-A script puts 2% more Gaussians into a scene: floaters, fog, and some behind surfaces. Cleaning does not know which. Then
-held-out views of the result are compared with those of the scene before anything was put in.
+A script puts 2% more Gaussians into a scene: floaters, fog, and some behind surfaces. Cleaning does not know which.
+Then held-out views of the result are compared with those of the scene before anything was put in.
 
 Given: built-in scenes and real ones, what is put in (`_injected.py`), seeds.
 Measured: recall by kind; precision on built-in scenes, where what goes of the scene itself counts as wrong unless the

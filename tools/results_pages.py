@@ -127,6 +127,5 @@ PAGES = {
             "scaling",
         ),
     ),
-    "edit": Page("Editing scenes", ("clean",)),
     "viewer": Page("The viewer", ("viewer_load", "viewer_draw")),
 }

@@ -23,3 +23,7 @@ __all__ = [
     "held_out_cameras",
     "measure_cost",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -251,17 +251,19 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
     from gsvis.pvs.look import Look
     from gsvis.raycast.directions import face_of
 
-    look = Look(core, "hybrid", config.size, DOUBT * config.tau)
+    floor = DOUBT * config.tau
+    look = Look(core, "hybrid", config.size, floor)
     sets = np.zeros((len(core), 10), np.uint8)
     progress("viewpoints", 0, len(eyes))
     for done, eye in enumerate(eyes, 1):
-        ids, _ = look(eye)
+        ids, weights = look(eye)
+        ids = ids[weights > np.float32(floor)]  # the look gives just this weight to what it doubts; rays decide that
         toward = eye - core.means[ids].astype(np.float64)
         toward[~toward.any(axis=1)] = (1.0, 0.0, 0.0)
         faces = face_of(toward)
         sets[ids, faces >> 3] |= (1 << (faces & 7)).astype(np.uint8)
         progress("viewpoints", done, len(eyes))
-    return sets.any(axis=1), np.unpackbits(sets, axis=1).sum(axis=1, dtype=np.uint8)
+    return np.asarray(sets.any(axis=1)), np.unpackbits(sets, axis=1).sum(axis=1, dtype=np.uint8)
 
 
 def _look_outward(

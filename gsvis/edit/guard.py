@@ -70,7 +70,7 @@ class _Views:
         return Cost(
             mean_db=float(found.mean()),
             worst_db=float(found.min()),
-            changed=float(np.count_nonzero(moved) / max(np.count_nonzero(solid), 1)),
+            changed=int(np.count_nonzero(moved)) / max(int(np.count_nonzero(solid)), 1),
             light_lost=float(np.mean(self.alphas - without.alphas)),
         )
 
