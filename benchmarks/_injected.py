@@ -42,7 +42,7 @@ def inject(g: Gaussians, space: NavigableSpace, share: float, seed: int) -> Inje
     Floaters are groups of 1 to 4 of 0.1% to 1% of the scene's width and opacities 0.1 to 0.95, at random places of
     navigable space. Fog has 2% to 6% of the width and opacities 0.02 to 0.05, at such places too; as many as make a
     path across the scene lose a third of its light, at most a third of all. Hidden ones lie behind surfaces, where 48
-    eyes do not see them, nor any eye on 320 rays outward from each: seams of walls let light through.
+    eyes do not see them, nor any eye on 1,280 rays outward from each: seams of walls let light through.
     """
     rng = np.random.default_rng([seed, 77])
     low, high = g.bounds(0.98)
@@ -102,7 +102,7 @@ def _hidden(g: Gaussians, space: NavigableSpace, rng: np.random.Generator, side:
         both = Gaussians.concatenate([g, made])
         left = len(g) + np.flatnonzero(~seen_by(both, eyes, floor=CERTAIN)[len(g) :])
         tracer = Tracer(EllipsoidProxies.from_scene(both))
-        parts.append(both[left[~trace_directions(tracer, space, ids=left, rays_per_face=4).any(axis=1)]])
+        parts.append(both[left[~trace_directions(tracer, space, ids=left, rays_per_face=16).any(axis=1)]])
         if sum(map(len, parts)) >= count:
             break
     return Gaussians.concatenate(parts)[:count]

@@ -44,6 +44,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--only", choices=("builtin", "real", "cost"), nargs="*", default=["builtin", "real", "cost"])
+    parser.add_argument("--scenes", choices=[name for name, _ in REAL], nargs="*", default=[name for name, _ in REAL])
     parser.add_argument("--million", type=int, default=1_000_000, help="Gaussians of the scene whose time is taken")
     parser.add_argument("--child", nargs=2, metavar=("COUNT", "FLYAWAYS"), help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -56,7 +57,9 @@ def main() -> None:
         details["builtin"] = {name: on_builtin(name, options) for name in BUILTIN_SCENES}
         figures += judge("built-in scenes", details["builtin"], with_precision=True)
     if "real" in options.only:
-        details["real"] = {f"{name} LOD {lod}": on_real(name, lod, options) for name, lod in REAL}
+        details["real"] = {
+            f"{name} LOD {lod}": on_real(name, lod, options) for name, lod in REAL if name in options.scenes
+        }
         figures += judge("real scenes", details["real"], with_precision=False)
     if "cost" in options.only:
         realdata()

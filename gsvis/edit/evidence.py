@@ -280,7 +280,7 @@ def _look_outward(
     _ = tracer.hierarchy
     progress("structure", 1, 1)
     seen = np.zeros(len(ids), bool)
-    for fineness in (1, 4, 16, 64):
+    for fineness in (1, 4):
         rest = np.flatnonzero(~seen)
         if fineness > 1 and 80 * fineness * len(rest) > _RAYS:
             break
