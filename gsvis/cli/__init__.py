@@ -35,6 +35,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis color scene.ply -o scene.arrow       color that can be sent in pieces
   gsvis train photos -o scene.ply            photographs to a scene
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
+  gsvis clean scene.ply -o clean.ply         without floaters and the unseen
   gsvis convert scene.ply small.spz --min-opacity 0.02
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_edit import Clean
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
@@ -56,6 +57,7 @@ from gsvis.cli.readers import (
 
 __all__ = [
     "Analyze",
+    "Clean",
     "Color",
     "Command",
     "Convert",
@@ -436,6 +438,7 @@ Command = (
     | Color
     | Train
     | Levels
+    | Clean
     | Convert
     | Prepare
     | Verify
