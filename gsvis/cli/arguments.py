@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_edit import Cut, Paint
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
@@ -58,9 +59,11 @@ __all__ = [
     "Color",
     "Command",
     "Convert",
+    "Cut",
     "Export",
     "Inspect",
     "Levels",
+    "Paint",
     "Prepare",
     "Pvs",
     "PvsReport",
@@ -435,6 +438,8 @@ Command = (
     | Train
     | Levels
     | Convert
+    | Cut
+    | Paint
     | Prepare
     | Verify
     | Unpack

@@ -21,6 +21,7 @@ __all__ = [
     "CHANGE",
     "COLOR",
     "COUNTED",
+    "DB",
     "DEGREES",
     "DISTANCE",
     "ELEVATION",
@@ -205,6 +206,7 @@ _COUNT = 10**9
 WHOLE = _number("N", int, 0, _COUNT, "a whole number of at least 0")
 COUNTED = _number("N", int, 1, _COUNT, "a whole number of at least 1")
 PIXELS = _number("PX", int, 1, 16384, "1 to 16384 pixels")
+DB = _number("DB", float, 0.0, 100.0, "dB in [0, 100]")
 DEGREES = _number("DEG", float, 1.0, 179.0, "degrees in [1, 179]")
 WEIGHT = _number("W", float, 1e-6, 1.0, "a weight in [1e-6, 1]")
 OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")

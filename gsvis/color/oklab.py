@@ -86,7 +86,9 @@ def ramp(parts: ArrayLike) -> F64:
 def palette(count: int) -> F64:
     """Return (count, 3) sRGB colors of categories; those near in number differ much, in hue and in lightness."""
     numbers = np.arange(_check.positive_int("count", count, at_least=0))
-    return _shown(np.array([0.78, 0.55, 0.68])[numbers % 3], np.full(count, _CHROMA), _GOLDEN * numbers)
+    return _shown(
+        np.array([0.78, 0.55, 0.68])[numbers % 3], np.full(count, _CHROMA), np.asarray(_GOLDEN * numbers, np.float64)
+    )
 
 
 def _shown(lightness: F64, chroma: F64, hues: F64) -> F64:

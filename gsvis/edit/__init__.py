@@ -1,11 +1,11 @@
 """Edit a scene by what can be seen: cut it to what some eyes need, or paint it by what they see.
 
-    eyes = EyesInSpace(NavigableSpace.from_box((0, 0, 1), (4, 3, 2)))
-    found = cut(scene, eyes)
-    smaller = scene[found.kept]
+eyes = EyesInSpace(NavigableSpace.from_box((0, 0, 1), (4, 3, 2)))
+found = cut(scene, eyes)
+smaller = scene[found.kept]
 
-    space = NavigableSpace.from_scene(scene)
-    painted = paint(scene, measure_quantity(scene, "visibility", space))
+space = NavigableSpace.from_scene(scene)
+painted = paint(scene, measure_quantity(scene, "visibility", space))
 """
 
 from gsvis.edit.cut import Cut, CutConfig, HeldOut, cut

@@ -38,7 +38,9 @@ _TILES = 8  # worst rays whose tiles are traced
 _TURNS = 4  # most probes of these tiles in one stage
 _LOOKED = 0.1  # part of the limit that the estimate must exceed for another look
 _MORE_RAYS = 16  # largest factor by which rays are more where few meet something
+_RESERVE = 5.0  # dB above the least PSNR up to which views are mended: others may be worse
 _FAINT = 0.25  # part of tau from which a Gaussian is added that a bad view lacks
+_VIEWS = ViewSampling(16, 640, 480, 90.0)
 _STREAM = 100  # first random stream of the held-out views; each round has its own
 
 
@@ -54,7 +56,8 @@ class CutConfig:
         rays: Most rays of one certificate.
         max_stages: Most certificates; the last is kept even if it is above the limits.
         views: Held-out views, `ViewSampling` with their number, size, field of view and seed. 0 views draw none.
-        min_psnr: A held-out view below this, dB, gets what it lacks, and other views are drawn.
+        min_psnr: If a held-out view is below this, dB, all views less than 5 dB above it get what they lack, and other
+            views are drawn.
         rounds: Most rounds of held-out views; the last adds nothing.
         seed: Seed of everything random.
     """
@@ -65,7 +68,7 @@ class CutConfig:
     tile_limit: float = 0.1
     rays: int = 8192
     max_stages: int = 17
-    views: ViewSampling = ViewSampling(16, 640, 480, 90.0)
+    views: ViewSampling = _VIEWS
     min_psnr: float = 45.0
     rounds: int = 4
     seed: int = 0
@@ -92,12 +95,14 @@ class HeldOut:
         psnr: (C,) dB of each view of the set against the scene; `PSNR_CAP` for equal images.
         rounds: Rounds of views; in all but the last, what bad views lacked was added.
         added: Gaussians that were added because of them.
+        fresh: Whether none of them was looked from before.
     """
 
     cameras: Cameras
     psnr: F64
     rounds: int
     added: int
+    fresh: bool
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain numbers for JSON."""
@@ -109,6 +114,7 @@ class HeldOut:
             "mean_psnr": float(self.psnr.mean()),
             "rounds": self.rounds,
             "added": self.added,
+            "fresh": self.fresh,
         }
 
 
@@ -211,9 +217,9 @@ def cut(g: Gaussians, eyes: Eyes, config: CutConfig | None = None, *, progress: 
     _ = certifier.tracer.hierarchy
     progress("structure", 1, 1)
     looks, lost = growing.look(progress)
-    if looks == 0:
-        raise SceneError(f"all of {lost} places to look from lie inside something solid; give others")
     certificates = growing.certify(certifier, progress)
+    if looks == 0 and not certificates:
+        raise SceneError(f"all of {lost} places to look from lie inside something solid; give others")
     if not growing.kept.any():
         raise SceneError("everything would go: no eye sees any of the scene; are they in its frame?")
     check = None
@@ -305,14 +311,14 @@ class _Growing:
             for c in range(len(views)):
                 values[c] = _compare(self.g, kept, views[c])
                 progress("held_out", k * config.views.count + c + 1, total)
-            bad = np.flatnonzero(values < config.min_psnr)
-            if len(bad) == 0 or k == config.rounds - 1:
+            if values.min() >= config.min_psnr or k == config.rounds - 1:
                 break
-            for c in bad:
-                largest = view_weights(self.g, views[int(c)]).largest[0]
+            for c in np.flatnonzero(values < config.min_psnr + _RESERVE).tolist():
+                largest = view_weights(self.g, views[c]).largest[0]
                 self.add(_at_least(largest, _FAINT * config.tau))
         progress("held_out", total, total)
-        return HeldOut(views, values, k + 1, int(np.count_nonzero(self.kept)) - before)
+        added = int(np.count_nonzero(self.kept)) - before
+        return HeldOut(views, values, k + 1, added, not self.eyes.repeats)
 
 
 def _at_least(largest: F32, floor: float) -> Sight:
@@ -322,12 +328,11 @@ def _at_least(largest: F32, floor: float) -> Sight:
 
 def _compare(g: Gaussians, kept: Gaussians, view: Cameras) -> float:
     """Return the PSNR of a view of a part of a scene against the scene, dB."""
-    wanted, got = (rasterize(each, view, backend="cpu").images for each in (g, kept))
-    return min(float(psnr(got, wanted)[0]), PSNR_CAP)
+    wanted, got = (rasterize(each, view, backend="cpu").images[0] for each in (g, kept))
+    return min(float(psnr(got, wanted)), PSNR_CAP)
 
 
 def _with_more_rays(options: CertificateConfig, rays: int, found: Certificate) -> CertificateConfig:
     """Return options with as many more rays as fewer meet something: one that meets nothing proves nothing."""
     factor = min(_MORE_RAYS, round(1.0 / max(float(found.weights.mean()), 1.0 / _MORE_RAYS)))
     return replace(options, rays=factor * rays, round_rays=factor * CertificateConfig.round_rays)
-

@@ -41,6 +41,11 @@ _CHOSEN = 3  # random stream of the cameras that are drawn
 class Eyes(Protocol):
     """Eyes that a scene is cut for."""
 
+    @property
+    def repeats(self) -> bool:
+        """Whether the views that are drawn may be some that were looked from."""
+        ...
+
     def count_looks(self) -> int:
         """Return the number of looks of `iter_looks`, before those inside something solid are left out."""
         ...
@@ -85,6 +90,11 @@ class EyesInSpace:
 
     def __post_init__(self) -> None:
         _check.positive_int("boxes", self.boxes)
+
+    @property
+    def repeats(self) -> bool:
+        """False: places are drawn at random."""
+        return False
 
     @cached_property
     def viewpoints(self) -> F64:
@@ -154,20 +164,29 @@ class EyesOfCameras:
         if self.looks is not None:
             _check.positive_int("looks", self.looks)
 
+    @property
+    def repeats(self) -> bool:
+        """Whether all cameras are looked from, and eyes are nowhere else."""
+        return not self.margin and len(self._looked) == len(self.cameras)
+
+    @cached_property
+    def _looked(self) -> I64:
+        """Numbers of the cameras to look from."""
+        count = len(self.cameras) if self.looks is None else min(self.looks, len(self.cameras))
+        return np.floor(np.arange(count) * len(self.cameras) / count).astype(np.int64)
+
     def count_looks(self) -> int:
         """Return the number of cameras to look from; with a margin each looks twice."""
-        some = len(self.cameras) if self.looks is None else min(self.looks, len(self.cameras))
-        return some * (2 if self.margin else 1)
+        return len(self._looked) * (2 if self.margin else 1)
 
     def iter_looks(self, look: Look, seed: int) -> Iterator[Sight | None]:
         """Yield what each camera shows, then from places at its margin; None for one inside something solid."""
         solid = Solid.from_scene(look.gaussians)
-        count = self.count_looks() // (2 if self.margin else 1)
-        for c in np.floor(np.arange(count) * len(self.cameras) / count).astype(int):
-            yield self._show(look, self.cameras[int(c)])
+        for c in self._looked.tolist():
+            yield self._show(look, self.cameras[c])
         rng = np.random.default_rng([seed, _RIM])
-        for c in np.floor(np.arange(count if self.margin else 0) * len(self.cameras) / count).astype(int):
-            camera = self.cameras[int(c)]
+        for c in self._looked.tolist() if self.margin else ():
+            camera = self.cameras[c]
             place = camera.viewpoints + self.margin * _on_sphere(1, rng)
             yield None if solid.buries(place)[0] else self._show(look, _move(camera, place))
 
@@ -192,10 +211,14 @@ class EyesOfCameras:
         return certifier.certify_rays(draw, ids, config, stage=stage, earlier=earlier)
 
     def draw_views(self, g: Gaussians, sampling: ViewSampling) -> Cameras:
-        """Return some of the cameras, beside their places where there is a margin, at most as wide as `sampling`."""
+        """Return random cameras, if possible such that were not looked from, at most as wide as `sampling`.
+
+        With a margin they are moved beside their places, unless that is inside something solid.
+        """
         rng = np.random.default_rng([sampling.seed, sampling.stream, _CHOSEN])
-        some = np.sort(rng.choice(len(self.cameras), min(sampling.count, len(self.cameras)), replace=False))
-        views = self.cameras[some]
+        others = np.setdiff1d(np.arange(len(self.cameras)), () if self.margin else self._looked)
+        pool = others if len(others) else np.arange(len(self.cameras))
+        views = self.cameras[np.sort(rng.choice(pool, min(sampling.count, len(pool)), replace=False))]
         if views.width > sampling.width:
             views = views.resize(sampling.width, max(1, round(views.height * sampling.width / views.width)))
         if not self.margin:

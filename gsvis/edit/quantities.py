@@ -36,7 +36,8 @@ QUANTITIES = ("visibility", "directions", "weight", "importance", "cell")
 
 _TRIES = 32  # draws of places until enough lie outside everything solid
 _PLACES, _OF_CELLS = 1, 2  # random streams of the seed
-_TAIL = (0.05, 0.999)  # quantiles of importance that the colors span
+_VIEWS = ViewSampling(96, 480, 360, 90.0, stream=7)
+_TOP, _DECADES = 0.999, 6  # colors of importance span so many powers of ten below this quantile, at most
 
 _LABELS = {
     "visibility": "share of the eyes that see it",
@@ -60,7 +61,7 @@ class QuantityConfig:
     """
 
     eyes: int = 64
-    views: ViewSampling = ViewSampling(96, 480, 360, 90.0, stream=7)
+    views: ViewSampling = _VIEWS
     size: int = 512
     tau: float = TAU
     seed: int = 0
@@ -181,9 +182,7 @@ def stored_quantity(store: VisibilityStore, name: str, *, progress: Progress = s
     return _finish(name, lows[np.maximum(best, 0)], seen, (store.tau, 1.0), logarithmic=True)
 
 
-def _from_eyes(
-    g: Gaussians, name: str, eyes: F64, cells: int, config: QuantityConfig, progress: Progress
-) -> Quantity:
+def _from_eyes(g: Gaussians, name: str, eyes: F64, cells: int, config: QuantityConfig, progress: Progress) -> Quantity:
     """Return what eyes (V, 3) see; eye k belongs to cell k."""
     look = Look(g, "hybrid", config.size, config.tau)
     times, best, owner = np.zeros(len(g), np.int64), np.zeros(len(g), np.float32), np.zeros(len(g), np.int64)
@@ -218,8 +217,9 @@ def _from_views(g: Gaussians, space: NavigableSpace, config: QuantityConfig, pro
     effects = removal_effects(g, cameras, progress=report)
     values = effects.squared / (len(cameras) * cameras.width * cameras.height)
     seen = values > 0.0
-    low, high = np.quantile(values[seen], _TAIL) if seen.any() else (0.5, 1.0)
-    return _finish("importance", values, seen, (float(low), max(float(high), 1.001 * float(low))), logarithmic=True)
+    high = float(np.quantile(values[seen], _TOP)) if seen.any() else 1.0
+    low = min(max(float(values[seen].min(initial=high)), high * 10.0**-_DECADES), 0.999 * high)
+    return _finish("importance", values, seen, (low, high), logarithmic=True)
 
 
 def _finish(
