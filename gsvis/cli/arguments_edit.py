@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from gsvis.cli.arguments_where import Where
-from gsvis.cli.readers import COUNTED, DB, DEGREES, PLAIN, SHARE, TAU, WHOLE, Flag, Lod, Scene, hint
+from gsvis.cli.readers import COUNTED, DB, DEGREES, FACE_PIXELS, PLAIN, SHARE, TAU, WHOLE, Flag, Lod, Scene, hint
 
 __all__ = ["Cut", "Paint"]
 
@@ -34,6 +34,8 @@ class Cut(Where):
     """Weight from which a Gaussian is kept."""
     limit: Annotated[float, SHARE, hint("0.0015")] = 0.0015
     """Rays go on until they prove that at most this share of the light is missing."""
+    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Pixels along a side of the six faces around an eye."""
     views: Annotated[int, WHOLE] = 16
     """Views in one round that are drawn before and after; 0 for none."""
     min_psnr: Annotated[float, DB, hint("45")] = 45.0
@@ -68,6 +70,8 @@ class Paint(Where):
     """Take the quantity from visible sets of this scene (gsvis pvs); not for importance."""
     eyes: Annotated[int | None, COUNTED, hint("64; for importance 96")] = None
     """Number of eyes that are drawn: places, cells or views."""
+    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Pixels along a side of the six faces around an eye."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y; not with --pvs."""
     values: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None

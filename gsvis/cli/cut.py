@@ -94,9 +94,15 @@ def _config(command: Cut) -> CutConfig:
     from gsvis.edit import CutConfig
 
     usual = CutConfig()
-    views = replace(usual.views, count=command.views)
-    least = max(command.limit, 1e-6)
-    return replace(usual, tau=command.tau, limit=least, views=views, min_psnr=command.min_psnr, seed=command.seed)
+    return replace(
+        usual,
+        tau=command.tau,
+        size=command.size or usual.size,
+        limit=max(command.limit, 1e-6),
+        views=replace(usual.views, count=command.views),
+        min_psnr=command.min_psnr,
+        seed=command.seed,
+    )
 
 
 def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
