@@ -18,6 +18,7 @@ from gsvis.cli.source import (
     title_of,
     up_of,
 )
+from gsvis.cli.starts import find_starts
 from gsvis.cli.terminal import Status, print_json, show, size_of
 from gsvis.package.manifest import MANIFEST
 
@@ -48,9 +49,7 @@ def run_export(command: Export) -> None:
     _check_apart(command)
     writers = {"static": write_site, "html": write_html}
     with ExitStack() as stack, Status() as status:
-        status("reading", 0, 1)
-        scene, options = _open(command, stack)
-        status("reading", 1, 1)
+        scene, options = _open(command, stack, status)
         found = writers[command.format](command.out, scene, options, progress=status)
     made = found.scene
     if command.json:
@@ -103,7 +102,7 @@ def _check_apart(command: Export) -> None:
         raise ValueError(f"--out: expected a place outside of SCENE, got {command.out}; name another")
 
 
-def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussians, StaticOptions]:
+def _open(command: Export, stack: ExitStack, status: Status) -> tuple[Package | Levels | Gaussians, StaticOptions]:
     """Return the package or scene of a command, and what its page says."""
     from gsvis.export import StaticOptions
 
@@ -116,9 +115,15 @@ def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussia
         name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
         return stack.enter_context(Package.open(command.scene)), StaticOptions(name, _triple(up))
     check_source(command.scene, command.lod)
+    status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
+    status("reading", 1, 1)
     name = command.name or title_of(command.scene, source.lod)
-    return source.whole, StaticOptions(name, _triple(up_of(source) if up is None else up))
+    above = up_of(source) if up is None else up
+    status("start", 0, 1)
+    poses = find_starts(source, above)
+    status("start", 1, 1)
+    return source.whole, StaticOptions(name, _triple(above), poses=poses)
 
 
 def _triple(vector: NDArray[np.float64] | None) -> tuple[float, float, float] | None:

@@ -35,6 +35,7 @@ _SAID = {
     "pictures": "rendering pictures",
     "rendering": "rendering",
     "writing": "writing",
+    "start": "choosing views to begin with",
     "viewpoints": "looking from viewpoints",
     "cells": "finding and certifying sets",
     "check": "tracing some rays a second time",

@@ -12,6 +12,7 @@ _MODULES = (
     "navigable",
     "paths",
     "points",
+    "poses",
     "procedural",
     "retarget",
     "sh",

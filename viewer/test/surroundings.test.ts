@@ -5,7 +5,7 @@ import { test } from "node:test";
 import type { Header, Source } from "../src/core/types.ts";
 import { readAddress } from "../src/page/address.ts";
 import { begin, guessMeter } from "../src/page/begin.ts";
-import { readCells, readFloor, readWhy } from "../src/page/facts.ts";
+import { readCells, readFloor, readWhy, readPoses } from "../src/page/facts.ts";
 import type { Cells } from "../src/page/facts.ts";
 import { readPad } from "../src/page/gamepad.ts";
 import { globeFaces, matchFaces } from "../src/page/globe.ts";
@@ -61,6 +61,14 @@ test("indoors begins in walk or fly, around an object in orbit, unknown scenes i
   assert.equal(around.mode, "orbit");
   assert.ok(v.distance(pivot(around.rig, FRAME), [7, 7, 1]) < 1e-9);
   assert.equal(begin("", [], FRAME, NONE).mode, "orbit");
+});
+
+test("of a scene without floor and cells, the proposed view says how to move", () => {
+  const pose = (mode: unknown) => readPoses([{ position: [5, 5, 5], rotation: [1, 0, 0, 0], mode }]);
+  assert.equal(begin("", [], FRAME, { ...NONE, poses: pose("fly") }).mode, "fly");
+  assert.equal(begin("", [], FRAME, { ...NONE, poses: pose("orbit") }).mode, "orbit");
+  assert.equal(begin("", [], FRAME, { ...NONE, poses: pose("swim") }).mode, "orbit");
+  assert.equal(begin("", [], FRAME, { ...NONE, floor: hall(), cells: row(), poses: pose("fly") }).mode, "walk");
 });
 
 test("the address decides, then settings, then what the scene proposes", () => {

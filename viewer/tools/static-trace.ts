@@ -15,6 +15,7 @@ class LinkedParts implements Parts {
   requests = 0;
   bytes = 0;
   private free = 0; // when the link has carried all that was asked for
+  private readonly files = new Map<string, Uint8Array>();
   private readonly due: { at: number; resolve: () => void }[] = [];
 
   constructor(private readonly folder: string, private readonly events: PartEvents, private readonly rate: number, private readonly trip: number) {}
@@ -26,8 +27,14 @@ class LinkedParts implements Parts {
   }
 
   async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    const data = new Uint8Array(readFileSync(join(this.folder, file.name)).subarray(start, end));
+    const data = new Uint8Array(this.file(file.name).subarray(start, end));
     await this.carry(data.length);
+    return data;
+  }
+
+  private file(name: string): Uint8Array {
+    let data = this.files.get(name);
+    if (data === undefined) this.files.set(name, (data = readFileSync(join(this.folder, name))));
     return data;
   }
 

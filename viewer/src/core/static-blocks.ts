@@ -11,7 +11,7 @@ export class Blocks {
   readonly start: Uint32Array; // (B + 1) place of its first Gaussian in the files
   readonly rows: Float32Array; // (8 C) as in `Batch.chunks`
   readonly levels: Uint8Array; // (2 C) first and last level
-  readonly spheres: Float32Array; // (5 C): center of each chunk, radius of all its Gaussians, mean square of their distance from the center
+  readonly spheres: Float32Array; // (5 C): center of each chunk, radius of its box and half the largest standard deviation, mean square of their distance from the center
   readonly top: number; // the highest level
   readonly meanRadius: number; // of the boxes of chunks
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
@@ -39,7 +39,7 @@ export class Blocks {
       }
       this.rows[8 * k + 3] = low;
       this.rows[8 * k + 7] = view.getUint8(at + 28);
-      this.spheres[5 * k + 3] = Math.sqrt(square) + 3 * 2 ** ((low + REACH * view.getUint8(at + 31)) / 64);
+      this.spheres[5 * k + 3] = Math.sqrt(square) + 0.5 * 2 ** ((low + REACH * view.getUint8(at + 31)) / 64);
       this.spheres[5 * k + 4] = square / 3;
       this.levels[2 * k] = view.getUint8(at + 29);
       this.levels[2 * k + 1] = view.getUint8(at + 30);

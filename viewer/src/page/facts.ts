@@ -6,6 +6,11 @@ import type { Floor } from "./ground.ts";
 import { normalize } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 
+/** A view that a scene proposes, and how to move from there, if that is known. */
+export interface StartPose extends Pose {
+  mode?: "orbit" | "fly";
+}
+
 export interface Cells {
   origin: Vec3;
   size: number;
@@ -46,7 +51,7 @@ export class Facts {
   }
 
   /** Views that the package proposes, the best first. */
-  async views(): Promise<Pose[]> {
+  async views(): Promise<StartPose[]> {
     return readPoses(fields(await this.ask("cells"))?.views);
   }
 
@@ -86,11 +91,13 @@ export function readCells(json: unknown): Cells | null {
 }
 
 /** Return the poses in a list; what is none is left out. */
-export function readPoses(json: unknown): Pose[] {
+export function readPoses(json: unknown): StartPose[] {
   const numbers = (value: unknown, count: number): boolean => Array.isArray(value) && value.length === count && value.every((x) => Number.isFinite(x));
   return (Array.isArray(json) ? json.slice(0, MOST_POSES) : []).flatMap((each) => {
     const it = fields(each);
-    return it && numbers(it.position, 3) && numbers(it.rotation, 4) ? [{ position: it.position as Vec3, rotation: it.rotation as Pose["rotation"] }] : [];
+    if (!it || !numbers(it.position, 3) || !numbers(it.rotation, 4)) return [];
+    const mode: Pick<StartPose, "mode"> = it.mode === "orbit" || it.mode === "fly" ? { mode: it.mode } : {};
+    return [{ position: it.position as Vec3, rotation: it.rotation as Pose["rotation"], ...mode }];
   });
 }
 

@@ -3,6 +3,7 @@
 import type { Pose, Source } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
+import type { StartPose } from "./facts.ts";
 
 /** Where a scene is read from, and whether its server prepares it for streaming meanwhile. */
 export interface Located {
@@ -28,7 +29,7 @@ function streamUrl(path: string, root: string): string {
 }
 
 /** Return the views that a static scene proposes; none for a stream. */
-export async function proposedPoses(scene: SceneAddress): Promise<Pose[]> {
+export async function proposedPoses(scene: SceneAddress): Promise<StartPose[]> {
   if (scene.kind !== "static") return [];
   const address = /\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`;
   const content = scene.url === "inline:" ? readInline() : await ask(address);
