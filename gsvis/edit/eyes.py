@@ -33,6 +33,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 _TRIES = 32  # draws of places until enough lie outside everything solid
+_ALONG = 96  # most places on a walk to look from; through a door one sees far things from few places
 _RIM = 1  # random stream of the places beside cameras
 _TIMES = 2  # random stream of the instants of a walk
 _CHOSEN = 3  # random stream of the cameras that are drawn
@@ -80,7 +81,8 @@ class EyesInSpace:
 
     Attributes:
         space: Where eyes may be.
-        path: The walk in the middle of the space, whose poses are drawn as views; None draws views in the space.
+        path: The walk in the middle of the space. It is looked from too, and its poses are drawn as views; None draws
+            views in the space.
         boxes: Most boxes that the space is divided into. Places to look from lie near their corners.
     """
 
@@ -100,7 +102,10 @@ class EyesInSpace:
     def viewpoints(self) -> F64:
         """(V, 3) places to look from."""
         grid = CellGrid.over(self.space, max_cells=self.boxes)
-        return SharedViewpoints(CellViewpoints(grid, self.space)).points
+        corners = SharedViewpoints(CellViewpoints(grid, self.space)).points
+        if self.path is None:
+            return corners
+        return np.concatenate([_thin(self.path.positions, self.space.voxel_size), corners])
 
     @cached_property
     def voxels(self) -> FreeVoxels:
@@ -249,6 +254,20 @@ class EyesOfCameras:
                 lengths = np.linalg.norm(directions[:count], axis=1, keepdims=True)
                 return origins[:count], np.asarray(directions[:count] / lengths)
         return None
+
+
+def _thin(points: F64, apart: float) -> F64:
+    """Return some of the points (T, 3) of a walk, at least `apart` from each other; at most 96, farther apart then."""
+    while True:
+        kept = points[:1]
+        for point in points[1:]:
+            if np.sum((kept - point) ** 2, axis=1).min() >= apart * apart:
+                kept = np.concatenate([kept, point[None]])
+                if len(kept) > _ALONG:
+                    break
+        if len(kept) <= _ALONG:
+            return kept
+        apart *= 1.25
 
 
 def _move(cameras: Cameras, places: F64) -> Cameras:

@@ -102,7 +102,7 @@ def bands_of(quantity: Quantity) -> list[Band]:
         edges = [_spell(quantity, k / _BANDS) for k in range(_BANDS + 1)]
         found = [Band(_triple(shades[k]), f"{edges[k]} to {edges[k + 1]}", int(counts[k])) for k in range(_BANDS)]
     unseen = len(quantity) - len(seen)
-    return [*found, Band(UNSEEN, "never seen", unseen)]
+    return [*found, Band(UNSEEN, quantity.unseen, unseen)]
 
 
 def draw_legend(quantity: Quantity) -> bytes:

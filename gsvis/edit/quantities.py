@@ -5,7 +5,7 @@ They are measured from places and views drawn in navigable space, or read from a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ QUANTITIES = ("visibility", "directions", "weight", "importance", "cell")
 _TRIES = 32  # draws of places until enough lie outside everything solid
 _PLACES, _OF_CELLS = 1, 2  # random streams of the seed
 _VIEWS = ViewSampling(96, 480, 360, 90.0, stream=7)
-_TOP, _DECADES = 0.999, 6  # colors of importance span so many powers of ten below this quantile, at most
+_TOP, _DECADES = 0.999, 6  # colors of importance span so many powers of ten below this quantile
 
 _LABELS = {
     "visibility": "share of the eyes that see it",
@@ -86,6 +86,7 @@ class Quantity:
         logarithmic: Whether equal ratios, not equal differences, are equally far in color.
         cells: Number of cells for "cell"; 0 for other quantities, which are continuous.
         label: What the values are, in words.
+        unseen: What the others are, in words.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Quantity:
     logarithmic: bool
     cells: int
     label: str
+    unseen: str = "never seen"
 
     def __len__(self) -> int:
         return len(self.values)
@@ -216,10 +218,10 @@ def _from_views(g: Gaussians, space: NavigableSpace, config: QuantityConfig, pro
 
     effects = removal_effects(g, cameras, progress=report)
     values = effects.squared / (len(cameras) * cameras.width * cameras.height)
-    seen = values > 0.0
-    high = float(np.quantile(values[seen], _TOP)) if seen.any() else 1.0
-    low = min(max(float(values[seen].min(initial=high)), high * 10.0**-_DECADES), 0.999 * high)
-    return _finish("importance", values, seen, (low, high), logarithmic=True)
+    high = float(np.quantile(values[values > 0.0], _TOP)) if (values > 0.0).any() else 1.0
+    low = high * 10.0**-_DECADES
+    found = _finish("importance", values, values >= low, (low, high), logarithmic=True)
+    return replace(found, unseen="next to no change")
 
 
 def _finish(

@@ -11,9 +11,6 @@ import pytest
 from gsvis.edit import Cut, CutConfig, EyesInSpace, EyesOfCameras, cut
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
-from gsvis.pvs.quality_result import PSNR_CAP
-from gsvis.render import rasterize
-from gsvis.render.metrics import psnr
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -48,7 +45,7 @@ def test_what_a_closed_shell_hides_is_gone_and_what_is_certainly_visible_is_kept
     assert np.mean(found.kept[radius() < 1.5]) < 0.01  # the hull accepts a few in doubt
     assert np.mean(found.kept[shells().visible[0]]) > 0.995
     outer = found.kept[radius() > 2.5]
-    assert 0.5 < outer.mean() < 1.0  # the shell in the middle hides a part
+    assert 0.3 < outer.mean() < 0.9  # the shell in the middle hides a part
 
 
 def test_the_certificate_and_the_views_say_that_little_is_missing() -> None:
@@ -109,18 +106,26 @@ def test_a_margin_keeps_more() -> None:
     assert len(wide) > 1.1 * len(alone)
 
 
+class Elsewhere(EyesInSpace):
+    """Eyes between the shells whose views are drawn outside of all, so that the first ones are bad."""
+
+    def draw_views(self, g: Gaussians, sampling: ViewSampling) -> Cameras:
+        rng = np.random.default_rng(sampling.stream)
+        outside = shells().viewpoints[3] + 0.1 * rng.random((sampling.count, 3))
+        return Cameras.look_at(outside, np.zeros(3), width=48, height=36, fov=50.0)
+
+
 def test_what_bad_views_lack_is_added() -> None:
-    """With a high tau much is missing at first; the views bring it back."""
-    eyes, poor = EyesInSpace(near(shells().viewpoints[0]), boxes=1), replace(QUICK, tau=0.5, limit=1.0, tile_limit=1.0)
-    g = shells().gaussians
-    before, after = cut(g, eyes, replace(poor, rounds=1)), cut(g, eyes, replace(poor, rounds=2, min_psnr=PSNR_CAP))
+    g, eyes = shells().gaussians, Elsewhere(near(shells().viewpoints[0]), boxes=1)
+    before, after = (cut(g, eyes, replace(QUICK, rounds=rounds)) for rounds in (1, 4))
     assert before.held_out is not None
     assert after.held_out is not None
+    assert before.held_out.psnr.min() < 20.0
+    assert after.held_out.psnr.min() > 45.0
+    assert 1 < after.held_out.rounds <= 4
     assert before.held_out.added == 0
-    assert after.held_out.rounds == 2
     assert after.held_out.added == len(after) - len(before) > 0
-    again = rasterize(g[after.kept], before.held_out.cameras).images, rasterize(g, before.held_out.cameras).images
-    assert psnr(*again).min() > before.held_out.psnr.min() + 6.0
+    assert after.kept[before.kept].all()
 
 
 def test_eyes_that_see_nothing_and_eyes_without_a_place_are_refused() -> None:

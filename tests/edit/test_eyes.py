@@ -97,6 +97,18 @@ def test_places_to_look_from_are_free_and_spread_over_the_space() -> None:
     assert (np.ptp(eyes.viewpoints, axis=0) > (3.0, 1.0, 1.0)).all()
 
 
+def test_a_walk_is_looked_from_itself_at_most_96_times() -> None:
+    space = NavigableSpace.from_box((0, 0, 0), (4, 2, 2), 8)  # voxels of 0.5
+    there = np.stack([np.linspace(0.1, 3.9, 400), np.ones(400), np.ones(400)], axis=1)
+    walk = HeadPath(np.arange(800.0), np.concatenate([there, there[::-1]]), np.tile([1.0, 0, 0, 0], (800, 1)))
+    places, alone = EyesInSpace(space, walk, boxes=1).viewpoints, EyesInSpace(space, boxes=1).viewpoints
+    on_walk = places[: len(places) - len(alone)]
+    assert len(on_walk) == 8  # there and back is the same way
+    np.testing.assert_allclose(np.diff(on_walk[:, 0]), 0.5, atol=0.02)
+    fine = NavigableSpace.from_box((0, 0, 0), (4, 2, 2), 320)
+    assert 48 < len(EyesInSpace(fine, walk, boxes=1).viewpoints) - 8 <= 96
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
