@@ -7,7 +7,7 @@ kept. As a peer, the same number of Gaussians is kept by their distance from the
 Given: a scene, its LOD, a recording; the number of frames. Each run uses the defaults of the command.
 Measured: share of the Gaussians kept; PSNR of every frame drawn against the scene, 640 x 480 at 90 degrees; seconds.
 Defaults chosen on: limits, rays and size of looks are those of `gsvis pvs`. Two things were changed after trials on
-    user101 in showroom: a reserve of 5 dB for held-out views, and looks from the walk itself, not only from around it: a
+    user101 in showroom: a reserve of 5 dB for held-out views, and looks from the walk itself, not only around it: a
     frame of 37 dB showed a slit beside a door that no look had seen. Other walks were not looked at.
 """
 

@@ -15,7 +15,7 @@ __all__ = ["Cut", "Paint"]
 
 @dataclass(frozen=True)
 class Cut(Where):
-    """Keep only what eyes along a path, of cameras or in a box can see; say how much light is missing at most."""
+    """Keep only what eyes along a path, of cameras or in a box can see."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
@@ -54,7 +54,7 @@ class Cut(Where):
 
 @dataclass(frozen=True)
 class Paint(Where):
-    """Color a scene by how often, from where or how strongly each Gaussian is seen; any viewer shows it."""
+    """Color a scene by how its Gaussians are seen, for any viewer."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
