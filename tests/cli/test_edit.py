@@ -14,7 +14,7 @@ from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import write_poses
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
-from gsvis.scene.procedural import two_rooms
+from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 
 Capture = pytest.CaptureFixture[str]
 BOX = ["--box", "0.6", "1.6", "1.2", "0.9", "1.9", "1.5"]
@@ -67,7 +67,10 @@ def test_cut_writes_what_a_box_can_see_and_says_what_is_missing(folder: Path, tm
     assert found["held_out"]["views"] == 2
 
 
-def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(
+    folder: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(BUILTIN_SCENES, "two_rooms", lambda: two_rooms(1200, sh_degree=0))
     quick = ["--size", "24", "--views", "0", "--limit", "0.05", "--json"]
     ways = {
         "cameras": ["--cameras", str(folder / "cameras.json")],
@@ -77,7 +80,7 @@ def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(folder: Path, tmp_path:
     }
     found = {}
     for name, way in ways.items():
-        assert main(["cut", str(folder / "rooms.ply"), "-o", str(tmp_path / f"{name}.ply"), *way, *quick]) == 0
+        assert main(["cut", "builtin:two_rooms", "-o", str(tmp_path / f"{name}.ply"), *way, *quick]) == 0
         found[name] = json.loads(capsys.readouterr().out)
     count = {name: each["gaussians_out"] for name, each in found.items()}
     assert 0 < count["cameras"] < count["beside"] < count["walk"]
