@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gsvis.export import StaticOptions
     from gsvis.package import Package
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.levels import Levels
 
-__all__ = ["run_export"]
+__all__ = ["open_scene", "run_export"]
+
+Triple = tuple[float, float, float]
 
 
 def run_export(command: Export) -> None:
@@ -42,16 +43,22 @@ def run_export(command: Export) -> None:
         FileNotFoundError: If there is no such scene.
         OSError: If the result cannot be written.
     """
-    from gsvis.export import write_html, write_site
+    from gsvis.export import StaticOptions, write_html, write_site
 
+    _check_options(command)
     _check_target(command)
     _check_apart(command)
+    if command.format == "streamed-sog":
+        from gsvis.cli.export_streamed import export_streamed
+
+        export_streamed(command)
+        return
     writers = {"static": write_site, "html": write_html}
     with ExitStack() as stack, Status() as status:
         status("reading", 0, 1)
-        scene, options = _open(command, stack)
+        scene, name, up = open_scene(command, stack)
         status("reading", 1, 1)
-        found = writers[command.format](command.out, scene, options, progress=status)
+        found = writers[command.format](command.out, scene, StaticOptions(name, up), progress=status)
     made = found.scene
     if command.json:
         facts: dict[str, Any] = {
@@ -74,6 +81,16 @@ def run_export(command: Export) -> None:
         show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
 
 
+def _check_options(command: Export) -> None:
+    """Raise if an option is given that the format does not know."""
+    given = {"--pvs": command.pvs, "--leaf": command.leaf, "--never-seen": command.never_seen != "keep" or None}
+    for option, value in given.items():
+        if value is not None and command.format != "streamed-sog":
+            raise ValueError(f"{option}: expected --format streamed-sog with it, got {command.format}; leave it out")
+    if command.pvs is not None and not Path(command.pvs).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.pvs)
+
+
 def _detail(terms: int, cells: int) -> str:
     sees = f"{cells:,} cells" if cells > 1 else "no visible sets"
     return f"{terms:,} terms, {sees}" if terms else sees
@@ -85,6 +102,12 @@ def _check_target(command: Export) -> None:
     from gsvis.export.static import check_target
 
     out = Path(command.out)
+    if command.format == "streamed-sog":
+        from gsvis.io.streamed_sog_writer import check_streamed_target
+
+        check_streamed_target(out, command.overwrite)
+        check_folder(out)
+        return
     if command.format == "static":
         check_folder(out)
         check_site(out, command.overwrite)
@@ -99,14 +122,13 @@ def _check_target(command: Export) -> None:
 def _check_apart(command: Export) -> None:
     """Raise if the result would be SCENE itself, or lie in the folder of SCENE."""
     scene, out = Path(command.scene).resolve(), Path(command.out).resolve()
-    if not is_builtin(command.scene) and (out == scene or (scene.is_dir() and scene in out.parents)):
+    inner = command.format == "streamed-sog" and scene.name == "lod-meta.json" and scene.parent == out
+    if not is_builtin(command.scene) and (out == scene or inner or (scene.is_dir() and scene in out.parents)):
         raise ValueError(f"--out: expected a place outside of SCENE, got {command.out}; name another")
 
 
-def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussians, StaticOptions]:
-    """Return the package or scene of a command, and what its page says."""
-    from gsvis.export import StaticOptions
-
+def open_scene(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussians, str, Triple | None]:
+    """Return the package or scene of a command, its name, and its up axis if that is known."""
     up = parse_up(command.up)
     if (Path(command.scene) / MANIFEST).is_file():
         from gsvis.package import Package
@@ -114,14 +136,14 @@ def _open(command: Export, stack: ExitStack) -> tuple[Package | Levels | Gaussia
         if command.lod is not None:
             raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
         name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
-        return stack.enter_context(Package.open(command.scene)), StaticOptions(name, _triple(up))
+        return stack.enter_context(Package.open(command.scene)), name, _triple(up)
     check_source(command.scene, command.lod)
     source = load_source(command.scene, command.lod)
     name = command.name or title_of(command.scene, source.lod)
-    return source.whole, StaticOptions(name, _triple(up_of(source) if up is None else up))
+    return source.whole, name, _triple(up_of(source) if up is None else up)
 
 
-def _triple(vector: NDArray[np.float64] | None) -> tuple[float, float, float] | None:
+def _triple(vector: NDArray[np.float64] | None) -> Triple | None:
     if vector is None:
         return None
     x, y, z = vector.tolist()
