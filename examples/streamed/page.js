@@ -6,7 +6,10 @@ import { Walk } from "./walk.js";
 /** Runs a scene in a player that has `load(url)`, `show(thing, yes)` and `free(thing)`. Returns the walk, and a function to call every frame. */
 export async function runScene(canvas, player) {
   const asked = new URLSearchParams(location.search), line = document.querySelector("p");
-  const scene = await NeededLeaves.open(asked.get("scene") ?? "scene/");
+  const scene = await NeededLeaves.open(asked.get("scene") ?? "scene/").catch((error) => {
+    line.textContent = error.message;
+    throw error;
+  });
   const walk = new Walk(canvas, scene.header), all = scene.leaves.length;
   if (scene.environment) player.load(scene.environment).then((thing) => player.show(thing, true));
   let plan = null, planned = null;
