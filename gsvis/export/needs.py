@@ -8,6 +8,7 @@ module knows no file format of scenes.
 from __future__ import annotations
 
 import json
+import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,7 +100,7 @@ class LeafNeeds:
         }
         text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-(len(text) + 4) % 4)
-        return np.uint32(len(text)).astype("<u4").tobytes() + text + cells.tobytes() + b"".join(rows)
+        return struct.pack("<I", len(text)) + text + cells.tobytes() + b"".join(rows)
 
     def encode_within(self, facts: dict[str, Any], most: int) -> bytes:
         """Return the file; cells are merged until it has at most so many bytes, or one cell is left."""
@@ -133,7 +134,7 @@ def find_needs(
     areas = np.minimum(extents(g)[1].astype(np.float64), 1e30)
     inside = leaves.of_ids >= 0
     if store is None:
-        everywhere = np.bincount(leaves.of_ids[inside], (areas * g.opacities)[inside], minlength=count)
+        everywhere = _sums(leaves.of_ids[inside], (areas * g.opacities)[inside], count)
         return LeafNeeds(np.zeros(3), 0.0, np.zeros((0, 3), np.int64), np.zeros((0, count)), everywhere)
     weights, centers, near = class_weights(store), store.grid.centers, store.grid.cell_size / 2.0
     lights = np.zeros((len(store), count))
@@ -144,7 +145,7 @@ def find_needs(
         ids, classes = ids[use], classes[use]
         squared = np.square(g.means[ids] - centers[cell]).sum(axis=1)
         light = weights[classes] * np.minimum(areas[ids] / np.maximum(squared, near * near), _SPHERE)
-        lights[cell] = _largest(np.bincount(leaves.of_ids[ids], light, minlength=count), lost)
+        lights[cell] = _largest(_sums(leaves.of_ids[ids], light, count), lost)
         progress("sets", cell + 1, len(store))
     everywhere = lights.max(axis=0)
     if not everywhere.any():
@@ -153,10 +154,14 @@ def find_needs(
     return LeafNeeds(grid.origin, grid.cell_size, grid.coords.astype(np.int64), lights, everywhere)
 
 
+def _sums(owners: NDArray[np.int32], values: NDArray[np.floating], count: int) -> F64:
+    return np.asarray(np.bincount(owners, values, minlength=count), np.float64)
+
+
 def _largest(lights: F64, lost: float) -> F64:
     """Return lights (B,) without the smallest ones, whose sum is at most a share of all."""
     order = np.argsort(lights, kind="stable")
-    out = lights.copy()
+    out: F64 = lights.copy()
     out[order[np.cumsum(lights[order]) <= lost * lights.sum()]] = 0.0
     return out
 

@@ -166,7 +166,7 @@ def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> No
 def _is_ours(target: Path) -> bool:
     """Return whether the folder holds a streamed SOG that gsvis wrote."""
     with suppress(OSError, FormatError):
-        return parse_object(target / META, read_whole(target / META)).child("asset").raw("generator") == GENERATOR
+        return bool(parse_object(target / META, read_whole(target / META)).child("asset").raw("generator") == GENERATOR)
     return False
 
 
