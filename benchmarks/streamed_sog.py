@@ -8,12 +8,12 @@ the eye. A third order tells what the direction alone does: the engine's, with t
 drawn: the leaves of the eye's cell against all leaves.
 
 Given: showroom LOD 3 or nika LOD 0 with visible sets (built in --work, or found there), and two recorded walks
-    (EyeNavGS `room`, users 107 and 113), retargeted to each scene by a similarity; 20 eyes evenly spaced in time on
+    (EyeNavGS `room`, users 110 and 119), retargeted to each scene by a similarity; 10 eyes evenly spaced in time on
     each.
 Measured: bytes of the environment, the header, the sidecar (ours alone) and the first leaves that draw the eye's view
-    at 35 dB, summed over eyes; splats in the leaves that the cell needs, and dB of drawing these; 640 x 480, 80 degrees
+    at 35 dB, summed over eyes; splats in the leaves that the cell needs, and dB of drawing these; 480 x 360, 80 degrees
     wide.
-Defaults chosen on: the share of light that a row leaves out, on ten random eyes in each scene (not on these walks).
+Defaults chosen on: the share of light that a row leaves out, on 16 random eyes and a first view of showroom, ten eyes of nika.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from gsvis.scene.paths import HeadPath
 from gsvis.scene.retarget import RetargetConfig, retarget
 
 SCENES = {"showroom": ("showroom", 3), "nika": ("nika_sh3", 0)}
-USERS = (107, 113)
+USERS = (110, 119)
 FIRST, DRAWN = 35.0, 45.0
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "streamed" / "needed-leaves.js"
 PLAN = """
@@ -154,7 +154,7 @@ def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
             recorded = read_eyenav(realdata() / "traces" / "eyenav_rutgers" / "room" / f"user{user}_room.csv.gz")
             moved = retarget(recorded, space, RetargetConfig(seed=user, project=True)).path
             walk = moved.resample(times=np.linspace(0.0, moved.duration, args.eyes))
-            cameras = walk.cameras(640, 480, 80.0)
+            cameras = walk.cameras(480, 360, 80.0)
             for k, plan in enumerate(plans(out, walk)):
                 view = View(again, of, report.leaves, cameras[k])
                 load = np.array(plan["load"], np.int64)
@@ -212,7 +212,7 @@ def main() -> None:
     parser.add_argument("--scene", default="showroom", choices=list(SCENES))
     parser.add_argument("--cells", type=int, default=512)
     parser.add_argument("--leaf", type=int, default=8192)
-    parser.add_argument("--eyes", type=int, default=20, help="on each of the two walks")
+    parser.add_argument("--eyes", type=int, default=10, help="on each of the two walks")
     args = parser.parse_args()
     need(args.work, "--work DIR: visible sets of the scenes take some minutes each")
     realdata()

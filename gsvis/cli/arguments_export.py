@@ -14,7 +14,7 @@ __all__ = ["Export"]
 
 @dataclass(frozen=True)
 class Export:
-    """Write a scene or a package for players that need no gsvis: a site, one file, or streamed SOG."""
+    """Write a scene for players that need no gsvis: a site, a file, streamed SOG."""
 
     scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
     """A package, or a scene as it is: a file or folder that gsvis reads, or builtin:NAME."""

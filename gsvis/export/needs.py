@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 
 FORMAT, VERSION = "gsvis-leaves", 1
 
-LOST = 3e-4
+LOST = 1e-4
 """Most light of a cell that the leaves left out may have, as a share of all its light."""
 
 CELL_ROW = np.dtype([("box", "<u2", 3), ("row", "<u2")])
