@@ -13,7 +13,8 @@ Given: showroom LOD 3 or nika LOD 0 with visible sets (built in --work, or found
 Measured: bytes of the environment, the header, the sidecar (ours alone) and the first leaves that draw the eye's view
     at 35 dB, summed over eyes; splats in the leaves that the cell needs, and dB of drawing these; 480 x 360, 80 degrees
     wide.
-Defaults chosen on: the share of light that a row leaves out, on 16 random eyes and a first view of showroom, ten eyes of nika.
+Defaults chosen on: the share of light that a row leaves out, on 16 random eyes and a first view of showroom, ten
+    eyes of nika.
 """
 
 from __future__ import annotations
