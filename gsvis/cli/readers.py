@@ -31,6 +31,7 @@ __all__ = [
     "FACTOR",
     "HOSTS",
     "INDICES",
+    "LEAF",
     "MEAN_TERMS",
     "NAMES",
     "OPACITY",
@@ -235,6 +236,7 @@ ADDRESSES = _spec("*", "ADDRESS [ADDRESS ...]", tuple)
 PORT = _number("N", int, 0, 65535, "a port of 0 to 65535")
 SECONDS = _number("S", float, 0.01, 86400.0, "seconds in [0.01, 86400]")
 CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
+LEAF = _number("N", int, 64, 1 << 19, "a whole number of 64 to 524288")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
 CHANGE = _number("E", float, 1e-4, 1.0, "a change of color in [0.0001, 1]")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
