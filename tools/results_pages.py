@@ -68,6 +68,8 @@ PAGES = {
         (
             "visibility_cdf",
             "visibility_walk",
+            "cut",
+            "cut_unseen",
             "analyze_time",
             "raycast_build",
             "raycast_contributions",
@@ -127,5 +129,5 @@ PAGES = {
             "scaling",
         ),
     ),
-    "viewer": Page("The viewer", ("viewer_load", "viewer_draw")),
+    "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "streamed_sog", "streamed_sog_nika")),
 }

@@ -28,6 +28,8 @@ _SAID = {
     "reading": "reading the scene",
     "space": "finding navigable space",
     "kernels": "preparing kernels",
+    "air": "finding the air",
+    "guard": "drawing held-out views",
     "structure": "building the tracing structure",
     "cameras": "tracing cameras",
     "directions": "tracing directions outward",
@@ -60,6 +62,8 @@ _SAID = {
     "package": "writing the package",
     "sets": "writing what cells see",
     "export": "writing the export",
+    "certificate": "certifying by rays",
+    "held_out": "drawing views before and after",
 }
 _clock = time.perf_counter  # tests replace it
 _EVERY = 10.0  # seconds between plain lines of one stage
