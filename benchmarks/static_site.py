@@ -27,6 +27,8 @@ from _harness import add_arguments, write_result
 from gsvis.abr import FieldOfView
 from gsvis.color.evaluate import Evaluator
 from gsvis.export import write_static
+from gsvis.export.blocks import Blocks
+from gsvis.export.cells import gains_of_package
 from gsvis.package import Package
 from gsvis.package.contents import Contents
 from gsvis.render import psnr, rasterize
@@ -149,6 +151,11 @@ def main() -> None:
         static = write_static(Path(made_in) / "scene", package)
         views, cameras = views_of(package, args.eyes, rng)
         traces = trace(static.path, views, script)
+        contents = package.contents
+        gains = gains_of_package(package, contents.gaussians())
+        ids = Blocks.from_chunks(contents.table, contents.chunk_levels, gains).ids
+        for step in (step for steps in traces for step in steps):
+            step["ids"] = ids[step["ids"]].tolist()
         scene = StreamedScene.open(package)
         rows = []
         for view, camera, static_steps in zip(views, cameras, traces, strict=True):

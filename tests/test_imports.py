@@ -29,6 +29,7 @@ ROOMS = (
     "abr",
     "stream",
     "simulate",
+    "edit",
     "export",
     "serve",
     "report",

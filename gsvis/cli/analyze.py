@@ -72,7 +72,9 @@ def _write_report(
     from gsvis.raycast.analysis import AnalysisConfig, analyze
     from gsvis.report import Subject, picture_views, write_report
 
-    config = AnalysisConfig(command.tau, command.traced_sample, command.rays_per_face, command.seed)
+    config = AnalysisConfig(
+        tau=command.tau, traced_sample=command.traced_sample, rays_per_face=command.rays_per_face, seed=command.seed
+    )
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     g = source.gaussians

@@ -77,6 +77,7 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
                 raise ValueError(f"{option}: expected none for a package or a static scene, got {value}; leave it out")
         return given, ""
     from gsvis.cli.source import check_folder, load_source, parse_up, title_of, up_of
+    from gsvis.cli.starts import find_starts
     from gsvis.export.static import StaticOptions, write_static
 
     up = parse_up(command.up)
@@ -90,7 +91,10 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
         status("reading", 1, 1)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-view-")))
         x, y, z = (float(value) for value in (up_of(source) if up is None else up))
-        options = StaticOptions(title_of(command.scene, source.lod), (x, y, z))
+        status("start", 0, 1)
+        poses = find_starts(source, (x, y, z))
+        status("start", 1, 1)
+        options = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=poses)
         write_static(folder, source.whole, options, progress=status)
     return folder, title_of(command.scene)
 

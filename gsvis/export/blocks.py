@@ -35,20 +35,27 @@ class Blocks:
         chunks: (B,) chunk of each block.
         firsts: (B,) id of the first Gaussian of each block.
         counts: (B,) Gaussians of each block, 1 to `BLOCK`.
+        ids: (N,) id in the package of each id of the static form.
     """
 
     chunks: I64
     firsts: I64
     counts: I64
+    ids: I64
 
     @classmethod
-    def from_chunks(cls, table: ChunkTable, levels: U8) -> Blocks:
+    def from_chunks(cls, table: ChunkTable, levels: U8, gains: NDArray[np.floating] | None = None) -> Blocks:
         """Return the blocks of C chunks.
 
         Args:
             table: The chunks.
             levels: (C, 2) first and last level of each chunk.
+            gains: (N,) how much each Gaussian counts: those of a chunk are sorted by it, largest first. None keeps
+                their order.
         """
+        ids = np.arange(table.starts[-1])
+        if gains is not None:
+            ids = np.lexsort((-gains, np.repeat(np.arange(len(table)), table.counts)))
         parts = -(-table.counts.astype(np.int64) // BLOCK)
         chunks = np.repeat(np.arange(len(table)), parts)
         strata = np.arange(len(chunks)) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -56,7 +63,7 @@ class Blocks:
         order = np.lexsort((chunks, strata, runs[chunks]))
         chunks, strata = chunks[order], strata[order]
         firsts = table.starts[chunks] + BLOCK * strata
-        return cls(chunks, firsts, np.minimum(table.counts[chunks] - BLOCK * strata, BLOCK))
+        return cls(chunks, firsts, np.minimum(table.counts[chunks] - BLOCK * strata, BLOCK), ids)
 
     def __len__(self) -> int:
         """Return B."""
@@ -70,7 +77,8 @@ class Blocks:
     @cached_property
     def order(self) -> I64:
         """(N,) id of the Gaussian at each place."""
-        return np.repeat(self.firsts - self.starts[:-1], self.counts) + np.arange(self.starts[-1])
+        places = np.repeat(self.firsts - self.starts[:-1], self.counts) + np.arange(self.starts[-1])
+        return np.asarray(self.ids[places])
 
     @cached_property
     def of_ids(self) -> NDArray[np.int32]:

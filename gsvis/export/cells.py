@@ -60,6 +60,20 @@ def rows_of_scene(g: Gaussians, blocks: Blocks) -> CellRows:
     return CellRows(None, top, False, (_row(gains, top, np.ones(len(blocks), np.bool_)),))
 
 
+def gains_of_package(package: Package, g: Gaussians) -> F64 | None:
+    """Return for each of N Gaussians the sum over cells of its weight there times its mean cross-section.
+
+    None if the package has no visible sets.
+    """
+    if package.manifest.visibility is None:
+        return None
+    sets, weights, found = package.visibility, class_weights(package.visibility), np.zeros(len(g))
+    for cell in range(len(sets)):
+        ids, classes = sets.classes(cell)
+        found[ids] += weights[classes]
+    return found * _areas(g)
+
+
 def rows_of_package(package: Package, g: Gaussians, blocks: Blocks, progress: Progress) -> CellRows:
     """Return a row for each cell; a Gaussian counts by its weight in the cell times its mean cross-section.
 

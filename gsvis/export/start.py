@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis.pvs.cells import CellGrid
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.gaussians import Gaussians, quats_from_rotations
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.poses import describe_poses
 
-__all__ = ["Start", "rich_poses", "start_poses"]
+__all__ = ["Mode", "Start", "rich_poses", "start_poses"]
 
 F64 = NDArray[np.float64]
+Mode = Literal["orbit", "fly"]
 
 _CELLS, _TURNS = 12, 4  # cells that are tried, and directions in each
 _SEEN = 0.25  # least summed weight, pixels, of a Gaussian that counts
@@ -28,31 +30,31 @@ class Start:
     Attributes:
         position: (3,) scene frame.
         rotation: (4,) wxyz, world from camera, OpenCV axes.
+        mode: How to move from there: "orbit" around a thing, "fly" within a place; None if that is not known.
     """
 
     position: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
+    mode: Mode | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return both, ready for JSON."""
-        return {"position": list(self.position), "rotation": list(self.rotation)}
+        """Return all that is known, ready for JSON."""
+        found: dict[str, Any] = {"position": list(self.position), "rotation": list(self.rotation)}
+        return found if self.mode is None else {**found, "mode": self.mode}
 
     @classmethod
-    def from_dict(cls, view: dict[str, list[float]]) -> Start:
+    def from_dict(cls, view: dict[str, list[float]], mode: Mode | None = None) -> Start:
         """Return a view of a package; see `Manifest.views`."""
         x, y, z = view["position"]
         a, b, c, d = view["rotation"]
-        return cls((x, y, z), (a, b, c, d))
+        return cls((x, y, z), (a, b, c, d), mode)
 
     @classmethod
     def looking(cls, eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Start:
         """Return the pose of an eye that looks at a target; the image stands upright."""
-        at, above = np.asarray(eye, np.float64), np.asarray(up, np.float64)
-        camera = Cameras.look_at([at], [np.asarray(target, np.float64)], up=above)
-        turn = camera.viewmats[:, :3, :3].transpose(0, 2, 1)
-        w, x, y, z = (round(v, 6) for v in quats_from_rotations(turn)[0].tolist())
-        a, b, c = (round(v, 6) for v in at.tolist())
-        return cls((a, b, c), (w, x, y, z))
+        at, ahead, above = (np.asarray(each, np.float64) for each in (eye, target, up))
+        (view,) = describe_poses(Cameras.look_at([at], [ahead], up=above))
+        return cls.from_dict(view)
 
 
 def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Start, ...]:

@@ -26,7 +26,7 @@ from gsvis.color.records import Grids
 from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
 from gsvis.export.blocks import BLOCK, Blocks
-from gsvis.export.cells import CellRows, replaced_rows, rows_of_package, rows_of_scene
+from gsvis.export.cells import CellRows, gains_of_package, replaced_rows, rows_of_package, rows_of_scene
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import digest_of, read_whole
@@ -215,8 +215,8 @@ class _Parts:
 
 def _package_parts(package: Package, progress: Progress) -> _Parts:
     contents, manifest = package.contents, package.manifest
-    blocks = Blocks.from_chunks(contents.table, contents.chunk_levels)
     g = contents.gaussians()
+    blocks = Blocks.from_chunks(contents.table, contents.chunk_levels, gains_of_package(package, g))
     cells = rows_of_package(package, g, blocks, progress)
     data: dict[str, Any] = {
         "chunks": _chunk_rows(contents.table, contents.chunk_levels, g),

@@ -23,7 +23,7 @@ from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages
-from gsvis.prepare.start_views import choose_start_views, describe_views
+from gsvis.prepare.start_views import choose_start_views
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
@@ -32,6 +32,7 @@ from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.poses import describe_poses
 
 __all__ = ["Prepared", "check_scene", "prepare_package", "stages_of"]
 
@@ -117,7 +118,7 @@ def prepare_package(
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         provenance = {
             **(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions,
-            "views": describe_views(views),
+            "views": describe_poses(views),
         }  # fmt: skip
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance)
         with write_package(

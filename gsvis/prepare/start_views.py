@@ -7,7 +7,6 @@ into a near wall is worth little. Scene frame; OpenCV cameras.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +14,11 @@ from numpy.typing import NDArray
 from gsvis.errors import SceneError
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.gaussians import Gaussians, quats_from_rotations
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["START_VIEWS", "choose_start_views", "describe_views"]
+__all__ = ["START_VIEWS", "choose_start_views"]
 
 F64 = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ _APART = 0.1  # least distance between the eyes of two views, in the diagonal of
 
 
 def choose_start_views(
-    scene: Gaussians, space: NavigableSpace, count: int = START_VIEWS, *, seed: int = 0
+    scene: Gaussians, space: NavigableSpace, count: int = START_VIEWS, *, drawn: int = 48, seed: int = 0
 ) -> Cameras | None:
     """Return the views of a scene that show most, the best first; None if none is found.
 
@@ -42,35 +41,23 @@ def choose_start_views(
         scene: The scene.
         space: Where eyes may be.
         count: Largest number of views.
+        drawn: Number of cameras to choose from.
         seed: Seed of the random numbers.
     """
     try:
-        drawn = replace(_SAMPLING, seed=seed).cameras(scene, space)
+        cameras = replace(_SAMPLING, count=drawn, seed=seed).cameras(scene, space)
     except SceneError:
         return None
-    frames = np.linalg.inv(drawn.viewmats)
-    eyes, forwards = (np.asarray(frames[:, :3, k], np.float64) for k in (3, 2))
-    fitting = _is_standing(eyes, space) & (np.abs(forwards @ space.up) <= _LEVEL)
-    some = np.flatnonzero(fitting) if fitting.any() else np.arange(len(drawn))
-    worth = [int(np.count_nonzero(view_weights(scene, drawn[c]).summed[0] >= _SEEN)) for c in some.tolist()]
+    eyes = cameras.viewpoints
+    fitting = _is_standing(eyes, space) & (np.abs(cameras.forwards @ space.up) <= _LEVEL)
+    some = np.flatnonzero(fitting) if fitting.any() else np.arange(len(cameras))
+    worth = [int(np.count_nonzero(view_weights(scene, cameras[c]).summed[0] >= _SEEN)) for c in some.tolist()]
     apart = _APART * float(np.linalg.norm(np.ptp(eyes, axis=0)))
     chosen: list[int] = []
     for k in some[np.argsort(-np.array(worth), kind="stable")].tolist():
         if len(chosen) < count and all(np.linalg.norm(eyes[k] - eyes[other]) >= apart for other in chosen):
             chosen.append(k)
-    return drawn[chosen]
-
-
-def describe_views(views: Cameras | None) -> list[dict[str, Any]]:
-    """Return `position` (3,) and `rotation` (4,) wxyz, world from camera, of each view, ready for JSON."""
-    if views is None:
-        return []
-    frames = np.linalg.inv(views.viewmats)
-    quats = quats_from_rotations(frames[:, :3, :3])
-    return [
-        {"position": [round(float(v), 6) for v in eye], "rotation": [round(float(v), 6) for v in quat]}
-        for eye, quat in zip(frames[:, :3, 3], quats, strict=True)
-    ]
+    return cameras[chosen]
 
 
 def _is_standing(eyes: F64, space: NavigableSpace) -> NDArray[np.bool_]:

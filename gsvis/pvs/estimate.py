@@ -12,8 +12,7 @@ from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import pack_sighting, pack_view
 from gsvis.pvs._workers import forget_scene
-from gsvis.pvs.build import plan_work
-from gsvis.pvs.cell_view import Sighting
+from gsvis.pvs.build import Work, plan_work
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.workers import (
@@ -108,34 +107,10 @@ def estimate_pvs(
     levels, cells = work.levels, len(grid)
     count = fitting_workers(levels, config, workers)
     seen, finished = work.find_kept()
-    least = min(sample, cells)
-    some = _spread(cells, max(least, min(_MOST_TRIED, cells)))
-    progress("trying", 0, len(some))
-    finder = work.scene.finder()
-    finder.warm()  # loads the kernels and makes the tracers before the timing starts
-    shared = work.shared
-
-    def look(k: int) -> Sighting:
-        return finder.look(shared.points[k], lower=bool(shared.lower[k]))
-
-    looking = finding = 0.0
-    looks, held, kept, visible, tried, start = 0, 0, 0, 0, 0, _clock()
-    while tried < least or (tried < len(some) and _clock() - start < _BUDGET):
-        cell, tried = some[tried], tried + 1
-        began = _clock()
-        sightings = [look(k) for k in shared.of_cell(cell).tolist()]
-        middle = _clock()
-        view = finder.find_cell(work.viewpoints.voxels(cell), sightings)
-        looking, finding = looking + middle - began, finding + _clock() - middle
-        looks += len(sightings)
-        held += sum(len(pack_sighting(each)) for each in sightings)
-        kept += len(pack_view(view))
-        visible += len(view.ids)
-        progress("trying", tried, len(some))
-    progress("trying", len(some), len(some))
-    forget_scene()
-    viewpoints = len(shared)
-    seconds = looking / looks * (viewpoints - len(seen)) + finding / tried * (cells - len(finished))
+    tried = _try_cells(work, min(sample, cells), progress)
+    viewpoints = len(work.shared)
+    looking, finding = tried.looking / tried.looks, tried.finding / tried.cells
+    seconds = looking * (viewpoints - len(seen)) + finding * (cells - len(finished))
     processes = count > 1 and workers.executor is None
     rest = (2.0 * _START if processes else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
     return Estimate(
@@ -146,12 +121,50 @@ def estimate_pvs(
         workers=count,
         seconds=seconds / speed_up(count, workers) + rest,
         memory=expected_memory(levels, config, count if processes else 1),
-        visible=visible / tried,
-        disk=int(_BITS / 8.0 * visible / tried * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
-        working_disk=int(held / looks * viewpoints + kept / tried * cells)
+        visible=tried.visible / tried.cells,
+        disk=int(_BITS / 8.0 * tried.visible / tried.cells * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
+        working_disk=int(tried.held / tried.looks * viewpoints + tried.kept / tried.cells * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
         load=load,
     )
+
+
+@dataclass
+class _Tried:
+    """What it cost to look from the viewpoints of some cells, and to find these cells' sets, in seconds and bytes."""
+
+    cells: int = 0
+    looks: int = 0
+    looking: float = 0.0
+    finding: float = 0.0
+    held: int = 0
+    kept: int = 0
+    visible: int = 0
+
+
+def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
+    """Find the sets of `least` cells, and of more while that takes a few seconds."""
+    some = _spread(len(work.grid), max(least, min(_MOST_TRIED, len(work.grid))))
+    progress("trying", 0, len(some))
+    finder = work.scene.finder()
+    finder.warm()  # loads the kernels and makes the tracers before the timing starts
+    shared, tried, start = work.shared, _Tried(), _clock()
+    while tried.cells < least or (tried.cells < len(some) and _clock() - start < _BUDGET):
+        cell, began = some[tried.cells], _clock()
+        sightings = [finder.look(shared.points[k], lower=bool(shared.lower[k])) for k in shared.of_cell(cell).tolist()]
+        middle = _clock()
+        view = finder.find_cell(work.viewpoints.voxels(cell), sightings)
+        tried.looking += middle - began
+        tried.finding += _clock() - middle
+        tried.cells += 1
+        tried.looks += len(sightings)
+        tried.held += sum(len(pack_sighting(each)) for each in sightings)
+        tried.kept += len(pack_view(view))
+        tried.visible += len(view.ids)
+        progress("trying", tried.cells, len(some))
+    progress("trying", len(some), len(some))
+    forget_scene()
+    return tried
 
 
 def _spread(cells: int, count: int) -> list[int]:

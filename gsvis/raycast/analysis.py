@@ -40,7 +40,7 @@ U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AnalysisConfig:
     """How to analyze a scene.
 

@@ -75,7 +75,7 @@ def compare(one: Contributions, other: Contributions, gaussians: int) -> CrossCh
 def describe_check(check: CrossCheck | None) -> str:
     """Return in words on how many rays both tracers agree; `check` is what `cross_check` returned."""
     if check is None:
-        return "not compared: Open3D is not installed"
+        return "not compared: Open3D is not installed, or cannot be loaded"
     if check.agreeing == check.rays:
         return f"on all of {check.rays:,} rays, ids and weights"
     return f"on {check.agreeing:,} of {check.rays:,} rays; weights differ by up to {check.largest_difference:.2g}"

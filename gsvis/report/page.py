@@ -232,7 +232,8 @@ def _explain_agreement(analysis: Analysis) -> str:
 
 def _scene(analysis: Analysis, scene: dict[str, Any]) -> str:
     rows = [("Gaussians", f"{analysis.gaussians:,}"), ("opacity of at least 1/255", f"{analysis.opaque_enough:,}")]
-    rows.append(("two tracers, gsvis and Open3D's Embree, agree", describe_check(analysis.check)))
+    if analysis.config.checked_rays:
+        rows.append(("two tracers, gsvis and Open3D's Embree, agree", describe_check(analysis.check)))
     if "sh_degree" in scene:
         low, high = scene["robust_bounds"]
         size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))

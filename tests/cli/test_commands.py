@@ -86,6 +86,7 @@ def test_analyze_writes_a_report_and_prints_a_table(ply: Path, tmp_path: Path, c
     text = capsys.readouterr().out
     assert str(out / "report.html") in text.split()
     assert "20.21%" in text
+    assert "two tracers agree on all of 256 rays, ids and weights" in " ".join(text.split())
     assert "3 cameras are too few" in " ".join(text.split())
     assert json.loads((out / "report.json").read_text())["gaussians"] == len(load_scene(ply))
     assert (out / "report.html").read_text().startswith("<!doctype html>")
@@ -103,6 +104,8 @@ def test_analyze_json_is_the_report_and_a_seed_repeats_it(ply: Path, tmp_path: P
     assert documents[0]["command"].startswith(f"gsvis analyze {ply} -o '{tmp_path}/a b' --views 3")
     assert "--json" not in documents[0]["command"]
     assert documents[0]["parameters"]["fov"] == 60.0
+    assert documents[0]["config"]["seed"] == 7
+    assert documents[0]["traced_twice"]["agreeing"] == documents[0]["traced_twice"]["rays"] == 256
 
 
 @pytest.mark.usefixtures("blank_plots")

@@ -17,7 +17,7 @@ import numpy as np
 from gsvis.export import StaticOptions, write_static
 from gsvis.package import Package, RecordLayout, decode_records
 from gsvis.scene.procedural import random_scene
-from tests.export.test_static import Reader
+from tests.export.test_static import Reader, ids_in_package
 from tests.stream.worlds import package_of
 
 VECTOR = Path(__file__).with_name("vector.json")
@@ -47,7 +47,7 @@ def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
     if package is not None:
         said["terms"] = [terms.hex() for terms in read.terms()]
         said["centers"] = package.visibility.grid.centers.round(6).tolist()
-        said["last"] = package.contents.last.tolist()
+        said["last"] = package.contents.last[ids_in_package(package)].tolist()
     else:
         count = read.scene["harmonics"]["degree"]
         width = 3 * ((count + 1) ** 2 - 1)

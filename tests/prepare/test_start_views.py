@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gsvis.package import PackageInfo
-from gsvis.prepare.start_views import START_VIEWS, choose_start_views, describe_views
+from gsvis.prepare.start_views import START_VIEWS, choose_start_views
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.poses import describe_poses
 from gsvis.scene.procedural import two_rooms
 from gsvis.scene.view_sampling import ViewSampling
 
@@ -42,12 +43,12 @@ def test_a_scene_without_room_has_none() -> None:
     g, space = rooms()
     solid = Gaussians(g.means[:1], g.quats[:1], np.full((1, 3), 50.0), [1.0], g.sh0[:1])
     assert choose_start_views(solid, space) is None
-    assert describe_views(None) == []
+    assert describe_poses(None) == []
 
 
 def test_poses_are_those_of_the_cameras() -> None:
     cameras = Cameras.look_at([[1.0, 2.0, 3.0]], [[1.0, 5.0, 3.0]], up=[0.0, 0.0, 1.0], width=8, height=6, fov=60.0)
-    (view,) = describe_views(cameras)
+    (view,) = describe_poses(cameras)
     assert view["position"] == [1.0, 2.0, 3.0]
     w, x, y, z = view["rotation"]
     ahead = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])

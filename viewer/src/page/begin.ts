@@ -1,8 +1,8 @@
 // Chooses how a visit begins: the view of the address, else the first of the settings, else a good place in the scene.
 
-import type { Header, Pose } from "../core/types.ts";
+import type { Header } from "../core/types.ts";
 import { startInCells, startOnFloor, surroundedBy } from "./start.ts";
-import type { Cells, Facts } from "./facts.ts";
+import type { Cells, Facts, StartPose } from "./facts.ts";
 import type { Floor } from "./ground.ts";
 import { readHash } from "./hash.ts";
 import type { View } from "./hash.ts";
@@ -10,7 +10,7 @@ import { BAD_HASH, FAR_HASH } from "./messages.ts";
 import type { Mode } from "./navigator.ts";
 import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, distance, rotate, scale } from "./vector.ts";
+import { add, boundsOf, distance, rotate, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const PATIENCE = 2500; // milliseconds that a first picture waits for facts
@@ -20,20 +20,22 @@ const FAR = 20; // sizes of the scene's cells
 export interface Surroundings {
   floor: Floor | null;
   cells: Cells | null;
-  poses: readonly Pose[]; // views that the scene itself proposes
+  poses: readonly StartPose[]; // views that the scene itself proposes
 }
 
-export interface Beginning {
+interface Beginning {
   rig: Rig;
   mode: Mode;
   problem: string | null;
   focused: boolean; // whether it is known how far away lies what is looked at
 }
 
-export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, view.fov * DEGREES);
+export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(
+  view.eye, view.to, frame, view.fov * DEGREES,
+);
 
 /** Return views that the scene proposes as people write them. */
-export function viewsFromPoses(poses: readonly Pose[]): View[] {
+export function viewsFromPoses(poses: readonly StartPose[]): View[] {
   return poses.map(({ position, rotation }) => {
     const ahead = scale(rotate(rotation, [0, 0, 1]), REACH);
     return { eye: position, to: add(position, ahead), fov: NORMAL_FOV / DEGREES };
@@ -41,9 +43,11 @@ export function viewsFromPoses(poses: readonly Pose[]): View[] {
 }
 
 /** Ask for floor and cells; what does not come in time counts as unknown. */
-export async function survey(facts: Facts, poses: readonly Pose[]): Promise<Surroundings> {
+export async function survey(facts: Facts, poses: readonly StartPose[]): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
-  const [floor, cells, known] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]);
+  const [floor, cells, known] = await Promise.all(
+    [Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]
+  );
   return { floor, cells, poses: poses.length ? poses : (known ?? []) };
 }
 
@@ -51,7 +55,8 @@ export function begin(hash: string, views: readonly View[], frame: Frame, around
   const { floor, cells } = around;
   const asked = readHash(hash);
   const outside = cells ? surroundedBy(cells, frame) !== null : !floor;
-  const mode: Mode = outside ? "orbit" : floor ? "walk" : "fly";
+  const proposed = cells || floor ? null : (around.poses[0]?.mode ?? null);
+  const mode: Mode = proposed ?? (outside ? "orbit" : floor ? "walk" : "fly");
   const focused = views.length > 0 || (cells !== null && outside);
   const first = { rig: firstRig(views, frame, around), mode, focused, problem: null };
   if (asked instanceof Error) return { ...first, problem: BAD_HASH };
@@ -76,14 +81,16 @@ function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }:
 }
 
 function isFar(eye: Vec3, cells: Cells): boolean {
-  const middle = add(cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)));
+  const middle = add(
+    cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)),
+  );
   return distance(eye, middle) > FAR * extent(cells);
 }
 
 function extent(cells: Cells): number {
   const sides = [0, 1, 2].map((k) => {
-    const places = cells.boxes.map((box) => box[k]);
-    return (Math.max(...places) - Math.min(...places) + 1) * cells.size;
+    const [low, high] = boundsOf(cells.boxes.map((box) => box[k]));
+    return (high - low + 1) * cells.size;
   });
   return Math.hypot(...sides);
 }
