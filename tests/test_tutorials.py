@@ -48,6 +48,8 @@ def words_of(line: str) -> list[str]:
 def quicker(words: list[str]) -> list[str]:
     """Return a command with the options of QUICK in place of, or beside, its own."""
     words = list(words)
+    if "--apply" in words:  # nothing is looked for, so nothing can be looked for less
+        return words
     for option, value in QUICK.get(words[0], {}).items():
         if option not in words:
             words += [option, value]
