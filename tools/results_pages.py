@@ -68,6 +68,8 @@ PAGES = {
         (
             "visibility_cdf",
             "visibility_walk",
+            "cut",
+            "cut_unseen",
             "analyze_time",
             "raycast_build",
             "raycast_contributions",

@@ -37,6 +37,8 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
   gsvis clean scene.ply -o clean.ply         without floaters and the unseen
   gsvis convert scene.ply small.spz --min-opacity 0.02
+  gsvis cut scene.ply -o walk.ply --path walk.csv   keep what a walk can see
+  gsvis paint scene.ply -o seen.ply --by visibility
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs

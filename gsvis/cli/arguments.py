@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.arguments_edit import Clean
+from gsvis.cli.arguments_edit import Clean, Cut, Paint
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
@@ -61,9 +61,11 @@ __all__ = [
     "Color",
     "Command",
     "Convert",
+    "Cut",
     "Export",
     "Inspect",
     "Levels",
+    "Paint",
     "Prepare",
     "Pvs",
     "PvsReport",
@@ -440,6 +442,8 @@ Command = (
     | Levels
     | Clean
     | Convert
+    | Cut
+    | Paint
     | Prepare
     | Verify
     | Unpack

@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
 from gsvis.cli.arguments_where import Where
-from gsvis.cli.readers import COUNTED, DECIBELS, NAMES, SHARE, STRENGTH, WHOLE, Flag, Lod, Scene, hint
+from gsvis.cli.readers import (
+    COUNTED,
+    DECIBELS,
+    DEGREES,
+    FACE_PIXELS,
+    NAMES,
+    PLAIN,
+    SHARE,
+    STRENGTH,
+    TAU,
+    WHOLE,
+    Flag,
+    Lod,
+    Scene,
+    hint,
+)
 
-__all__ = ["Clean"]
+__all__ = ["Clean", "Cut", "Paint"]
 
 
 @dataclass(frozen=True)
@@ -53,5 +68,78 @@ class Clean(Where):
     """Replace OUT and FILE.npy if they exist."""
     json: Flag = False
     """Print one JSON document instead of a table."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True)
+class Cut(Where):
+    """Keep only what eyes along a path, of cameras or in a box can see."""
+
+    scene: Scene
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
+    """The scene to write, .ply, .spz or .sog. An existing file needs --overwrite."""
+    lod: Lod = None
+    """Level of detail of a streamed scene; 0 is the finest."""
+    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
+    """Keep what these cameras show: a COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze.
+    With --margin eyes may lie so far beside them."""
+    fov: Annotated[float | None, DEGREES, hint("eyes look all around")] = None
+    """With --path: keep only what the frames of the walk show, at this horizontal field of view."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards in the scene, such as -y."""
+    tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
+    """Weight from which a Gaussian is kept."""
+    limit: Annotated[float, SHARE, hint("0.0015")] = 0.0015
+    """Rays go on until they prove that at most this share of the light is missing."""
+    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Pixels along a side of the six faces around an eye."""
+    views: Annotated[int, WHOLE] = 16
+    """Views in one round that are drawn before and after; 0 for none."""
+    min_psnr: Annotated[float, DECIBELS, hint("45")] = 45.0
+    """A drawn view below this gets what it lacks, and others are drawn."""
+    select: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write what is kept as a NumPy file too: one true or false for each Gaussian of SCENE."""
+    seed: Annotated[int, WHOLE] = 0
+    """Seed of everything random: the same seed gives the same file."""
+    overwrite: Flag = False
+    """Replace files that exist."""
+    json: Flag = False
+    """Print one JSON document instead of lines."""
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True)
+class Paint(Where):
+    """Color a scene by how its Gaussians are seen, for any viewer."""
+
+    scene: Scene
+    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
+    """The scene to write, .ply, .spz or .sog. Its legend goes beside it: scene.legend.png. Existing files need
+    --overwrite."""
+    by: Annotated[Literal["visibility", "directions", "weight", "importance", "cell"], PLAIN] = "visibility"
+    """visibility: share of the eyes that see it; directions: of 80, from how many; weight: largest share of a pixel;
+    importance: change of views without it; cell: the cell that sees it best. (default: visibility)"""
+    lod: Lod = None
+    """Level of detail of a streamed scene; 0 is the finest."""
+    pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: eyes are drawn)")] = None
+    """Take the quantity from visible sets of this scene (gsvis pvs); not for importance."""
+    eyes: Annotated[int | None, COUNTED, hint("64; for importance 96")] = None
+    """Number of eyes that are drawn: places, cells or views."""
+    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Pixels along a side of the six faces around an eye."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards in the scene, such as -y; not with --pvs."""
+    values: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write the quantity as a NumPy file too: one number for each Gaussian."""
+    seed: Annotated[int, WHOLE] = 0
+    """Seed of everything random: the same seed gives the same file."""
+    overwrite: Flag = False
+    """Replace files that exist."""
+    json: Flag = False
+    """Print one JSON document instead of lines."""
     debug: Flag = False
     """Show the traceback of an error."""

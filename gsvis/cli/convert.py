@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from gsvis import _check
 from gsvis.cli.arguments import Convert
-from gsvis.cli.source import check_folder, check_new, check_source, inputs_of, load_source
+from gsvis.cli.scene_out import check_scene_out
+from gsvis.cli.source import check_source, load_source
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.io.convert import AXES, convert_scene
 from gsvis.io.scenes import save_scene
 from gsvis.io.spz import save_spz
 
 __all__ = ["run_convert"]
-
-_WRITTEN = (".ply", ".spz", ".sog")
 
 
 def run_convert(command: Convert) -> None:
@@ -27,21 +23,10 @@ def run_convert(command: Convert) -> None:
         OSError: If the result cannot be written.
     """
     check_source(command.scene, command.lod)
-    target, up = Path(command.output), _axes(command.up)
-    if target.suffix.lower() not in _WRITTEN or target.name.lower().endswith(".compressed.ply"):
-        near = _check.suggestion(target.suffix, _WRITTEN)
-        raise ValueError(
-            f"OUT: expected a name that ends in {', '.join(_WRITTEN)}, got {command.output!r}; "
-            + (near or "other formats are only read")
-        )
-    if target.is_dir():
-        raise ValueError(f"OUT: expected the name of a file, got the folder {command.output!r}")
+    up = _axes(command.up)
+    target = check_scene_out(command.output, command.scene, command.overwrite, name="OUT")
     if command.compact and target.suffix.lower() != ".spz":
         raise ValueError(f"--compact: expected an OUT that ends in .spz with it, got {command.output!r}; leave it out")
-    check_folder(target.parent)
-    check_new(target, command.overwrite)
-    if target.exists() and any(path.exists() and target.samefile(path) for path in inputs_of(command.scene)):
-        raise ValueError(f"OUT: expected another file than IN, got {command.output}; name another")
     crop = None if command.crop is None else (command.crop[:3], command.crop[3:])
     with Status() as status:
         status("reading", 0, 1)

@@ -62,6 +62,8 @@ _SAID = {
     "package": "writing the package",
     "sets": "writing what cells see",
     "export": "writing the export",
+    "certificate": "certifying by rays",
+    "held_out": "drawing views before and after",
 }
 _clock = time.perf_counter  # tests replace it
 _EVERY = 10.0  # seconds between plain lines of one stage

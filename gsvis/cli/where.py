@@ -51,11 +51,13 @@ class Place:
         space: The navigable space; None if there is none.
         why_not: Why there is none; else empty.
         remarks: Remarks for the user.
+        path: The walk of --path, brought into the scene if --retarget is given; None without.
     """
 
     space: NavigableSpace | None
     why_not: str
     remarks: list[str]
+    path: HeadPath | None = None
 
     def required(self, remedy: str) -> NavigableSpace:
         """Return the navigable space.
@@ -144,7 +146,7 @@ def _along(space: NavigableSpace, where: Where, walk: HeadPath) -> Place:
         walk = moved.path
         remarks.append(f" The path was brought into the scene: {moved.rule}; {moved.inside:.0%} of it inside.")
     try:
-        return Place(corridor(space, walk.positions, where.margin), "", remarks)
+        return Place(corridor(space, walk.positions, where.margin), "", remarks, walk)
     except ValueError as error:
         hint = "" if where.retarget else "; --retarget brings it there"
         raise ValueError(f"--path {where.path}: {error}{hint}") from None

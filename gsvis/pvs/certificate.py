@@ -7,7 +7,7 @@ Scene frame and units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,12 +25,16 @@ __all__ = [
     "Certificate",
     "CertificateConfig",
     "Certifier",
+    "DrawRays",
     "heaviest_hits",
 ]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+
+DrawRays = Callable[[int, np.random.Generator], tuple[F64, F64] | None]
+"""Draws so many independent rays: origins (R, 3) and unit directions (R, 3); None if it cannot."""
 
 HEAVY = 0.01
 """Weight from which a ray counts as one that misses much."""
@@ -186,6 +190,39 @@ class Certifier:
         Raises:
             ValueError: If an id is out of range.
         """
+
+        def draw(count: int, rng: np.random.Generator) -> tuple[F64, F64] | None:
+            origins = self._origins(voxels, count, rng)
+            return None if origins is None else (origins, _directions(count, rng))
+
+        return self.certify_rays(draw, ids, config, name=voxels.cell, stage=stage, earlier=earlier)
+
+    def certify_rays(
+        self,
+        draw: DrawRays,
+        ids: ArrayLike,
+        config: CertificateConfig | None = None,
+        *,
+        name: int = 0,
+        stage: int = 0,
+        earlier: Sequence[Certificate] | None = None,
+    ) -> Certificate | None:
+        """Bound the light that a set misses on rays of any kind, such as those of the pixels of cameras.
+
+        Args:
+            draw: Draws the rays of a round from the random numbers it is given, and nothing else.
+            ids: (V,) Gaussians of the set.
+            config: Options; None means `CertificateConfig()`.
+            name: Names the rays, as a cell does: another name draws other rays. The `cell` of the certificate.
+            stage: As in `certify`.
+            earlier: As in `certify`.
+
+        Returns:
+            The certificate; None if `draw` returns None.
+
+        Raises:
+            ValueError: If an id is out of range.
+        """
         config = config or CertificateConfig()
         missing = np.ones(len(self.tracer.proxies.gaussians), bool)
         missing[self.tracer.check_ids(ids)] = False
@@ -194,11 +231,11 @@ class Certifier:
         drawn, bound = 0, 1.0
         while drawn < config.rays:
             count = min(config.round_rays, config.rays - drawn)
-            rng = np.random.default_rng([config.seed, voxels.cell, _RAYS, stage, len(rounds)])
-            origins = self._origins(voxels, count, rng)
-            if origins is None:
+            rng = np.random.default_rng([config.seed, name, _RAYS, stage, len(rounds)])
+            rays = draw(count, rng)
+            if rays is None:
                 return None
-            rounds.append(_trace_round(self.tracer, missing, origins, _directions(count, rng)))
+            rounds.append(_trace_round(self.tracer, missing, *rays))
             drawn += count
             missed = np.concatenate([each.missed for each in rounds])
             weights = np.concatenate([each.weights for each in rounds])
@@ -209,7 +246,7 @@ class Certifier:
             hopeless = missed.sum() > config.limit * weights.sum()
             if config.limit and (hopeless or bound <= config.limit):
                 break
-        return _summarize(rounds, voxels.cell, bound, config)
+        return _summarize(rounds, name, bound, config)
 
     def _origins(self, voxels: FreeVoxels, count: int, rng: np.random.Generator) -> F64 | None:
         """Return (count, 3) free points of a cell outside everything solid; None if too few are found."""

@@ -56,6 +56,8 @@ COMMANDS = {
     "train": ["train", "IN/photos", "-o", "OUT/t.ply", "--iterations", "2", "--sh-degree", "0"],
     "levels": ["levels", "IN/rooms.ply", "-o", "OUT/levels"],
     "convert": ["convert", "IN/rooms.ply", "OUT/a.spz"],
+    "cut": ["cut", "IN/rooms.ply", "-o", "OUT/cut.ply", "--size", "16", "--views", "1", "--min-psnr", "0", *BOX],
+    "paint": ["paint", "IN/rooms.ply", "-o", "OUT/painted.ply", "--size", "16", "--eyes", "2", *BOX],
     "prepare": ["prepare", "IN/rooms.ply", "-o", "OUT/a.gsvis", *TINY],
     "prepare --levels none": ["prepare", "IN/rooms.ply", "-o", "OUT/b.gsvis", *TINY, "--levels", "none"],
     "prepare --dry-run": ["prepare", "IN/rooms.ply", "-o", "OUT/c.gsvis", *TINY, "--levels", "none", "--dry-run"],

@@ -1,0 +1,195 @@
+"""`gsvis cut`: keep what eyes along a path, of cameras, or in a place can see; write it, say what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gsvis.cli.arguments import Cut
+from gsvis.cli.kernels import warm_sets
+from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out, write_array
+from gsvis.cli.source import Source, check_source, file_cameras, load_source, parse_up
+from gsvis.cli.terminal import Status, print_json, show, size_of
+from gsvis.cli.where import check_where, find_place, given, space_document
+from gsvis.errors import SceneError
+from gsvis.io.scenes import save_scene
+from gsvis.raycast import describe_check
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+
+if TYPE_CHECKING:
+    from gsvis.edit import Cut as Found
+    from gsvis.edit import CutConfig, Eyes
+
+__all__ = ["run_cut"]
+
+_RATE = 10.0  # frames a second of a walk that is cut by its frames
+_LOOKS = 240  # most of them to look from
+_FRAME = (960, 720)  # their pixels
+_WIDEST = 1280  # pixels across the images of cameras, at most
+
+
+@dataclass(frozen=True, eq=False)
+class _Eyes:
+    """The eyes of a command: where they are, in words, the space if there is one, and remarks for the user."""
+
+    eyes: Eyes
+    words: str
+    space: NavigableSpace | None
+    remarks: list[str]
+
+
+def run_cut(command: Cut) -> None:
+    """Cut a scene: read, look, certify, compare views, write, print the result.
+
+    Raises:
+        GsvisError: If a file cannot be read, eyes have no place, or nothing would be kept.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If a file is missing.
+        OSError: If the result cannot be written.
+    """
+    walk = _check_arguments(command)
+    target = check_scene_out(command.out, command.scene, command.overwrite)
+    if command.select is not None:
+        outputs = {"--out": target, "--select": Path(command.select)}
+        check_outputs(outputs, [command.scene], command.overwrite)
+    config = _config(command)
+    with Status() as status:
+        status("reading", 0, 1)
+        source = load_source(command.scene, command.lod)
+        status("reading", 1, 1)
+        status("space", 0, 1)
+        place = _place_eyes(command, source, walk)
+        status("space", 1, 1)
+        found = _cut(source.gaussians, place, config, status)
+        status("writing", 0, 1)
+        save_scene(source.gaussians[found.kept], target)
+        if command.select is not None:
+            write_array(Path(command.select), found.kept)
+        status("writing", 1, 1)
+    _show_result(command, source, place, found)
+
+
+def _check_arguments(command: Cut) -> HeadPath | None:
+    """Check the arguments before work begins; return the walk of --path."""
+    check_source(command.scene, command.lod)
+    check_one_level(command.scene)
+    parse_up(command.up)
+    if command.cameras is None and not given(command):
+        raise ValueError(
+            "--path: expected one of --path, --cameras, --box and --around, got none; say where the eyes are"
+        )
+    if command.fov is not None and command.path is None:
+        raise ValueError(f"--fov: expected --path with it, got {command.fov:g} alone; cameras state their own")
+    if command.cameras is None:
+        return check_where(command)
+    return check_where(replace(command, margin=None), "--cameras")  # here a margin is one of cameras
+
+
+def _config(command: Cut) -> CutConfig:
+    from gsvis.edit import CutConfig
+
+    usual = CutConfig()
+    return replace(
+        usual,
+        tau=command.tau,
+        size=command.size or usual.size,
+        limit=max(command.limit, 1e-6),
+        views=replace(usual.views, count=command.views),
+        min_psnr=command.min_psnr,
+        seed=command.seed,
+    )
+
+
+def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
+    """Return where the eyes are.
+
+    Raises:
+        SceneError: If eyes have no place in the scene.
+        ValueError: If the walk lies elsewhere.
+    """
+    from gsvis.edit import EyesInSpace, EyesOfCameras
+
+    if command.cameras is not None:
+        cameras = file_cameras(command.cameras, None, None, at_most=_WIDEST)
+        words = f"{len(cameras):,} cameras"
+        if command.margin is not None:
+            words += f", or up to {command.margin:g} beside them"
+        return _Eyes(EyesOfCameras(cameras, command.margin or 0.0), words, None, [])
+    found = find_place(source, command, command.up, walk)
+    space = found.required("say where the eyes are with --cameras or --box")
+    if command.path is None:
+        words = "eyes in the box" if command.box is not None else "eyes around the scene"
+        return _Eyes(EyesInSpace(space), f"{words}, all around", space, found.remarks)
+    assert found.path is not None
+    if command.fov is None:
+        return _Eyes(EyesInSpace(space, found.path), "eyes along the path, all around", space, found.remarks)
+    steady = found.path.resample(_RATE)
+    cameras = steady.cameras(*_FRAME, command.fov)
+    words = f"frames of the path, {command.fov:g} degrees wide"
+    return _Eyes(EyesOfCameras(cameras, command.margin or 0.0, looks=_LOOKS), words, space, found.remarks)
+
+
+def _cut(g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found:
+    from gsvis.edit import cut
+    from gsvis.pvs.config import PvsConfig
+
+    warm_sets(PvsConfig(), status)
+    try:
+        return cut(g, place.eyes, config, progress=status)
+    except SceneError as error:
+        raise SceneError(f"{error}; nothing was written") from None
+
+
+def _show_result(command: Cut, source: Source, place: _Eyes, found: Found) -> None:
+    size = Path(command.out).stat().st_size
+    if command.json:
+        document: dict[str, Any] = {
+            "format": "gsvis-cut",
+            "version": 1,
+            "in": command.scene,
+            "lod": source.lod,
+            "out": command.out,
+            "bytes": size,
+            "eyes": place.words,
+            "space": None if place.space is None else space_document(place.space),
+            **found.as_dict(),
+            "remarks": [each.strip() for each in place.remarks],
+        }
+        print_json(document)
+        return
+    share = len(found) / len(found.kept)
+    show(
+        f"{command.out}: {len(found):,} of {len(found.kept):,} Gaussians ({share:.1%}), {size_of(size)}",
+        f" For {place.words}. {_spell_looks(found)}",
+        *([f" {_spell_certificate(found)}"] if found.certificates else []),
+        *([f" {_spell_views(found)}"] if found.held_out is not None else []),
+        *place.remarks,
+    )
+
+
+def _spell_looks(found: Found) -> str:
+    lost = f"; {found.buried:,} more lie inside something solid" if found.buried else ""
+    return f"Looked from {found.looks:,} places{lost}."
+
+
+def _spell_certificate(found: Found) -> str:
+    return (
+        f"They carry {1.0 - found.missed:.3%} of the light; with 95% confidence at most {found.bound:.3%} is missing,"
+        f" by {found.rays:,} random rays of these eyes. A second tracer agrees: {describe_check(found.check)}."
+    )
+
+
+def _spell_views(found: Found) -> str:
+    views = found.held_out
+    assert views is not None
+    added = f"; {views.added:,} Gaussians were added because of views before" if views.added else ""
+    which = "views that were not looked from" if views.fresh else "of the cameras"
+    mean, worst = float(np.mean(views.psnr)), float(views.psnr.min())
+    return (
+        f"{len(views.psnr)} {which}: {mean:.1f} dB against the scene in the mean, {worst:.1f} dB in the worst{added}."
+    )
