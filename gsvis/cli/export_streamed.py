@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments_export import Export
@@ -30,9 +30,10 @@ def export_streamed(command: Export) -> None:
 
     with ExitStack() as stack, Status() as status:
         store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
-        scene, page = open_scene(command, stack, status)
-        options = StreamedOptions(command.leaf or LEAF, never_seen=command.never_seen)
-        options = replace(options, name=page.name, up=page.up, poses=page.poses)
+        scene, name, up, _ = open_scene(command, stack, status)
+        if store is not None and command.up is None:
+            up = None  # the visible sets know it
+        options = StreamedOptions(leaf=command.leaf or LEAF, never_seen=command.never_seen, name=name, up=up)
         found = write_streamed_sog(
             command.out, scene, options, visibility=store, overwrite=command.overwrite, progress=status
         )
