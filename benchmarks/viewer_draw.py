@@ -4,7 +4,8 @@ Both show the same Gaussians in the same Chromium, one after the other, while th
 
 Given: showroom LOD 3 (SH 0) and nika LOD 2 (its SH fitted with terms); SwiftShader; a file of PlayCanvas by option.
 Measured: frames a second, seconds of all cores for a frame (which other programs on the machine disturb less), PSNR
-    of a still picture, milliseconds of the main thread for 50,000 Gaussians, bytes of JavaScript, its Workers' too, and
+    of a still picture, milliseconds of the main thread for 50,000 Gaussians (back to back; and one by one, with the
+    overhead of the call, split into those on a core and those without one), bytes of JavaScript, its Workers' too, and
     array buffers after collection.
 Defaults chosen on: showroom LOD 3.
 """
@@ -14,7 +15,6 @@ from __future__ import annotations
 import argparse
 import base64
 import io
-import os
 import shutil
 import sys
 import tempfile
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _cores import PageThread, core_seconds
 from _harness import add_arguments, realdata, write_result
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -127,13 +128,18 @@ def measure(
             save_png(folder / f"{name}-viewer.png", image)
             spun = spin(page, lens, options.seconds)
             heap = heap_bytes(page)
-            details[name] = {"statistics": spun, "append ms": appended, "heap": heap, "console": said}
+            single = append(page, name, options.precision)
+            details[name] = {"statistics": spun, "append ms": appended, "append one by one": single, "heap": heap,
+                             "console": said}  # fmt: skip
         terms = name != "showroom"
         least = {"bytes": 36.0 if terms else 45.0}.get(options.precision, 42.0 if terms else 50.0)
         add("PSNR", psnr(image, truth), "dB", "higher", least)
         add("frames a second", spun["fps"], "1/s", "higher")
         add("cores' seconds a frame", spun["core seconds"], "s", "lower")
         add("append 50,000, longest", max(appended), "ms", "lower", 20.0)
+        add("append 50,000 one by one, median", float(np.median([one["wall"] for one in single])), "ms", "lower")
+        add("append 50,000 one by one, longest on a core", max(one["ran"] for one in single), "ms", "lower", 20.0)
+        add("append 50,000 one by one, longest wait for a core", max(one["waited"] for one in single), "ms", "lower")
         add("heap", sum(heap.values()) / 1e6, "MB", "lower", 40.0)
         if options.playcanvas:
             with browser_page(f"{address}/playcanvas.html") as (page, said):
@@ -160,20 +166,16 @@ def spin(page: Any, lens: dict[str, Any], seconds: float) -> dict[str, Any]:
     return {**spun, "core seconds": (core_seconds() - before) / max(spun["frames shown"], 1)}
 
 
-def core_seconds() -> float:
-    """Seconds of all cores of the processes that this one has started, so far."""
-    parents, spent = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            words = path.read_text().rpartition(")")[2].split()
-        except OSError:  # ended since
-            continue
-        parents[int(path.parent.name)] = int(words[1])
-        spent[int(path.parent.name)] = (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
-    own, more = {os.getpid()}, {os.getpid()}
-    while more := {child for child, parent in parents.items() if parent in more}:
-        own |= more
-    return sum(spent[child] for child in own - {os.getpid()})
+def append(page: Any, name: str, precision: str) -> list[dict[str, float]]:
+    """Append batches one by one; milliseconds of the main thread for each: in all, on a core, and waiting for one."""
+    thread, spent = PageThread(page), []
+    page.evaluate("([name, precision]) => test.open(name, { precision }, 0)", [name, precision])
+    for k in range(int(page.evaluate("test.source.scene.batches.length"))):
+        before = thread.spent()
+        took = float(page.evaluate("k => test.source.send(k)", k))
+        ran, waited = thread.spent().since(before)
+        spent.append({"wall": took, "ran": ran, "waited": waited})
+    return spent
 
 
 def heap_bytes(page: Any) -> dict[str, float]:

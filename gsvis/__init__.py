@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gsvis.edit import clean
     from gsvis.errors import BackendError, FormatError, GsvisError, SceneError
     from gsvis.io import from_gsplat, load_cameras, load_scene, save_scene
     from gsvis.raycast import EllipsoidProxies, Tracer, visible_from, visible_in
@@ -32,6 +33,7 @@ __all__ = [
     "GsvisError",
     "SceneError",
     "Tracer",
+    "clean",
     "from_gsplat",
     "load_cameras",
     "load_scene",
@@ -42,6 +44,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "gsvis.edit": ("clean",),
     "gsvis.errors": ("BackendError", "FormatError", "GsvisError", "SceneError"),
     "gsvis.io": ("from_gsplat", "load_cameras", "load_scene", "save_scene"),
     "gsvis.raycast": ("EllipsoidProxies", "Tracer", "visible_from", "visible_in"),

@@ -20,6 +20,7 @@ EXTRAS = {
     "matplotlib": "report",
     "open3d": "open3d",
     "pycolmap": "train",
+    "skimage": "mesh",
     "torch": "torch",
     "torchvision": "metrics",
 }

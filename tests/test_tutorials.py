@@ -23,6 +23,7 @@ BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE
 SETS = {"--cells": "2", "--limit": "0.05", "--max-inner": "1", "--workers": "1"}
 QUICK = {
     "analyze": {"--views": "2", "--width": "128", "--height": "96", "--traced-sample": "10", "--rays-per-face": "1"},
+    "clean": {"--eyes": "2", "--held-out": "2"},
     "color": {"--views": "2"},
     "cut": {"--size": "24", "--views": "1", "--limit": "0.05"},
     "levels": {"--iterations": "2", "--views": "2", "--held-out": "1", "--size": "24x20"},

@@ -129,5 +129,5 @@ PAGES = {
             "scaling",
         ),
     ),
-    "viewer": Page("The viewer", ("viewer_load", "viewer_draw")),
+    "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "streamed_sog", "streamed_sog_nika")),
 }

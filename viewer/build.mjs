@@ -1,13 +1,28 @@
-// Bundle the viewer into gsvis/viewer. `--check` compares with what lies there; `--tests` bundles the tests instead.
+// Bundle the viewer into gsvis/viewer, with types and package.json: that folder is the npm package `gsvis-viewer`.
+// `--check` compares with what lies there; `--tests` bundles the tests instead.
 import { build, transform } from "esbuild";
 import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
+import { bundleTypes } from "./types.mjs";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "../gsvis/viewer");
-const common = { bundle: true, format: "esm", target: "es2022", write: false, charset: "utf8", legalComments: "none", absWorkingDir: here };
+const common = {
+  bundle: true, format: "esm", target: "es2022", write: false, charset: "utf8", legalComments: "none",
+  absWorkingDir: here,
+};
+
+// Programs of the GPU travel without comments and indentation; neither means anything around them.
+const shaders = {
+  name: "shaders",
+  setup({ onLoad }) {
+    onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({
+      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, ""), loader: "ts",
+    }));
+  },
+};
 
 if (process.argv.includes("--tests")) {
   const tests = readdirSync(join(here, "test")).filter((name) => name.endsWith(".test.ts"));
@@ -17,7 +32,7 @@ if (process.argv.includes("--tests")) {
   });
 } else {
   const bundled = await build({
-    ...common, minify: true, outdir: out,
+    ...common, minify: true, outdir: out, plugins: [shaders],
     entryPoints: {
       "gsvis-viewer": join(here, "src/core/index.ts"),
       network: join(here, "src/core/network.worker.ts"),
@@ -30,7 +45,14 @@ if (process.argv.includes("--tests")) {
   for (const name of ["view.html", "list.html"]) {
     files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
   }
-  const style = await transform(readFileSync(join(here, "src/page/page.css"), "utf8"), { loader: "css", minify: true, target: common.target, charset: "utf8" });
+  files.push({ path: join(out, "gsvis-viewer.d.ts"), bytes: Buffer.from(bundleTypes()) });
+  const { name, version, description, license } = JSON.parse(readFileSync(join(here, "package.json"), "utf8"));
+  const types = "./gsvis-viewer.d.ts", exports = { ".": { types, default: "./gsvis-viewer.js" }, "./*": "./*" };
+  const manifest = JSON.stringify({ name, version, description, license, type: "module", types, exports }, null, 2);
+  files.push({ path: join(out, "package.json"), bytes: Buffer.from(`${manifest}\n`) });
+  const style = await transform(readFileSync(join(here, "src/page/page.css"), "utf8"), {
+    loader: "css", minify: true, target: common.target, charset: "utf8",
+  });
   files.push({ path: join(out, "page.css"), bytes: Buffer.from(style.code) });
   let differ = 0;
   mkdirSync(out, { recursive: true });
@@ -39,7 +61,10 @@ if (process.argv.includes("--tests")) {
     if (process.argv.includes("--check")) {
       let old = Buffer.alloc(0);
       try { old = readFileSync(path); } catch { /* absent: differs */ }
-      if (!old.equals(bytes)) { differ += 1; console.error(`gsvis/viewer/${name} is not what its sources build: npm run build`); }
+      if (!old.equals(bytes)) {
+        differ += 1;
+        console.error(`gsvis/viewer/${name} is not what its sources build: npm run build`);
+      }
     } else {
       writeFileSync(path, bytes);
       console.log(`${name}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);

@@ -35,6 +35,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis color scene.ply -o scene.arrow       color that can be sent in pieces
   gsvis train photos -o scene.ply            photographs to a scene
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
+  gsvis clean scene.ply -o clean.ply         without floaters and the unseen
   gsvis convert scene.ply small.spz --min-opacity 0.02
   gsvis cut scene.ply -o walk.ply --path walk.csv   keep what a walk can see
   gsvis paint scene.ply -o seen.ply --by visibility
@@ -42,6 +43,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
   gsvis export scene.gsvis -o site           a site for any file server
+  gsvis space scene.ply -o walk.glb          where one can walk, as meshes
   gsvis view scene.gsvis                     in the browser; any scene
   gsvis serve scene.gsvis                    to viewers, over WebSockets
   gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report

@@ -10,11 +10,12 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.arguments_edit import Cut, Paint
+from gsvis.cli.arguments_edit import Clean, Cut, Paint
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
@@ -56,6 +57,7 @@ from gsvis.cli.readers import (
 
 __all__ = [
     "Analyze",
+    "Clean",
     "Color",
     "Command",
     "Convert",
@@ -70,6 +72,7 @@ __all__ = [
     "Render",
     "Serve",
     "Simulate",
+    "Space",
     "Train",
     "Unpack",
     "Verify",
@@ -437,6 +440,7 @@ Command = (
     | Color
     | Train
     | Levels
+    | Clean
     | Convert
     | Cut
     | Paint
@@ -444,6 +448,7 @@ Command = (
     | Verify
     | Unpack
     | Export
+    | Space
     | View
     | Serve
     | Simulate

@@ -7,21 +7,28 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.readers import PLAIN, Flag, Lod
+from gsvis.cli.readers import LEAF, PLAIN, Flag, Lod, hint
 
 __all__ = ["Export"]
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write a scene or a package for players that need no gsvis: a site, or one file."""
+    """Write a scene for players that need no gsvis: a site, a file, streamed SOG."""
 
     scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
     """A package, or a scene as it is: a file or folder that gsvis reads, or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(required)")]
-    """Folder of the site, or the .html file."""
-    format: Annotated[Literal["static", "html"], PLAIN] = "static"
-    """static: a site that any file server or CDN serves; html: one file that opens from disk. (default: static)"""
+    """Folder of the site or of the streamed SOG, or the .html file."""
+    format: Annotated[Literal["static", "html", "streamed-sog"], PLAIN] = "static"
+    """static: a site that any file server or CDN serves; html: one file that opens from disk; streamed-sog: leaves for
+    PlayCanvas' engine, and which of them each cell needs. (default: static)"""
+    pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: those of a package)")] = None
+    """Visible sets of a scene that is no package (gsvis pvs); for streamed-sog."""
+    never_seen: Annotated[Literal["keep", "drop"], PLAIN] = "keep"
+    """What streamed-sog does with Gaussians that no cell sees; from outside, holes show. (default: keep)"""
+    leaf: Annotated[int | None, LEAF, hint("8192")] = None
+    """Most Gaussians of a leaf of streamed-sog; leaves have half of it at least."""
     name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: that of SCENE)")] = None
     """Name of the scene in the page."""
     lod: Lod = None
@@ -31,7 +38,8 @@ class Export:
     )
     """Axis that points upwards in the scene, such as -y."""
     overwrite: Flag = False
-    """Replace a file that exists, or a page of something else; an earlier site is replaced without it."""
+    """Replace a file that exists, an earlier streamed SOG, or a page of something else; an earlier site is replaced
+    without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     debug: Flag = False

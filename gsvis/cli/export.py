@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.source import (
+    Source,
     check_file,
     check_folder,
     check_new,
@@ -26,12 +27,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gsvis.export import StaticOptions
+    from gsvis.export.start import Start
     from gsvis.package import Package
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.levels import Levels
 
-__all__ = ["run_export"]
+__all__ = ["open_scene", "run_export"]
+
+Triple = tuple[float, float, float]
 
 
 def run_export(command: Export) -> None:
@@ -43,14 +46,21 @@ def run_export(command: Export) -> None:
         FileNotFoundError: If there is no such scene.
         OSError: If the result cannot be written.
     """
-    from gsvis.export import write_html, write_site
+    from gsvis.export import StaticOptions, write_html, write_site
 
+    _check_options(command)
     _check_target(command)
     _check_apart(command)
+    if command.format == "streamed-sog":
+        from gsvis.cli.export_streamed import export_streamed
+
+        export_streamed(command)
+        return
     writers = {"static": write_site, "html": write_html}
     with ExitStack() as stack, Status() as status:
-        scene, options = _open(command, stack, status)
-        found = writers[command.format](command.out, scene, options, progress=status)
+        scene, name, up, source = open_scene(command, stack, status)
+        poses = None if source is None or up is None else _starts(source, up, status)
+        found = writers[command.format](command.out, scene, StaticOptions(name, up, poses=poses), progress=status)
     made = found.scene
     if command.json:
         facts: dict[str, Any] = {
@@ -73,6 +83,16 @@ def run_export(command: Export) -> None:
         show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
 
 
+def _check_options(command: Export) -> None:
+    """Raise if an option is given that the format does not know."""
+    given = {"--pvs": command.pvs, "--leaf": command.leaf, "--never-seen": command.never_seen != "keep" or None}
+    for option, value in given.items():
+        if value is not None and command.format != "streamed-sog":
+            raise ValueError(f"{option}: expected --format streamed-sog with it, got {command.format}; leave it out")
+    if command.pvs is not None and not Path(command.pvs).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.pvs)
+
+
 def _detail(terms: int, cells: int) -> str:
     sees = f"{cells:,} cells" if cells > 1 else "no visible sets"
     return f"{terms:,} terms, {sees}" if terms else sees
@@ -84,6 +104,12 @@ def _check_target(command: Export) -> None:
     from gsvis.export.static import check_target
 
     out = Path(command.out)
+    if command.format == "streamed-sog":
+        from gsvis.io.streamed_sog_writer import check_streamed_target
+
+        check_streamed_target(out, command.overwrite)
+        check_folder(out)
+        return
     if command.format == "static":
         check_folder(out)
         check_site(out, command.overwrite)
@@ -98,14 +124,15 @@ def _check_target(command: Export) -> None:
 def _check_apart(command: Export) -> None:
     """Raise if the result would be SCENE itself, or lie in the folder of SCENE."""
     scene, out = Path(command.scene).resolve(), Path(command.out).resolve()
-    if not is_builtin(command.scene) and (out == scene or (scene.is_dir() and scene in out.parents)):
+    inner = command.format == "streamed-sog" and scene.name == "lod-meta.json" and scene.parent == out
+    if not is_builtin(command.scene) and (out == scene or inner or (scene.is_dir() and scene in out.parents)):
         raise ValueError(f"--out: expected a place outside of SCENE, got {command.out}; name another")
 
 
-def _open(command: Export, stack: ExitStack, status: Status) -> tuple[Package | Levels | Gaussians, StaticOptions]:
-    """Return the package or scene of a command, and what its page says."""
-    from gsvis.export import StaticOptions
-
+def open_scene(
+    command: Export, stack: ExitStack, status: Status
+) -> tuple[Package | Levels | Gaussians, str, Triple | None, Source | None]:
+    """Return the package or scene of a command, its name, its up axis if that is known, and how a scene was read."""
     up = parse_up(command.up)
     if (Path(command.scene) / MANIFEST).is_file():
         from gsvis.package import Package
@@ -113,20 +140,23 @@ def _open(command: Export, stack: ExitStack, status: Status) -> tuple[Package | 
         if command.lod is not None:
             raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
         name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
-        return stack.enter_context(Package.open(command.scene)), StaticOptions(name, _triple(up))
+        return stack.enter_context(Package.open(command.scene)), name, _triple(up), None
     check_source(command.scene, command.lod)
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     status("reading", 1, 1)
     name = command.name or title_of(command.scene, source.lod)
-    above = up_of(source) if up is None else up
+    return source.whole, name, _triple(up_of(source) if up is None else up), source
+
+
+def _starts(source: Source, up: Triple, status: Status) -> tuple[Start, ...] | None:
     status("start", 0, 1)
-    poses = find_starts(source, above)
+    found = find_starts(source, up)
     status("start", 1, 1)
-    return source.whole, StaticOptions(name, _triple(above), poses=poses)
+    return found
 
 
-def _triple(vector: NDArray[np.float64] | None) -> tuple[float, float, float] | None:
+def _triple(vector: NDArray[np.float64] | None) -> Triple | None:
     if vector is None:
         return None
     x, y, z = vector.tolist()

@@ -21,7 +21,7 @@ __all__ = [
     "CHANGE",
     "COLOR",
     "COUNTED",
-    "DB",
+    "DECIBELS",
     "DEGREES",
     "DISTANCE",
     "ELEVATION",
@@ -31,6 +31,7 @@ __all__ = [
     "FACTOR",
     "HOSTS",
     "INDICES",
+    "LEAF",
     "MEAN_TERMS",
     "NAMES",
     "OPACITY",
@@ -49,6 +50,7 @@ __all__ = [
     "SH_DEGREE",
     "SIZE",
     "STEPS",
+    "STRENGTH",
     "TAU",
     "TERMS",
     "WEIGHT",
@@ -206,7 +208,7 @@ _COUNT = 10**9
 WHOLE = _number("N", int, 0, _COUNT, "a whole number of at least 0")
 COUNTED = _number("N", int, 1, _COUNT, "a whole number of at least 1")
 PIXELS = _number("PX", int, 1, 16384, "1 to 16384 pixels")
-DB = _number("DB", float, 0.0, 100.0, "dB in [0, 100]")
+DECIBELS = _number("DB", float, 0.0, 100.0, "0 to 100 dB")
 DEGREES = _number("DEG", float, 1.0, 179.0, "degrees in [1, 179]")
 WEIGHT = _number("W", float, 1e-6, 1.0, "a weight in [1e-6, 1]")
 OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")
@@ -234,6 +236,7 @@ ADDRESSES = _spec("*", "ADDRESS [ADDRESS ...]", tuple)
 PORT = _number("N", int, 0, 65535, "a port of 0 to 65535")
 SECONDS = _number("S", float, 0.01, 86400.0, "seconds in [0.01, 86400]")
 CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
+LEAF = _number("N", int, 64, 1 << 19, "a whole number of 64 to 524288")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
 CHANGE = _number("E", float, 1e-4, 1.0, "a change of color in [0.0001, 1]")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
@@ -241,6 +244,7 @@ EPSILON = _spec(1, "E|auto", _read_epsilon)
 SIZE = _spec(1, "WxH", _read_size)
 FACTOR = _number("F", float, 1.0, 64.0, "a factor of 1 to 64")
 STEPS = _number("N", int, 1, 10_000_000, "a whole number of 1 to 10000000")
+STRENGTH = _number("S", float, 0.01, 2.0, "a strength of 0.01 to 2")
 RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
 
 

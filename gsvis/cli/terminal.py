@@ -28,6 +28,8 @@ _SAID = {
     "reading": "reading the scene",
     "space": "finding navigable space",
     "kernels": "preparing kernels",
+    "air": "finding the air",
+    "guard": "drawing held-out views",
     "structure": "building the tracing structure",
     "cameras": "tracing cameras",
     "directions": "tracing directions outward",

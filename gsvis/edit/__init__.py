@@ -1,35 +1,51 @@
-"""Edit a scene by what can be seen: cut it to what some eyes need, or paint it by what they see.
+"""Edit scenes by what can be seen: clean, cut, paint; and turn the space from which they are seen into meshes."""
 
-eyes = EyesInSpace(NavigableSpace.from_box((0, 0, 1), (4, 3, 2)))
-found = cut(scene, eyes)
-smaller = scene[found.kept]
-
-space = NavigableSpace.from_scene(scene)
-painted = paint(scene, measure_quantity(scene, "visibility", space))
-"""
-
+from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of, classify
+from gsvis.edit.cleaning import Cleaning, clean, core_of, held_out_cameras
 from gsvis.edit.cut import Cut, CutConfig, HeldOut, cut
+from gsvis.edit.evidence import Evidence, Shape, gather_evidence
 from gsvis.edit.eyes import Eyes, EyesInSpace, EyesOfCameras
+from gsvis.edit.guard import Cost, guard, measure_cost
 from gsvis.edit.paint import Band, bands_of, colors_of, draw_legend, paint
 from gsvis.edit.quantities import QUANTITIES, Quantity, QuantityConfig, measure_quantity, stored_quantity
+from gsvis.edit.space import SpaceMeshes, mesh_space, solid_voxels
 
 __all__ = [
+    "CLASSES",
+    "HIDDEN",
+    "KEPT",
     "QUANTITIES",
     "Band",
+    "CleanConfig",
+    "Cleaning",
+    "Cost",
     "Cut",
     "CutConfig",
+    "Evidence",
     "Eyes",
     "EyesInSpace",
     "EyesOfCameras",
     "HeldOut",
     "Quantity",
     "QuantityConfig",
+    "Shape",
+    "SpaceMeshes",
     "bands_of",
+    "class_of",
+    "classify",
+    "clean",
     "colors_of",
+    "core_of",
     "cut",
     "draw_legend",
+    "gather_evidence",
+    "guard",
+    "held_out_cameras",
+    "measure_cost",
     "measure_quantity",
+    "mesh_space",
     "paint",
+    "solid_voxels",
     "stored_quantity",
 ]
 

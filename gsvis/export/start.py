@@ -9,13 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.pvs.cells import CellGrid
+from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.poses import describe_poses
 
-__all__ = ["Mode", "Start", "start_poses"]
+__all__ = ["Mode", "Start", "rich_poses", "start_poses"]
 
 F64 = NDArray[np.float64]
 Mode = Literal["orbit", "fly"]
+
+_CELLS, _TURNS = 12, 4  # cells that are tried, and directions in each
+_SEEN = 0.25  # least summed weight, pixels, of a Gaussian that counts
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,29 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     if np.linalg.norm(far) < 1e-9:
         far = _across(above)
     return (Start.looking(eye, eye + far, above), Start.looking(eye, eye - far, above))
+
+
+def rich_poses(g: Gaussians, grid: CellGrid, up: ArrayLike, count: int = 3) -> tuple[Start, ...]:
+    """Return level views from centers of cells that show most Gaussians, the best first: none looks into a near wall.
+
+    Args:
+        g: The scene.
+        grid: Its cells; some of them, evenly spaced in their order, are tried.
+        up: (3,) unit axis that points upwards.
+        count: Most views, each from another cell.
+    """
+    above = np.asarray(up, np.float64) / np.linalg.norm(up)
+    ahead = _across(above)
+    aside = np.cross(above, ahead)
+    best = []
+    for cell in np.unique(np.linspace(0, len(grid) - 1, _CELLS).round().astype(int)).tolist():
+        eye = grid.centers[cell]
+        turns = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
+        targets = [eye + np.cos(turn) * ahead + np.sin(turn) * aside for turn in turns]
+        cameras = Cameras.look_at([eye] * _TURNS, targets, up=above, width=96, height=72, fov=80.0)
+        worth = (view_weights(g, cameras).summed >= _SEEN).sum(axis=1)
+        best.append((-int(worth.max()), cell, Start.looking(eye, targets[int(worth.argmax())], above)))
+    return tuple(start for _, _, start in sorted(best, key=lambda each: each[:2])[:count])
 
 
 def _across(above: F64) -> F64:

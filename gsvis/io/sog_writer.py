@@ -20,7 +20,7 @@ from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["save_sog"]
+__all__ = ["encode_sog", "save_sog"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -39,6 +39,23 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         ValueError: If the scene is empty or has more Gaussians than a plane has pixels.
         OSError: If it cannot be written.
     """
+    files = encode_sog(scene)
+    with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name), data)
+
+
+def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | None = None) -> dict[str, bytes]:
+    """Return the files of a SOG scene by name: its planes, then `meta.json`.
+
+    Args:
+        scene: The scene; its order and frame are kept.
+        palette: Most sets of higher coefficients, 1 to 65,536.
+        digits: Significant digits of the codebooks in `meta.json`; None writes them in full.
+
+    Raises:
+        ValueError: If the scene is empty or has more Gaussians than a plane has pixels.
+    """
     if not 1 <= len(scene) <= MAX_PIXELS:
         raise ValueError(f"scene: expected 1 to {MAX_PIXELS:,} Gaussians for SOG, got {len(scene):,}")
     planes: dict[str, U8] = {}
@@ -47,20 +64,28 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     planes["quats"] = _as_plane(_quats(scene.quats))
     meta["quats"] = {"files": ["quats.webp"]}
     scales = np.log(scene.scales.astype(np.float64)).astype(np.float32)
-    codebook = codebook_of(scales)
+    codebook = _rounded(codebook_of(scales), digits)
     planes["scales"] = _as_plane(nearest_entry(scales, codebook))
-    meta["scales"] = {"codebook": codebook.tolist(), "files": ["scales.webp"]}
+    meta["scales"] = {"codebook": _spelled(codebook, digits), "files": ["scales.webp"]}
     sh0 = scene.sh0[:, 0]
-    codebook = codebook_of(sh0)
+    codebook = _rounded(codebook_of(sh0), digits)
     opacities = np.rint(scene.opacities * 255.0).astype(np.uint8)
     planes["sh0"] = _as_plane(np.column_stack([nearest_entry(sh0, codebook), opacities]))
-    meta["sh0"] = {"codebook": codebook.tolist(), "files": ["sh0.webp"]}
+    meta["sh0"] = {"codebook": _spelled(codebook, digits), "files": ["sh0.webp"]}
     if scene.sh_degree:
-        meta["shN"] = _higher(scene, planes)
-    with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
-        for name, plane in planes.items():
-            archive.writestr(zipfile.ZipInfo(f"{name}.webp"), encode_plane(plane))
-        archive.writestr(zipfile.ZipInfo("meta.json"), json.dumps(meta))
+        meta["shN"] = _higher(scene, planes, palette, digits)
+    files = {f"{name}.webp": encode_plane(plane) for name, plane in planes.items()}
+    return {**files, "meta.json": json.dumps(meta, separators=None if digits is None else (",", ":")).encode()}
+
+
+def _spelled(values: NDArray[np.floating[Any]], digits: int | None) -> list[float]:
+    """Return numbers for JSON, with so many significant digits; None writes them in full."""
+    return [v if digits is None else float(f"{v:.{digits}g}") for v in values.tolist()]
+
+
+def _rounded(codebook: F32, digits: int | None) -> F32:
+    """Return a codebook as a reader gets it."""
+    return np.asarray(_spelled(codebook, digits), np.float32)
 
 
 def _as_plane(values: U8) -> U8:
@@ -94,10 +119,10 @@ def _quats(quats: F32) -> U8:
     return np.column_stack([packed, 252 + largest]).astype(np.uint8)
 
 
-def _higher(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
+def _higher(scene: Gaussians, planes: dict[str, U8], entries: int, digits: int | None) -> dict[str, Any]:
     n, k = scene.shN.shape[:2]
-    palette, labels = palette_of(scene.shN.reshape(n, 3 * k), _MAX_PALETTE)
-    codebook = codebook_of(palette)
+    palette, labels = palette_of(scene.shN.reshape(n, 3 * k), entries)
+    codebook = _rounded(codebook_of(palette), digits)
     rows = math.ceil(len(palette) / _PALETTE_ROW)
     pixels = np.zeros((rows * _PALETTE_ROW * k, 4), np.uint8)
     pixels[:, 3] = 255
@@ -107,6 +132,6 @@ def _higher(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
     return {
         "count": len(palette),
         "bands": scene.sh_degree,
-        "codebook": codebook.tolist(),
+        "codebook": _spelled(codebook, digits),
         "files": ["shN_centroids.webp", "shN_labels.webp"],
     }

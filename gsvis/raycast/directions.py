@@ -29,6 +29,7 @@ __all__ = [
     "icosphere_faces",
     "jaccard",
     "seen_directions",
+    "seen_from_space",
     "solid_angle_fractions",
     "trace_directions",
 ]
@@ -188,6 +189,49 @@ def solid_angle_fractions(
         fractions += np.unpackbits(sets, axis=1, bitorder="little") @ areas[:, k]
         progress("directions", k + 1, rays_per_face)
     return fractions.astype(np.float32)
+
+
+def seen_from_space(
+    tracer: Tracer,
+    navigable: NavigableSpace,
+    *,
+    ids: ArrayLike | None = None,
+    rays_per_face: int = 1,
+    tau: float = TAU,
+    progress: Progress = silent,
+) -> NDArray[np.bool_]:
+    """Return whether an eye in navigable space sees each Gaussian, on rays outward from its center.
+
+    The same as `trace_directions(...).any(axis=1)`, but a Gaussian is done with the first ray that sees it.
+
+    Args:
+        tracer: The scene, N Gaussians.
+        navigable: Allowed viewpoints.
+        ids: (M,) Gaussians to test; None means all N.
+        rays_per_face: 1, 4, 16 or 64 rays spread over each of the 80 faces.
+        tau: Least weight of a visible Gaussian.
+        progress: Called with stage "directions".
+
+    Returns:
+        (M,) bool.
+
+    Raises:
+        ValueError: If an id is out of range.
+    """
+    chosen, hierarchy = tracer.check_ids(ids), tracer.hierarchy
+    rays = face_directions(rays_per_face).reshape(-1, 3)
+    rays = np.ascontiguousarray(rays[np.random.default_rng(0).permutation(len(rays))])  # neighbors fail together
+    grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
+    seen = np.zeros(len(chosen), bool)
+    progress("directions", 0, len(chosen))
+    for start in range(0, len(chosen), _CHUNK):
+        part = slice(start, min(start + _CHUNK, len(chosen)))
+        targets = hierarchy.positions[chosen[part]]
+        _kernels_directions.see_from_space(
+            *hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), seen[part]
+        )
+        progress("directions", part.stop, len(chosen))
+    return seen
 
 
 def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], rays: F64, tau: float, sets: U8) -> None:

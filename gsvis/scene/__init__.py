@@ -4,6 +4,7 @@ _MODULES = (
     "cameras",
     "content",
     "corridor",
+    "density",
     "gaussians",
     "icosphere",
     "inspection",

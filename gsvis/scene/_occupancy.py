@@ -25,7 +25,7 @@ from gsvis.errors import SceneError
 from gsvis.scene._kernels.voxels import splat_depth
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "robust_box"]
+__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "optical_depth", "robust_box"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -73,7 +73,7 @@ class Occupancy:
         voxel_size = float((high - low).max()) / resolution
         counts = np.clip(np.ceil((high - low) / voxel_size - 1e-6), 1, resolution).astype(int)
         origin = 0.5 * (low + high) - 0.5 * counts * voxel_size
-        depth = _optical_depth(seen, origin, voxel_size, (int(counts[0]), int(counts[1]), int(counts[2])))
+        depth = optical_depth(seen, origin, voxel_size, (int(counts[0]), int(counts[1]), int(counts[2])))
         occupied = np.asarray(depth >= -np.log1p(-max_alpha), bool)
         clear = ~_dilate(occupied, clearance)
         if not clear.any():
@@ -158,7 +158,7 @@ def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
     return low, high
 
 
-def _optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[int, int, int]) -> Depth:
+def optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[int, int, int]) -> Depth:
     """Return (X, Y, Z), the sum of -log(1 - alpha) over the Gaussians that reach each voxel.
 
     A Gaussian is blurred by half a voxel, so that a thin disc between voxel centers is found. Its alpha falls by the

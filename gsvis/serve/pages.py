@@ -27,6 +27,7 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 
 _KINDS = {
     ".js": "text/javascript; charset=utf-8",
+    ".ts": "text/plain; charset=utf-8",  # types of the module, for editors
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",

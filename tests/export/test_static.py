@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,7 @@ def ids_in_package(package: Package) -> np.ndarray:
         ids, classes = sets.classes(cell)
         total[ids] += class_weights(sets)[classes]
     total *= extents(g)[1]
-    chunks = [range(int(low), int(high)) for low, high in zip(starts[:-1], starts[1:], strict=True)]
+    chunks = [range(int(low), int(high)) for low, high in pairwise(starts)]
     return np.array([k for chunk in chunks for k in sorted(chunk, key=lambda k: -total[k])])
 
 

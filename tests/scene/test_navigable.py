@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
-from gsvis.scene._occupancy import INFLATION, REACH, _optical_depth
+from gsvis.scene._occupancy import INFLATION, REACH, optical_depth
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
@@ -109,19 +109,19 @@ class TestOccupancy:
     @pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 7))
     def test_no_thin_sheet_slips_between_voxel_centers(self, offset: float) -> None:
         sheet = wall(2, 4.0 + offset, (-2, -2), (12, 12), 0.5)
-        depth = _optical_depth(sheet, np.zeros(3), 1.0, (10, 10, 10))
+        depth = optical_depth(sheet, np.zeros(3), 1.0, (10, 10, 10))
         assert np.all(depth.max(axis=2) > -np.log(0.25))
         assert np.all((depth > -np.log(0.75)).sum(axis=2) <= 3)
 
     def test_faint_gaussians_add_up(self) -> None:
         one = dots(np.array([[0.5, 0.5, 0.5]]), (1.0, 1.0, 1.0), 0.02)
-        single = _optical_depth(one, np.zeros(3), 1.0, (1, 1, 1))
-        many = _optical_depth(Gaussians.concatenate([one] * 40), np.zeros(3), 1.0, (1, 1, 1))
+        single = optical_depth(one, np.zeros(3), 1.0, (1, 1, 1))
+        many = optical_depth(Gaussians.concatenate([one] * 40), np.zeros(3), 1.0, (1, 1, 1))
         assert many == pytest.approx(40 * single, rel=1e-5)
         assert single[0, 0, 0] < 0.05 < 0.3 < many[0, 0, 0]
 
     def test_tiny_gaussian_stops_the_light_that_it_covers(self) -> None:
-        depth = _optical_depth(dots(np.full((1, 3), 0.5), (0.01, 0.01, 0.01), 0.9), np.zeros(3), 1.0, (1, 1, 1))
+        depth = optical_depth(dots(np.full((1, 3), 0.5), (0.01, 0.01, 0.01), 0.9), np.zeros(3), 1.0, (1, 1, 1))
         covered = 0.9 * 0.01**2 / (0.01**2 + INFLATION**2)
         assert float(depth[0, 0, 0]) == pytest.approx(covered, rel=1e-3)
 
@@ -143,13 +143,13 @@ class TestOccupancy:
             alpha = min(float(opacity), 0.999) * cover * np.exp(-0.5 * m)
             expected -= np.where(m <= REACH**2, np.log1p(-alpha), 0.0)
         # Only voxels on the very edge of a Gaussian may fall to either side.
-        close = np.isclose(_optical_depth(g, np.zeros(3), 1.0, shape), expected, rtol=1e-3, atol=1e-6)
+        close = np.isclose(optical_depth(g, np.zeros(3), 1.0, shape), expected, rtol=1e-3, atol=1e-6)
         assert close.mean() > 0.98
 
     def test_huge_and_far_gaussians_are_harmless(self) -> None:
         means = np.array([[1e30, 0, 0], [-1e30, 1e30, 2], [2, 2, 2], [0, 1e12, 0]], np.float64)
         for size in (1e-30, 1.0, 1e25):
-            depth = _optical_depth(dots(means, (size, size, size)), np.zeros(3), 1.0, (4, 4, 4))
+            depth = optical_depth(dots(means, (size, size, size)), np.zeros(3), 1.0, (4, 4, 4))
             assert np.isfinite(depth).all()
 
 

@@ -187,6 +187,17 @@ def test_walking_stays_on_the_floor(visit: Open) -> None:
     assert abs(z - 1.6) < 1e-3
 
 
+def test_a_reconnect_leaves_the_options_as_they_are_another_scene_fills_them_anew(visit: Open) -> None:
+    page = visit()
+    page.keyboard.press("o")
+    page.evaluate("window.kept = [...document.querySelectorAll('.panel > section, .panel > .actions')], fake.greet()")
+    rest(page)
+    assert page.evaluate("kept.length > 3 && kept.every((each) => each.isConnected)")
+    page.evaluate("fake.greet('1'.repeat(64))")
+    page.wait_for_function("!kept[0].isConnected")
+    assert page.evaluate("kept.at(-1).isConnected")  # its buttons watch the actions, and are made once
+
+
 def test_letters_move_when_a_button_has_the_focus_and_not_when_somebody_types(visit: Open) -> None:
     page = visit()
     page.get_by_role("button", name="Options").focus()

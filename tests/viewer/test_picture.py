@@ -177,6 +177,30 @@ def test_a_lost_context_comes_back(opened: Any, cameras: Cameras) -> None:
     assert min(psnr(*pair) for pair in zip(canvases(opened, cameras), truths("terms", cameras), strict=True)) >= 42.0
 
 
+LOST_TWICE = """async () => {
+    const lose = document.getElementById('canvas').getContext('webgl2').getExtension('WEBGL_lose_context');
+    const event = (name) => new Promise((done) => test.viewer.addEventListener(name, done, { once: true }));
+    for (const k of [2, 3]) {
+        const [lost, back] = [event('contextlost'), event('contextrestored')];
+        lose.loseContext();
+        test.source.send(k);  // before the event
+        await lost;
+        await new Promise((done) => setTimeout(done));  // not within the event
+        lose.restoreContext();
+        await back;  // the GPU is being filled anew
+    }
+    test.source.send(4);
+}"""
+
+
+def test_what_arrives_while_the_context_is_lost_again_and_again_is_drawn(opened: Any, cameras: Cameras) -> None:
+    opened.evaluate("test.open('terms', {}, 2)")
+    canvases(opened, cameras)
+    opened.evaluate(LOST_TWICE)
+    assert min(psnr(*pair) for pair in zip(canvases(opened, cameras), truths("terms", cameras), strict=True)) >= 42.0
+    assert opened.evaluate("test.viewer.statistics.gaussians") == len(scene_of().union)
+
+
 def test_what_was_replaced_is_gone_from_the_gpu_after_a_lost_context(
     folder: Path, opened: Any, cameras: Cameras
 ) -> None:

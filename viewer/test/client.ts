@@ -1,9 +1,11 @@
-// A client for tests/viewer: `stream URL OUT` streams and writes what it draws to OUT at its end; `bitmaps` turns sets into bitmaps.
+// A client for tests/viewer: `stream URL OUT` streams and writes what it draws to OUT at its end; `bitmaps` turns sets
+// into bitmaps.
 // Lines of JSON come out: what the source says. `pose X Y Z`, `retry` and `end` go in.
 import { writeFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 import { host, REAL_CLOCK } from "../src/core/network.host.ts";
-import type { Order, Report } from "../src/core/network.host.ts";
+import type { NetworkOrder as Order } from "../src/core/network.host.ts";
+import type { Report } from "../src/core/worker-source.ts";
 import type { Socket } from "../src/core/connection.ts";
 import { add } from "../src/core/bits.ts";
 import { serialize } from "../src/core/roaring.ts";
@@ -16,7 +18,10 @@ const say = (event: Record<string, unknown>) => process.stdout.write(`${JSON.str
 
 /** A Worker of this thread: what passes is copied or moved as between threads. */
 function nearWorker(): Worker {
-  const worker = { onmessage: null as ((event: MessageEvent<Report>) => void) | null, onerror: null, postMessage: (order: Order) => take(structuredClone(order)) };
+  const worker = {
+    onmessage: null as ((event: MessageEvent<Report>) => void) | null, onerror: null,
+    postMessage: (order: Order) => take(structuredClone(order)),
+  };
   const post = (report: Report, transfer: ArrayBuffer[]) => {
     const data = structuredClone(report, { transfer });
     worker.onmessage?.({ data } as MessageEvent<Report>);
@@ -33,25 +38,32 @@ class Kept {
   /** Return what is drawn, by rising ids, with the colors that an eye sees. */
   drawn(eye: [number, number, number]): Record<string, unknown> {
     if (this.header === null) return { ids: [] };
-    const { colors } = this.header, tables = tablesOf(colors), chunks = Float32Array.from(this.batches.flatMap((batch) => [...batch.chunks]));
+    const { colors } = this.header, tables = tablesOf(colors),
+      chunks = Float32Array.from(this.batches.flatMap((batch) => [...batch.chunks]));
     const splats: { id: number; splat: Splat; terms: Term[] }[] = [], gone = new Set<number>();
     for (const batch of this.batches) {
-      batch.ids.forEach((id, i) => splats.push({ id, splat: decodeRecord(batch.records, i, chunks, batch.rows[i], tables), terms: [] }));
+      batch.ids.forEach(
+        (id, i) => splats.push({ id, splat: decodeRecord(batch.records, i, chunks, batch.rows[i], tables), terms: [] }),
+      );
       batch.owners.forEach((slot, i) => splats[slot].terms.push(decodeTerm(batch.terms, i, tables)));
       batch.gone.forEach((slot) => gone.add(slot));
     }
     const drawn = splats.filter((_, slot) => !gone.has(slot)).sort((a, b) => a.id - b.id);
     const levels = this.batches.flatMap((batch) => [...batch.chunkLevels]);
     return {
-      ids: drawn.map(({ id }) => id), came: splats.length, terms: drawn.map(({ terms }) => terms.length), levels: levels.length,
-      means: drawn.map(({ splat }) => splat.mean), quats: drawn.map(({ splat }) => splat.quat), scales: drawn.map(({ splat }) => splat.scale),
-      opacities: drawn.map(({ splat }) => splat.opacity), rgb: drawn.map(({ splat, terms }) => colorSeen(splat, terms, eye, colors.variant)),
+      ids: drawn.map(({ id }) => id), came: splats.length, terms: drawn.map(({ terms }) => terms.length),
+      levels: levels.length,
+      means: drawn.map(({ splat }) => splat.mean), quats: drawn.map(({ splat }) => splat.quat),
+      scales: drawn.map(({ splat }) => splat.scale),
+      opacities: drawn.map(({ splat }) => splat.opacity),
+      rgb: drawn.map(({ splat, terms }) => colorSeen(splat, terms, eye, colors.variant)),
     };
   }
 }
 
 function stream(url: string, out: string, token: string | undefined): void {
-  const kept = new Kept(), source = streamSource(url, { worker: nearWorker, ...(token === undefined ? {} : { token }) });
+  const kept = new Kept(),
+    source = streamSource(url, { worker: nearWorker, ...(token === undefined ? {} : { token }) });
   const pose = (position: [number, number, number]) => source.pose({ position, rotation: [1, 0, 0, 0] });
   source.view({ left: 0.84, right: 0.84, up: 0.58, down: 0.58 });
   pose([0, 0, 0]);
@@ -82,7 +94,8 @@ function stream(url: string, out: string, token: string | undefined): void {
 /** Read lines, each a JSON list of ids, and write the bitmap of each in hexadecimal digits. */
 function bitmaps(): void {
   createInterface({ input: process.stdin }).on("line", (line) => {
-    const ids = JSON.parse(line) as number[], set = new Uint32Array(Math.ceil((Math.max(-1, ...ids.slice(-1)) + 1) / 32));
+    const ids = JSON.parse(line) as number[],
+      set = new Uint32Array(Math.ceil((Math.max(-1, ...ids.slice(-1)) + 1) / 32));
     for (const id of ids) add(set, id);
     process.stdout.write(`${Buffer.from(serialize(set)).toString("hex")}\n`);
   });

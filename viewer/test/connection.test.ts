@@ -29,7 +29,10 @@ test("the recorded exchange, with a connection that breaks", () => {
   stage.socket.hear(welcome);
   stage.socket.hear(batches[2]);
   assert.deepEqual(stage.headers.map(({ fresh }) => fresh), [true, false]);
-  assert.deepEqual(stage.batches.map((batch) => batch.ids.length), vector.steps.filter((s) => s.gaussians).map((s) => s.gaussians?.length));
+  assert.deepEqual(
+    stage.batches.map((batch) => batch.ids.length),
+    vector.steps.filter((s) => s.gaussians).map((s) => s.gaussians?.length),
+  );
   connection.close();
   assert.deepEqual([...stage.socket.said.at(-1) as Uint8Array], [4, 0, 0, 0]);
   assert.equal(stage.socket.closed, 1000);
@@ -64,7 +67,9 @@ test("the pose follows HELLO at once, then at most 16 a second, and every second
 
 test("poses and views that are none are not sent", () => {
   const stage = new Stage().begin();
-  for (const position of [[NaN, 0, 0], [Infinity, 0, 0], [1e39, 0, 0]] as [number, number, number][]) stage.connection.setPose({ ...here, position });
+  for (const position of [
+    [NaN, 0, 0], [Infinity, 0, 0], [1e39, 0, 0],
+  ] as [number, number, number][]) stage.connection.setPose({ ...here, position });
   stage.connection.setPose({ ...here, rotation: [0, 0, 0, 0] });
   stage.connection.setView({ left: -1, right: 1, up: 1, down: 1 });
   stage.connection.setView({ left: NaN, right: 1, up: 1, down: 1 });
@@ -98,7 +103,9 @@ test("a server that accepts and says nothing is left after ten seconds", () => {
   const stage = new Stage();
   stage.connection.start();
   stage.clock.advance(10_000);
-  assert.equal(stage.state.kind === "waiting" && stage.state.message, "example.org does not answer, or does not let this page in.");
+  assert.equal(
+    stage.state.kind === "waiting" && stage.state.message, "example.org does not answer, or does not let this page in.",
+  );
   stage.clock.advance(100);
   stage.socket.open();
   stage.clock.advance(10_000);
@@ -143,7 +150,9 @@ test("a server that is full, late or ending is asked again", () => {
 });
 
 test("text, noise and cut messages end the connection; three bad answers in a row end it for good", () => {
-  for (const bad of ["text", new Uint8Array(0), Uint8Array.of(7), welcome.slice(0, 100), changed(welcome, 12, 99), batches[0]]) {
+  for (const bad of [
+    "text", new Uint8Array(0), Uint8Array.of(7), welcome.slice(0, 100), changed(welcome, 12, 99), batches[0],
+  ]) {
     const stage = new Stage();
     stage.connection.start();
     for (let k = 0; k < 3; k++) {
@@ -267,6 +276,16 @@ test("traffic is reported with its rate, which falls to 0", () => {
   assert.equal(busy?.bytes, welcome.length + batches[0].length);
   assert.ok((busy?.rate ?? 0) > 0);
   assert.equal(busy?.gaussians, stage.batches[0].ids.length);
+  stage.clock.advance(5000);
+  assert.equal(stage.traffic.at(-1)?.rate, 0);
+});
+
+test("the rate falls to 0 also when the connection is lost", () => {
+  const stage = new Stage().begin();
+  stage.socket.hear(batches[0]);
+  stage.clock.advance(300);
+  assert.ok((stage.traffic.at(-1)?.rate ?? 0) > 0);
+  stage.socket.break();
   stage.clock.advance(5000);
   assert.equal(stage.traffic.at(-1)?.rate, 0);
 });

@@ -9,7 +9,8 @@ import { ViewPage } from "../src/page/view.ts";
 import type { PageCamera, Pick, Statistics, ViewerLike, ViewerOptions } from "../src/page/viewer-like.ts";
 
 const HEADER: Header = {
-  gaussians: 780_582, terms: 1_240_000, chunks: 3300, termBits: 44, harmonics: null, up: [0, 0, 1], metersPerUnit: 1, identity: "0".repeat(64),
+  gaussians: 780_582, terms: 1_240_000, chunks: 3300, termBits: 44, harmonics: null, up: [0, 0, 1], metersPerUnit: 1,
+  identity: "0".repeat(64),
   levels: [{ name: "low", count: 145_900 }, { name: "medium", count: 272_400 }, { name: "high", count: 780_582 }],
   colors: {
     variant: "rgb", precision: { name: "wire", base: 8, scale: 0, axis: 6, center: 6, decay: 4, intensity: 6 },
@@ -48,6 +49,12 @@ class FakeViewer extends EventTarget implements ViewerLike {
     this.dispatchEvent(new Event("state"));
   }
 
+  /** Say the header again, as after a lost connection; with an identity it is of another scene. */
+  greet(identity = HEADER.identity): void {
+    this.header = { ...HEADER, identity };
+    this.dispatchEvent(new Event("header"));
+  }
+
   get camera(): PageCamera {
     return this.#camera;
   }
@@ -60,7 +67,8 @@ class FakeViewer extends EventTarget implements ViewerLike {
   get statistics(): Statistics {
     const share = this.share;
     return {
-      fps: 58, frames: 100, drawn: 412_000 * share, gaussians: Math.round(780_582 * share), terms: Math.round(1_240_000 * share),
+      fps: 58, frames: 100, drawn: 412_000 * share, gaussians: Math.round(780_582 * share),
+      terms: Math.round(1_240_000 * share),
       bytes: 7.2e6 * share, rate: 1.25e6, firstImageSeconds: 0.43, state: this.state,
     };
   }
@@ -69,7 +77,8 @@ class FakeViewer extends EventTarget implements ViewerLike {
     this.picks.push([x, y]);
     if (y < 5) return null;
     return {
-      slot: 41_233, id: 52_110, weight: 0.62, depth: 3.2, position: [3.4, 1.2, 1.1], levels: [0, 1], opacity: 0.91, terms: 2, count: 14,
+      slot: 41_233, id: 52_110, weight: 0.62, depth: 3.2, position: [3.4, 1.2, 1.1], levels: [0, 1], opacity: 0.91,
+      terms: 2, count: 14,
     };
   }
 
@@ -108,7 +117,10 @@ class FakeViewer extends EventTarget implements ViewerLike {
     for (const { u, v, depth, color, size } of seen) {
       context.fillStyle = color;
       context.beginPath();
-      context.ellipse(width / 2 + (focal * u) / depth, height / 2 + (focal * v) / depth, (focal * size) / depth, (focal * size) / depth, 0, 0, 7);
+      context.ellipse(
+        width / 2 + (focal * u) / depth, height / 2 + (focal * v) / depth, (focal * size) / depth,
+        (focal * size) / depth, 0, 0, 7,
+      );
       context.fill();
     }
   }
@@ -121,20 +133,33 @@ function dots(): { at: [number, number, number]; color: string; size: number }[]
   for (let i = 0; i < 500; i++) {
     const side = Math.floor(random() * 4);
     const [p, q] = [random(), random()];
-    const at: [number, number, number] = side === 0 ? [p * 6, q * 4, 0] : side === 1 ? [p * 6, 4, q * 2.6] : side === 2 ? [6, p * 4, q * 2.6] : [p * 6, q * 4, 2.6];
+    const at: [number, number, number] = side === 0 ? [p * 6, q * 4, 0] : side === 1 ? [p * 6, 4, q * 2.6]
+      : side === 2 ? [6, p * 4, q * 2.6] : [p * 6, q * 4, 2.6];
     const tone = [[30, 26, 34], [210, 16, 62], [200, 20, 48], [40, 12, 80]][side];
-    found.push({ at, size: 0.26 + 0.1 * random(), color: `hsl(${tone[0] + 20 * random()} ${tone[1]}% ${tone[2] + 8 * random()}%)` });
+    found.push(
+      {
+        at, size: 0.26 + 0.1 * random(),
+        color: `hsl(${tone[0] + 20 * random()} ${tone[1]}% ${tone[2] + 8 * random()}%)`,
+      }
+    );
   }
   for (let i = 0; i < 120; i++) {
     const [a, b] = [random() * 6.28, random()];
-    found.push({ at: [4 + 0.4 * Math.cos(a), 2 + 0.4 * Math.sin(a), b * 0.8], size: 0.1, color: `hsl(${10 + 20 * random()} 60% ${36 + 16 * random()}%)` });
+    found.push(
+      {
+        at: [4 + 0.4 * Math.cos(a), 2 + 0.4 * Math.sin(a), b * 0.8], size: 0.1,
+        color: `hsl(${10 + 20 * random()} 60% ${36 + 16 * random()}%)`,
+      }
+    );
   }
   return found;
 }
 
 if (document.querySelector("#scenes")) void showList();
 else {
-  const page = readAddress(location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") });
+  const page = readAddress(
+    location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
+  );
   if (page.scene) {
     const source = { start: () => undefined, pose: () => undefined, view: () => undefined, close: () => undefined };
     const asked: (string | null)[] = [];

@@ -5,7 +5,9 @@ import { Connection } from "../src/core/connection.ts";
 import type { Clock, ConnectionOptions, Socket } from "../src/core/connection.ts";
 import type { Batch, Header, SourceState, Traffic } from "../src/core/types.ts";
 
-export interface Step { from: string; bytes: string; gaussians?: number[]; terms?: number[]; dropped?: number[]; gone?: number[] }
+export interface Step {
+  from: string; bytes: string; gaussians?: number[]; terms?: number[]; dropped?: number[]; gone?: number[]
+}
 export interface Vector { eye: [number, number, number]; steps: Step[]; drawn: Record<string, number[] | number[][]> }
 
 /** The recorded exchange. */
@@ -118,7 +120,10 @@ export class Stage {
   readonly connection: Connection;
 
   constructor(options: Partial<ConnectionOptions> = {}) {
-    const all = { url: "ws://example.org/stream", token: null, reach: { margin: 0.125, near: 0.0625 }, mostBytes: 2 ** 29, ...options };
+    const all = {
+      url: "ws://example.org/stream", token: null, reach: { margin: 0.125, near: 0.0625 }, mostBytes: 2 ** 29,
+      ...options,
+    };
     this.connection = new Connection(all, {
       header: (header, fresh) => this.headers.push({ header, fresh }),
       batch: (batch) => this.batches.push(batch),

@@ -16,7 +16,9 @@ function numbers(seed: number): () => number {
   };
 }
 
-const stateOf = (receiver: Receiver) => [hex(receiver.holdings()), receiver.next, receiver.gaussians, receiver.terms, receiver.replaced].join();
+const stateOf = (receiver: Receiver) => [
+  hex(receiver.holdings()), receiver.next, receiver.gaussians, receiver.terms, receiver.replaced,
+].join();
 
 test("a batch with any byte changed is refused as a whole, or is another valid one", () => {
   const next = numbers(1);
@@ -61,7 +63,11 @@ test("a WELCOME with any byte changed is refused, or is another header", () => {
       assert.ok(error instanceof ProtocolError, String(error));
     }
   }
-  for (let length = 0; length < welcome.length; length += 7) assert.throws(() => parseWelcome(welcome.slice(0, length)), ProtocolError);
+  for (let length = 0; length < welcome.length; length += 7) {
+    assert.throws(
+      () => parseWelcome(welcome.slice(0, length)), ProtocolError,
+    );
+  }
   assert.throws(() => parseWelcome(new Uint8Array(2 ** 20 + 1).fill(129)), ProtocolError);
 });
 
@@ -73,11 +79,16 @@ test("a header that contradicts itself is refused", () => {
   };
   assert.deepEqual(headerOf(good, "here").up, [0, -1, 0]);
   for (const bad of [
-    { gaussians: 2 ** 29 }, { gaussians: 1.5 }, { gaussians: -1 }, { gaussians: "10" }, { terms: 2551 }, { chunks: 11 }, { levels: [] },
-    { levels: Array(17).fill(good.levels[0]) }, { levels: [{ name: 1, count: 1 }] }, { levels: [{ name: "a", count: 11 }] }, { record_bytes: 15 },
-    { term_bits: 24 }, { up: [0, 0, 0] }, { up: [0, 1] }, { meters_per_unit: -1 }, { meters_per_unit: null }, { identity: "0".repeat(63) },
-    { identity: "G".repeat(64) }, { colors: null }, { colors: { ...colors, variant: "yuv" } }, { colors: { ...colors, base: [[0, 1]] } },
-    { colors: { ...colors, base: [[1, 0], [0, 1], [0, 1]] } }, { colors: { ...colors, scales: [0, 1] } }, { colors: { ...colors, decays: [1, 1e5] } },
+    { gaussians: 2 ** 29 }, { gaussians: 1.5 }, { gaussians: -1 }, { gaussians: "10" }, { terms: 2551 }, { chunks: 11 },
+    { levels: [] },
+    { levels: Array(17).fill(good.levels[0]) }, { levels: [{ name: 1, count: 1 }] },
+    { levels: [{ name: "a", count: 11 }] }, { record_bytes: 15 },
+    { term_bits: 24 }, { up: [0, 0, 0] }, { up: [0, 1] }, { meters_per_unit: -1 }, { meters_per_unit: null },
+    { identity: "0".repeat(63) },
+    { identity: "G".repeat(64) }, { colors: null }, { colors: { ...colors, variant: "yuv" } },
+    { colors: { ...colors, base: [[0, 1]] } },
+    { colors: { ...colors, base: [[1, 0], [0, 1], [0, 1]] } }, { colors: { ...colors, scales: [0, 1] } },
+    { colors: { ...colors, decays: [1, 1e5] } },
     { colors: { ...colors, intensity: -1 } }, { colors: { ...colors, precision: { ...colors.precision, base: 9 } } },
     { colors: { ...colors, precision: { ...colors.precision, center: 1 } } },
   ]) assert.throws(() => headerOf({ ...good, ...bad }, "here"), ProtocolError, JSON.stringify(bad));
@@ -85,7 +96,10 @@ test("a header that contradicts itself is refused", () => {
 });
 
 test("a scene larger than allowed is refused before anything is reserved", () => {
-  assert.throws(() => new Receiver(reworded('"gaussians":240,', '"gaussians":2e8,')), /WELCOME: this scene needs 1001 MB .* more than 537/);
+  assert.throws(
+    () => new Receiver(reworded('"gaussians":240,', '"gaussians":2e8,')),
+    /WELCOME: this scene needs 1001 MB .* more than 537/,
+  );
   assert.throws(() => new Receiver(welcome, 1000), /needs 1 MB/);
   assert.ok(new Receiver(welcome, 5 * 240 + 154));
 });

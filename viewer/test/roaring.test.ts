@@ -1,4 +1,5 @@
-// Bitmaps of holdings: known bytes, and sets that come back from them. tests/viewer compares with the reference library.
+// Bitmaps of holdings: known bytes, and sets that come back from them. tests/viewer compares with the reference
+// library.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { add, has } from "../src/core/bits.ts";
@@ -24,7 +25,8 @@ function parse(bytes: Uint8Array): { ids: number[]; kinds: string } {
   let at = offsets + (!hasRuns || size >= 4 ? 4 * size : 0), kinds = "";
   const ids: number[] = [];
   for (let k = 0; k < size; k++) {
-    const base = 65536 * data.getUint16(keys + 4 * k, true), count = data.getUint16(keys + 4 * k + 2, true) + 1, before = ids.length;
+    const base = 65536 * data.getUint16(keys + 4 * k, true), count = data.getUint16(keys + 4 * k + 2, true) + 1,
+      before = ids.length;
     if (!hasRuns || size >= 4) assert.equal(data.getUint32(offsets + 4 * k, true), at);
     if ((flags[k >>> 3] >>> (k & 7)) & 1) {
       const runs = data.getUint16(at, true);
@@ -51,7 +53,10 @@ function parse(bytes: Uint8Array): { ids: number[]; kinds: string } {
 
 test("small bitmaps have the bytes of the specification", () => {
   assert.equal(hex(serialize(new Uint32Array(0))), "3a30000000000000");
-  assert.equal(hex(serialize(setOf([1, 5, 65535], 65536))), "3a300000" + "01000000" + "0000" + "0200" + "10000000" + "010005" + "00" + "ffff");
+  assert.equal(
+    hex(serialize(setOf([1, 5, 65535], 65536))),
+    "3a300000" + "01000000" + "0000" + "0200" + "10000000" + "010005" + "00" + "ffff",
+  );
   assert.equal(hex(serialize(setOf(range(10, 20), 100))), "3b300000" + "01" + "0000" + "0900" + "0100" + "0a000900");
 });
 

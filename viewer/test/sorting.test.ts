@@ -37,13 +37,17 @@ function randomBatch(count: number, first: number, firstRow: number, seed: numbe
     const color = [0, 1, 2].reduce((bits, k) => bits | (Math.floor(256 * next()) << (8 * (k + 1))), 0);
     records[4 * i] = (color | Math.floor(40 + 215 * next())) >>> 0;
     for (let k = 1; k < 4; k++) {
-      records[4 * i + k] = ((Math.floor(256 * next()) << 23) | (Math.floor(511 * next()) << 14) | Math.floor(16384 * next())) >>> 0;
+      records[4 * i + k] = (
+        (Math.floor(256 * next()) << 23) | (Math.floor(511 * next()) << 14) | Math.floor(16384 * next())
+      ) >>> 0;
     }
   }
   const none = new Uint32Array(0);
   return {
-    first, ids: Uint32Array.from({ length: count }, (_, i) => 1000 + first + i), records, rows, means: new Float32Array(0), firstRow, chunks,
-    chunkLevels: Uint8Array.from({ length: 2 * chunkCount }, (_, k) => (k >> 1) % 3), firstTerm: 0, terms: none, owners: none,
+    first, ids: Uint32Array.from({ length: count }, (_, i) => 1000 + first + i), records, rows,
+    means: new Float32Array(0), firstRow, chunks,
+    chunkLevels: Uint8Array.from({ length: 2 * chunkCount }, (_, k) => (k >> 1) % 3), firstTerm: 0, terms: none,
+    owners: none,
     gone: none, harmonics: null,
   };
 }
@@ -122,7 +126,8 @@ test("a chunk that was out of view is found again when a wider Gaussian of it ar
 test("levels that are not shown are left out", () => {
   const scene = new SortedScene("rgb");
   scene.append(randomBatch(600, 0, 0, 7));
-  const all = sorted(scene, CAMERA, 1e6), { order, count } = scene.sort(CAMERA, { ...regionOf(CAMERA, 1e6), levels: 0b101 }, null);
+  const all = sorted(scene, CAMERA, 1e6),
+    { order, count } = scene.sort(CAMERA, { ...regionOf(CAMERA, 1e6), levels: 0b101 }, null);
   const some = [...order.subarray(0, count)];
   assert.deepEqual(some, all.filter((place) => Math.floor(place / 50) % 3 !== 1));
 });

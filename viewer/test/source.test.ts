@@ -1,22 +1,31 @@
 // The page's end of a stream: what reaches the Worker, and what reaches the page.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import type { Order, Report } from "../src/core/network.host.ts";
+import type { NetworkOrder as Order } from "../src/core/network.host.ts";
+import { staticSource } from "../src/core/static-source.ts";
 import { streamSource } from "../src/core/stream-source.ts";
 import type { StreamOptions } from "../src/core/stream-source.ts";
 import type { SourceState } from "../src/core/types.ts";
+import type { Report } from "../src/core/worker-source.ts";
 
 class FakeWorker {
   readonly orders: Order[] = [];
+  ended = 0;
   onmessage: ((event: MessageEvent<Report>) => void) | null = null;
   onerror: ((event: ErrorEvent) => void) | null = null;
 
   postMessage(order: Order): void {
     this.orders.push(order);
   }
+
+  terminate(): void {
+    this.ended++;
+  }
 }
 
-function begin(url: string, options: StreamOptions = {}): { worker: FakeWorker; states: SourceState[]; source: ReturnType<typeof streamSource> } {
+function begin(url: string, options: StreamOptions = {}): {
+  worker: FakeWorker; states: SourceState[]; source: ReturnType<typeof streamSource>
+} {
   const worker = new FakeWorker(), states: SourceState[] = [];
   const source = streamSource(url, { worker: () => worker as unknown as Worker, ...options });
   source.start({ header: () => {}, batch: () => {}, state: (state) => states.push(state), traffic: () => {} });
@@ -24,7 +33,9 @@ function begin(url: string, options: StreamOptions = {}): { worker: FakeWorker; 
 }
 
 const urlOf = (worker: FakeWorker) => worker.orders[0]?.kind === "start" ? worker.orders[0].options.url : "";
-const pose = (x: number) => ({ position: [x, 0, 0] as [number, number, number], rotation: [1, 0, 0, 0] as [number, number, number, number] });
+const pose = (x: number) => ({
+  position: [x, 0, 0] as [number, number, number], rotation: [1, 0, 0, 0] as [number, number, number, number],
+});
 
 test("addresses of pages become addresses of sockets", () => {
   for (const [url, expected] of [
@@ -66,4 +77,26 @@ test("a Worker that does not start or fails is said once; after the end nothing 
   second.worker.onmessage?.({ data: { kind: "state", state: { kind: "complete" } } } as MessageEvent<Report>);
   assert.deepEqual(second.states, []);
   assert.equal(second.worker.orders.at(-1)?.kind, "close");
+  second.source.pose(pose(1));
+  assert.equal(second.worker.orders.at(-1)?.kind, "close");
+});
+
+test("a Worker ends with its source: when it breaks, and when it has given up", () => {
+  const broken = begin("ws://a/");
+  broken.worker.onerror?.({ message: "out of memory" } as ErrorEvent);
+  assert.equal(broken.worker.ended, 1);
+  for (const make of [streamSource, staticSource]) {
+    const worker = new FakeWorker(), states: SourceState[] = [];
+    const source = make("http://a.example/x/", { worker: () => worker as unknown as Worker });
+    source.start({ header: () => {}, batch: () => {}, state: (state) => states.push(state), traffic: () => {} });
+    const say = (state: SourceState) => worker.onmessage?.({ data: { kind: "state", state } } as MessageEvent<Report>);
+    say({ kind: "waiting", seconds: 1, message: "lost" });
+    assert.deepEqual(worker.orders.map((order) => order.kind), ["start"]);
+    say({ kind: "failed", message: "no scene" });
+    source.pose(pose(1));
+    say({ kind: "complete" });
+    source.close();
+    assert.deepEqual(worker.orders.map((order) => order.kind), ["start", "close"]);
+    assert.deepEqual(states.map((state) => state.kind), ["waiting", "failed"]);
+  }
 });

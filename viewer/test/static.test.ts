@@ -1,4 +1,5 @@
-// Static scenes over a small HTTP server: all that a cell needs arrives; servers without ranges, cuts, gaps and outages are gone round.
+// Static scenes over a small HTTP server: all that a cell needs arrives; servers without ranges, cuts, gaps and outages
+// are gone round.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createServer, type IncomingMessage, type ServerResponse } from "node:http";
@@ -7,13 +8,16 @@ import { join } from "node:path";
 import { test, type TestContext } from "node:test";
 import { Arrivals } from "../src/core/static-arrivals.ts";
 import { Blocks } from "../src/core/static-blocks.ts";
-import { StaticHost, type Report } from "../src/core/static-host.ts";
+import { StaticHost } from "../src/core/static-host.ts";
+import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
 import { HELD, frustum, rank, regimeOf, slice } from "../src/core/static-plan.ts";
 import { parseRow, Cells } from "../src/core/static-cells.ts";
 import { parseScene } from "../src/core/static-scene.ts";
 import { baseOf } from "../src/core/static-source.ts";
-import type { Batch, Pose, SourceState, View } from "../src/core/types.ts";
+import { type Clock, REAL_TIME } from "../src/core/traffic.ts";
+import type { Batch, Pose, SourceState, Traffic, View } from "../src/core/types.ts";
+import { FakeClock } from "./fakes.ts";
 
 interface Recorded {
   files: Record<string, string>;
@@ -27,7 +31,9 @@ interface Recorded {
   harmonics?: string[];
 }
 
-const VECTOR = JSON.parse(readFileSync(join(import.meta.dirname, "../../tests/export/vector.json"), "utf8")) as { package: Recorded; bare: Recorded };
+const VECTOR = JSON.parse(
+  readFileSync(join(import.meta.dirname, "../../tests/export/vector.json"), "utf8")
+) as { package: Recorded; bare: Recorded };
 const VIEW: View = { left: 1, right: 1, up: 1, down: 1 };
 
 function filesOf(scene: Recorded): Map<string, Buffer> {
@@ -37,10 +43,13 @@ function filesOf(scene: Recorded): Map<string, Buffer> {
 type Answer = (name: string, data: Buffer | undefined, request: IncomingMessage, response: ServerResponse) => boolean;
 
 /** A file server with ranges; `before` may answer in its place. */
-async function serve(t: TestContext, files: Map<string, Buffer>, before: Answer = () => false): Promise<{ url: string; asked: string[] }> {
+async function serve(
+  t: TestContext, files: Map<string, Buffer>, before: Answer = () => false,
+): Promise<{ url: string; asked: string[] }> {
   const asked: string[] = [];
   const server = createServer((request, response) => {
-    const name = (request.url ?? "").replace(/^\//, ""), data = files.get(name), range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? "");
+    const name = (request.url ?? "").replace(/^\//, ""), data = files.get(name),
+      range = /^bytes=(\d+)-(\d+)$/.exec(request.headers.range ?? "");
     asked.push(`${name} ${request.headers.range ?? "whole"}`);
     if (before(name, data, request, response)) return;
     if (data === undefined) response.writeHead(404).end();
@@ -48,7 +57,9 @@ async function serve(t: TestContext, files: Map<string, Buffer>, before: Answer 
     else if (Number(range[1]) >= data.length) response.writeHead(416).end();
     else {
       const [start, end] = [Number(range[1]), Math.min(Number(range[2]) + 1, data.length)];
-      response.writeHead(206, { "Content-Range": `bytes ${start}-${end - 1}/${data.length}` }).end(data.subarray(start, end));
+      response.writeHead(
+        206, { "Content-Range": `bytes ${start}-${end - 1}/${data.length}` },
+      ).end(data.subarray(start, end));
     }
   });
   await new Promise<void>((done) => { server.listen(0, "127.0.0.1", done); });
@@ -64,13 +75,15 @@ class Client {
   readonly batches: Batch[] = [];
   readonly states: SourceState[] = [];
   headers = 0;
-  bytes = 0;
+  readonly traffic: Traffic[] = [];
   private listeners: (() => void)[] = [];
   readonly host: StaticHost;
 
-  constructor(t: TestContext, url: string, held: Map<string, Blob> | null = null) {
-    this.host = new StaticHost((report) => this.take(report), { now: () => performance.now() / 1000 }, (events, stop) =>
-      held === null ? new HttpParts(url, events, stop, { sleep: () => new Promise((done) => { setImmediate(done); }), random: () => 0.5 }) : new HeldParts(held, events));
+  constructor(t: TestContext, url: string, held: Map<string, Blob> | null = null, clock: Clock = REAL_TIME) {
+    this.host = new StaticHost((report) => this.take(report), clock, (events, stop) =>
+      held === null ? new HttpParts(
+        url, events, stop, { sleep: () => new Promise((done) => { setImmediate(done); }), random: () => 0.5 },
+      ) : new HeldParts(held, events));
     t.after(() => this.host.close()); // also where a test fails: what asks on keeps Node alive
   }
 
@@ -78,7 +91,7 @@ class Client {
     if (report.kind === "batch") this.batches.push(report.batch);
     else if (report.kind === "state") this.states.push(report.state);
     else if (report.kind === "header") this.headers++;
-    else this.bytes = report.traffic.bytes;
+    else this.traffic.push(report.traffic);
     for (const listener of this.listeners) listener();
   }
 
@@ -110,7 +123,9 @@ class Client {
   }
 }
 
-/** Check that what came is what the scene holds, and that slots, rows and terms are numbered in the order of arrival. */
+/**
+ * Check that what came is what the scene holds, and that slots, rows and terms are numbered in the order of arrival.
+ */
 function check(scene: Recorded, batches: Batch[]): void {
   const owned = new Map<number, string>(), ids: number[] = [];
   let rows = 0, terms = 0;
@@ -123,7 +138,11 @@ function check(scene: Recorded, batches: Batch[]): void {
     for (let i = 0; i < batch.ids.length; i++) {
       const id = batch.ids[i];
       assert.equal(bytes.subarray(16 * i, 16 * i + 16).toString("hex"), scene.records[id]);
-      for (let k = 0; k < 3; k++) assert.ok(Math.abs(batch.means[3 * i + k] - scene.means[id][k]) < 1e-5 * Math.max(1, Math.abs(scene.means[id][k])));
+      for (let k = 0; k < 3; k++) {
+        assert.ok(
+          Math.abs(batch.means[3 * i + k] - scene.means[id][k]) < 1e-5 * Math.max(1, Math.abs(scene.means[id][k]))
+        );
+      }
       assert.ok(batch.rows[i] < rows + batch.chunks.length / 8);
       if (scene.harmonics !== undefined) {
         assert.equal(Buffer.from(batch.harmonics!.subarray(24 * i, 24 * i + 24)).toString("hex"), scene.harmonics[id]);
@@ -153,11 +172,33 @@ test("all that a cell needs arrives, in the order of arrival, and what its neigh
   check(scene, client.batches);
   const wanted = scene.cells[0].blocks.map((b) => scene.blocks[b]).filter(([, first]) => scene.last![first] === 2);
   const held = new Set(client.ids);
-  for (const [, first, count] of wanted) for (let id = first; id < first + count; id++) assert.ok(held.has(id), `Gaussian ${id} is missing`);
+  for (const [, first, count] of wanted) {
+    for (let id = first; id < first + count; id++) {
+      assert.ok(
+        held.has(id), `Gaussian ${id} is missing`,
+      );
+    }
+  }
   assert.ok(client.batches.some((batch) => batch.owners.length > 0));
   assert.deepEqual(client.states.map((state) => state.kind), ["connecting", "streaming", "complete"]);
   assert.equal(client.headers, 1);
-  assert.ok(client.bytes > 0);
+});
+
+test("bytes are reported with their rate, which falls to 0 when no more come", async (t) => {
+  const { url } = await serve(t, filesOf(VECTOR.package)), clock = new FakeClock();
+  const client = new Client(t, url, null, clock);
+  client.look(VECTOR.package.centers![0]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  clock.advance(300);
+  const busy = client.traffic.at(-1)!;
+  assert.ok(busy.bytes > 0 && busy.rate > 0 && busy.gaussians > 0, JSON.stringify(busy));
+  clock.advance(5000);
+  const last = client.traffic.at(-1)!, reports = client.traffic.length;
+  assert.equal(last.rate, 0);
+  assert.ok(last.bytes >= busy.bytes);
+  clock.advance(60_000);
+  assert.equal(client.traffic.length, reports);
 });
 
 test("a bare scene has one cell with everything, and harmonics beside its records", async (t) => {
@@ -204,7 +245,10 @@ test("a missing file is named, and the rest is drawn", async (t) => {
   await client.until(() => client.complete());
   check(VECTOR.package, client.batches);
   const last = client.states.at(-1)!;
-  assert.ok(last.kind === "complete" && /terms-[0-9a-f]{16}\.bin: the server answers 404/.test(last.message ?? ""), JSON.stringify(last));
+  assert.ok(
+    last.kind === "complete" && /terms-[0-9a-f]{16}\.bin: the server answers 404/.test(last.message ?? ""),
+    JSON.stringify(last),
+  );
   assert.ok(client.batches.every((batch) => batch.owners.length === 0));
 });
 
@@ -224,10 +268,13 @@ test("a cut file gives what is there of it", async (t) => {
 
 test("a block whose terms or replacements make no sense costs only itself", async (t) => {
   for (const kind of ["terms", "replaced"]) {
-    const files = filesOf(VECTOR.package), { blocks } = open(VECTOR.package), name = [...files.keys()].find((each) => each.startsWith(kind))!;
+    const files = filesOf(VECTOR.package), { blocks } = open(VECTOR.package),
+      name = [...files.keys()].find((each) => each.startsWith(kind))!;
     const data = Buffer.from(files.get(name)!);
     if (kind === "terms") data[0] += 1;
-    else data.fill(255, 4 * (blocks.count + 1 - [...Array(blocks.count).keys()].filter((b) => blocks.last(b) === blocks.top).length));
+    else data.fill(
+      255, 4 * (blocks.count + 1 - [...Array(blocks.count).keys()].filter((b) => blocks.last(b) === blocks.top).length),
+    );
     files.set(name, data);
     const { url } = await serve(t, files);
     const client = new Client(t, url), scene = VECTOR.package;
@@ -235,7 +282,8 @@ test("a block whose terms or replacements make no sense costs only itself", asyn
     await client.host.start();
     await client.until(() => client.complete());
     check(scene, client.batches);
-    const held = new Set(client.ids), owned = new Set(client.batches.flatMap((batch) => [...batch.owners].map((slot) => client.ids[slot])));
+    const held = new Set(client.ids),
+      owned = new Set(client.batches.flatMap((batch) => [...batch.owners].map((slot) => client.ids[slot])));
     const wanted = scene.cells[0].blocks.filter((b) => blocks.last(b) === blocks.top);
     for (const b of wanted) assert.ok(held.has(blocks.firstId[b]), `block ${b} is missing`);
     assert.ok(owned.size > 0);
@@ -250,7 +298,9 @@ test("a server that errs now and then, or cuts an answer, is asked again", async
     const key = `${name} ${request.headers.range ?? ""}`, count = counts.get(key) ?? 0;
     counts.set(key, count + 1);
     if (count === 0) response.writeHead(503).end();
-    else if (count === 1 && data !== undefined && name !== "scene.json") response.writeHead(206).end(data.subarray(0, 3));
+    else if (
+      count === 1 && data !== undefined && name !== "scene.json"
+    ) response.writeHead(206).end(data.subarray(0, 3));
     else return false;
     return true;
   });
@@ -298,10 +348,13 @@ test("a site written anew under the same address is read anew", async (t) => {
 test("what is no scene, or of a newer version, is said in one line", async (t) => {
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
-    ["<html>", /expected JSON/], ["{}", /expected a static scene/], [JSON.stringify({ ...scene, version: 2 }), /version 1, got 2; update/],
+    ["<html>", /expected JSON/], ["{}", /expected a static scene/],
+    [JSON.stringify({ ...scene, version: 2 }), /version 1, got 2; update/],
     [JSON.stringify({ ...scene, files: { records: { name: "../secret.bin", bytes: 1 } } }), /name without a path/],
-    [JSON.stringify({ ...scene, gaussians: 151 }), /expected 2416 bytes/], [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
-    [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /scene.json, chunks: expected a number from 0 to/], [JSON.stringify({ ...scene, levels: [] }), /levels/],
+    [JSON.stringify({ ...scene, gaussians: 151 }), /expected 2416 bytes/],
+    [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
+    [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /scene.json, chunks: expected a number from 0 to/],
+    [JSON.stringify({ ...scene, levels: [] }), /levels/],
   ];
   for (const [text, message] of wrong) {
     assert.throws(() => parseScene(text), message);
@@ -309,7 +362,9 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
     const client = new Client(t, url);
     await client.host.start();
     const last = client.states.at(-1)!;
-    assert.ok(last.kind === "failed" && message.test(last.message) && !last.message.includes("\n"), JSON.stringify(last));
+    assert.ok(
+      last.kind === "failed" && message.test(last.message) && !last.message.includes("\n"), JSON.stringify(last),
+    );
   }
 });
 
@@ -338,7 +393,10 @@ test("a Gaussian that ends below the highest level goes when what replaces it is
   const arrivals = new Arrivals(blocks, held), records = file("records"), seen = new Uint8Array(blocks.count).fill(1);
   const replaced = file("replaced"), ends = new DataView(replaced.buffer, replaced.byteOffset);
   const take = (b: number): void => {
-    arrivals.addRecords({ terms: false, first: b, end: b + 1, place: 0 }, records.subarray(16 * blocks.start[b], 16 * blocks.start[b + 1]), null);
+    arrivals.addRecords(
+      { terms: false, first: b, end: b + 1, place: 0 },
+      records.subarray(16 * blocks.start[b], 16 * blocks.start[b + 1]), null,
+    );
   };
   let ending = 0, waiting = 0;
   for (let b = 0; b < blocks.count; b++) {
@@ -375,7 +433,9 @@ test("the plan begins with what weighs most in view for its bytes, and joins nei
 
 test("frusta and regimes are those of the server", () => {
   const planes = frustum({ position: [1, 2, 3], rotation: [1, 0, 0, 0] }, VIEW, 0);
-  const distance = (x: number, y: number, z: number): number => Math.min(...[0, 4, 8, 12, 16].map((k) => planes[k] * x + planes[k + 1] * y + planes[k + 2] * z + planes[k + 3]));
+  const distance = (x: number, y: number, z: number): number => Math.min(
+    ...[0, 4, 8, 12, 16].map((k) => planes[k] * x + planes[k + 1] * y + planes[k + 2] * z + planes[k + 3]),
+  );
   assert.ok(distance(1, 2, 5) > 0);
   assert.ok(distance(1, 2, 2) < 0);
   assert.ok(distance(3.5, 2, 5) < 0 && distance(2.5, 2, 5) > 0);

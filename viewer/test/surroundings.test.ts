@@ -1,11 +1,11 @@
 // What the page makes of a server's facts: first views, globes, addresses, lists; and of a server that says nonsense.
 
 import assert from "node:assert/strict";
-import { test } from "node:test";
+import { test, type TestContext } from "node:test";
 import type { Header, Source } from "../src/core/types.ts";
-import { readAddress } from "../src/page/address.ts";
+import { readAddress, type SceneAddress } from "../src/page/address.ts";
 import { begin, guessMeter } from "../src/page/begin.ts";
-import { readCells, readFloor, readWhy, readPoses } from "../src/page/facts.ts";
+import { Facts, readCells, readFloor, readPoses, readWhy } from "../src/page/facts.ts";
 import type { Cells } from "../src/page/facts.ts";
 import { readPad } from "../src/page/gamepad.ts";
 import { globeFaces, matchFaces } from "../src/page/globe.ts";
@@ -13,7 +13,7 @@ import { readScenes } from "../src/page/list.ts";
 import { describeState, explainFailure } from "../src/page/messages.ts";
 import { edgesOf } from "../src/page/overlay.ts";
 import { pivot } from "../src/page/rig.ts";
-import { holdPoses } from "../src/page/scene.ts";
+import { awaitStream, holdPoses } from "../src/page/scene.ts";
 import { startInCells, startOnFloor, surroundedBy } from "../src/page/start.ts";
 import * as v from "../src/page/vector.ts";
 import type { Vec3 } from "../src/page/vector.ts";
@@ -21,20 +21,37 @@ import type { Vec3 } from "../src/page/vector.ts";
 const FRAME = v.frameFromUp([0, 0, 1]);
 const NONE = { floor: null, cells: null, poses: [] };
 
+const FLOOR = {
+  origin: [0, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 1, rows: 2,
+  heights: [1, 1, 1],
+};
+
 /** A hall of 9 x 5 squares with a niche; heights of 1.6. */
 const hall = () => {
   const heights = new Array<number | null>(45).fill(1.6);
   for (let y = 0; y < 5; y++) heights[y * 9 + 8] = y === 2 ? 1.6 : null;
-  return readFloor({ origin: [10, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 9, rows: 5, heights });
+  return readFloor(
+    { origin: [10, 0, 0], side: 1, first: [1, 0, 0], second: [0, 1, 0], up: [0, 0, 1], columns: 9, rows: 5, heights }
+  );
 };
 
 const ring = (): Cells => {
   const boxes: Vec3[] = [];
-  for (let x = 0; x < 7; x++) for (let y = 0; y < 7; y++) if (Math.max(Math.abs(x - 3), Math.abs(y - 3)) >= 2) boxes.push([x, y, 0]);
+  for (let x = 0; x < 7; x++) {
+    for (let y = 0; y < 7; y++) {
+      if (
+        Math.max(Math.abs(x - 3), Math.abs(y - 3)) >= 2
+      ) {
+        boxes.push([x, y, 0]);
+      }
+    }
+  }
   return { origin: [0, 0, 0], size: 2, boxes };
 };
 
-const row = (): Cells => ({ origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]] });
+const row = (): Cells => ({
+  origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]],
+});
 
 test("a visit begins where the floor is widest and looks where it reaches farthest", () => {
   const floor = hall();
@@ -97,8 +114,12 @@ test("a meter is what the scene says, else a tenth of the cells", () => {
 });
 
 test("a server that says nonsense costs a panel, never an error", () => {
-  const nonsense = [null, 3, "x", [], {}, { origin: "a" }, { seeing: 3 }, { cells: 5, directions: { of: "x", seen: [[1]] } },
-    { origin: [0, 0, 0], size: -1, boxes: [] }, { columns: 1e9, rows: 1e9, heights: [] }];
+  const nonsense = [null, 3, "x", [], {}, { origin: "a" }, { seeing: 3 }, {
+    cells: 5, directions: { of: "x", seen: [[1]] },
+  },
+    { origin: [0, 0, 0], size: -1, boxes: [] }, { origin: [0, 0, 0], size: 1, boxes: [] },
+    { origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], 7] },
+    { ...FLOOR, columns: 1.5 }, { ...FLOOR, heights: [null, null] }, { columns: 1e9, rows: 1e9, heights: [] }];
   for (const one of nonsense) {
     assert.equal(readFloor(one), null);
     assert.equal(readCells(one), null);
@@ -107,9 +128,32 @@ test("a server that says nonsense costs a panel, never an error", () => {
   assert.deepEqual(readWhy({ cells: null, directions: null }), { cells: null, directions: null });
 });
 
+test("a hundred thousand cells are read and begun in, more are not", () => {
+  const boxes = Array.from({ length: 100_000 }, (_, k): Vec3 => [k, 0, 0]),
+    many = { origin: [0, 0, 0], size: 1, boxes };
+  const cells = readCells(many);
+  assert.ok(cells);
+  const rig = startInCells(cells, FRAME);
+  assert.ok(rig && Math.abs(rig.eye[0] - 50_000) <= 1);
+  assert.equal(guessMeter({ metersPerUnit: 0 } as Header, cells), Math.hypot(100_000, 1, 1) / 10);
+  assert.doesNotThrow(() => begin("#eye=1,0,0&to=2,0,0", [], FRAME, { ...NONE, cells }));
+  assert.equal(readCells({ ...many, boxes: [...boxes, [0, 1, 0]] }), null);
+});
+
+test("an answer is kept, and so is that there is none; a question without an answer is asked again", async (t) => {
+  const asked = answer(t, null, 503, row(), 404), facts = new Facts("http://a.example/scenes/hall/");
+  for (const expected of [null, null, row(), row()]) assert.deepEqual(await facts.cells(), expected);
+  assert.equal(asked.length, 3);
+  for (let k = 0; k < 2; k++) assert.equal(await facts.why(7), null);
+  assert.equal(asked.length, 4);
+});
+
 test("facts of a Gaussian are read, rows of directions nested or not", () => {
   const why = readWhy({
-    cells: { of: 12, size: 1, seeing: [{ cell: 3, distance: 2, weight: [0.1, 0.2] }, { cell: 4, distance: 9, weight: null }, { cell: "x" }] },
+    cells: {
+      of: 12, size: 1,
+      seeing: [{ cell: 3, distance: 2, weight: [0.1, 0.2] }, { cell: 4, distance: 9, weight: null }, { cell: "x" }],
+    },
     directions: { of: 80, seen: [[0, 0, 2], [[1, 0, 0]]] },
   });
   assert.deepEqual(why?.cells?.seeing.map(({ cell }) => cell), [3, 4]);
@@ -131,7 +175,9 @@ test("edges that cells share are drawn once", () => {
 test("addresses: a server's scene behind any prefix, a static folder, a stream, and what no page opens", () => {
   const none = { scene: null, content: null, settings: null };
   const one = readAddress("https://x.org/a/b/view/my%20room?token=t", none);
-  assert.deepEqual(one.scene, { kind: "stream", name: "my room", url: "wss://x.org/a/b/stream/my%20room", root: "https://x.org/a/b/" });
+  assert.deepEqual(
+    one.scene, { kind: "stream", name: "my room", url: "wss://x.org/a/b/stream/my%20room", root: "https://x.org/a/b/" },
+  );
   assert.equal(one.token, "t");
   const folder = readAddress("https://x.org/site/index.html", { ...none, content: "room/" });
   assert.deepEqual(folder.scene, { kind: "static", name: "room", url: "https://x.org/site/room/", root: null });
@@ -144,13 +190,19 @@ test("addresses: a server's scene behind any prefix, a static folder, a stream, 
 
 test("lists of scenes: rows with names, nothing that is none", () => {
   const rows = readScenes({ scenes: [{ name: "a b", gaussians: 5 }, { name: "<img>" }, 7, {}] });
-  assert.deepEqual(rows.map(({ name, href, gaussians }) => [name, href, gaussians]), [["a b", "view/a%20b", 5], ["<img>", "view/%3Cimg%3E", null]]);
+  assert.deepEqual(
+    rows.map(({ name, href, gaussians }) => [name, href, gaussians]),
+    [["a b", "view/a%20b", 5], ["<img>", "view/%3Cimg%3E", null]],
+  );
   assert.deepEqual(readScenes(null), []);
 });
 
 test("no pose reaches a source before the first view is chosen; then the latest does", () => {
   const sent: number[] = [];
-  const inner: Source = { start: () => undefined, view: () => undefined, close: () => undefined, pose: (pose) => void sent.push(pose.position[0]) };
+  const inner: Source = {
+    start: () => undefined, view: () => undefined, close: () => undefined,
+    pose: (pose) => void sent.push(pose.position[0]),
+  };
   const { source, release } = holdPoses(inner);
   for (const x of [1, 2]) source.pose({ position: [x, 0, 0], rotation: [1, 0, 0, 0] });
   assert.deepEqual(sent, []);
@@ -175,4 +227,38 @@ test("every end of a source has words", () => {
     assert.ok(title && text && retry);
   }
   assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Offline · next try in 3 s");
+});
+
+/** Answer requests of a test, one after the other; `null` is a server that does not answer. */
+function answer(t: TestContext, ...answers: unknown[]): string[] {
+  const asked: string[] = [];
+  t.mock.method(globalThis, "fetch", (address: string) => {
+    asked.push(address);
+    const next = answers.shift();
+    if (next === null) return Promise.reject(new TypeError("no connection"));
+    return Promise.resolve(typeof next === "number" ? new Response("", { status: next }) : Response.json(next));
+  });
+  return asked;
+}
+
+const SCENE: SceneAddress = {
+  kind: "static", name: "hall", url: "http://a.example/scenes/hall/", root: "http://a.example/",
+};
+const listed = (row: object): object => ({ scenes: [{ name: "hall", stream: null, static: null, ...row }] });
+
+test("a scene that is being prepared is asked for until it streams, also after silence", async (t) => {
+  const waits: number[] = [], preparing = listed({ static: "scenes/hall/", preparing: true });
+  const asked = answer(
+    t, preparing, null, 503, null, { nonsense: 1 }, null, null, preparing, listed({ stream: "stream/hall" }),
+  );
+  const found = await awaitStream(SCENE, async (milliseconds) => void waits.push(milliseconds));
+  assert.deepEqual(found, { ...SCENE, kind: "stream", url: "ws://a.example/stream/hall" });
+  assert.equal(asked.length, 9);
+  assert.deepEqual(waits, [3000, 3000, 6000, 12_000, 24_000, 48_000, 60_000, 60_000, 3000]);
+});
+
+test("a scene whose preparation has ended without a stream is not asked for again", async (t) => {
+  const asked = answer(t, listed({ static: "scenes/hall/", preparing: false }));
+  assert.equal(await awaitStream(SCENE, async () => undefined), null);
+  assert.equal(asked.length, 1);
 });

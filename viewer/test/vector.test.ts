@@ -39,7 +39,9 @@ test("a client of the record draws what it says", () => {
   const { about } = play((batch) => {
     chunks.push(...batch.chunks);
     const table = Float32Array.from(chunks);
-    batch.ids.forEach((id, i) => splats.push({ id, splat: decodeRecord(batch.records, i, table, batch.rows[i], tables), terms: [] }));
+    batch.ids.forEach(
+      (id, i) => splats.push({ id, splat: decodeRecord(batch.records, i, table, batch.rows[i], tables), terms: [] }),
+    );
     batch.owners.forEach((slot, i) => splats[slot].terms.push(decodeTerm(batch.terms, i, tables)));
     batch.gone.forEach((slot) => dropped.add(slot));
     assert.deepEqual([...batch.means], splats.slice(batch.first).flatMap(({ splat }) => splat.mean));
@@ -56,7 +58,9 @@ test("a client of the record draws what it says", () => {
   for (const [name, values] of Object.entries(found)) {
     const expected = (vector.drawn[name] as number[][]).flat();
     assert.equal(values.length, expected.length);
-    values.forEach((value, k) => assert.ok(Math.abs(value - expected[k]) < 1e-6, `${name} ${k}: ${value}, not ${expected[k]}`));
+    values.forEach(
+      (value, k) => assert.ok(Math.abs(value - expected[k]) < 1e-6, `${name} ${k}: ${value}, not ${expected[k]}`),
+    );
   }
 });
 

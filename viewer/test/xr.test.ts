@@ -4,7 +4,9 @@ import test from "node:test";
 import { axesOf, cameraOf, rotationOf } from "../src/core/camera.ts";
 import { frameAt, lensOf } from "../src/core/xr.ts";
 
-const near = (found: number[], wanted: number[]) => found.forEach((value, k) => assert.ok(Math.abs(value - wanted[k]) < 1e-6, `${found} for ${wanted}`));
+const near = (found: number[], wanted: number[]) => found.forEach(
+  (value, k) => assert.ok(Math.abs(value - wanted[k]) < 1e-6, `${found} for ${wanted}`),
+);
 const EYE = cameraOf({ position: [1, 2, 3], rotation: [0.5, 0.5, -0.5, 0.5] }, 100, 100, 1);
 const VIEW = {
   projectionMatrix: Float32Array.of(1.2, 0, 0, 0, 0, 1.5, 0, 0, 0.1, -0.2, -1, -1, 0, 0, -0.02, 0),
@@ -30,12 +32,18 @@ test("a point projects as the headset's own matrix says", () => {
   const lens = lensOf(VIEW, 200, 100, { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], origin: [0, 0, 0], scale: 1 });
   const point = [0.3, -0.4, -2], p = VIEW.projectionMatrix; // of WebXR
   const x = (p[0] * point[0] + p[8] * point[2]) / -point[2], y = (p[5] * point[1] + p[9] * point[2]) / -point[2];
-  const a = axesOf(lens), camera = [0, 1, 2].map((k) => a[3 * k] * point[0] + a[3 * k + 1] * point[1] + a[3 * k + 2] * point[2]);
-  near([(lens.fx * camera[0]) / camera[2] + lens.cx, (lens.fy * camera[1]) / camera[2] + lens.cy], [(x + 1) * 100, (1 - y) * 50]);
+  const a = axesOf(lens),
+    camera = [0, 1, 2].map((k) => a[3 * k] * point[0] + a[3 * k + 1] * point[1] + a[3 * k + 2] * point[2]);
+  near(
+    [(lens.fx * camera[0]) / camera[2] + lens.cx, (lens.fy * camera[1]) / camera[2] + lens.cy],
+    [(x + 1) * 100, (1 - y) * 50],
+  );
 });
 
 test("looking straight down, forward is where the top of the head points", () => {
-  const down = { position: [0, 0, 0] as [number, number, number], rotation: [0, 1, 0, 0] as [number, number, number, number] };
+  const down = {
+    position: [0, 0, 0] as [number, number, number], rotation: [0, 1, 0, 0] as [number, number, number, number],
+  };
   const r = rotationOf(down.rotation), up = [-r[2], -r[5], -r[8]];
   const frame = frameAt(down, up, 1), forward = [2, 5, 8].map((k) => -frame.rotation[k]);
   near(forward, [-r[1], -r[4], -r[7]]);

@@ -1,9 +1,10 @@
-// Which Gaussians and terms the page's reader of static scenes has after how many bytes, on a link of a given rate and round trip.
+// Which Gaussians and terms the page's reader of static scenes has after how many bytes, on a link of a given rate and
+// round trip.
 // node static-trace.mjs FOLDER RATE ROUND_TRIP BYTES < poses.json: for each pose and view one JSON line of arrivals.
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { StaticHost } from "../src/core/static-host.ts";
-import type { Report } from "../src/core/static-host.ts";
+import type { Report } from "../src/core/worker-source.ts";
 import type { PartEvents, Parts } from "../src/core/static-parts.ts";
 import type { StaticFile } from "../src/core/static-scene.ts";
 import type { Pose, View } from "../src/core/types.ts";
@@ -18,7 +19,10 @@ class LinkedParts implements Parts {
   private readonly files = new Map<string, Uint8Array>();
   private readonly due: { at: number; resolve: () => void }[] = [];
 
-  constructor(private readonly folder: string, private readonly events: PartEvents, private readonly rate: number, private readonly trip: number) {}
+  constructor(
+    private readonly folder: string, private readonly events: PartEvents, private readonly rate: number,
+    private readonly trip: number,
+  ) {}
 
   async scene(): Promise<string> {
     const data = readFileSync(join(this.folder, "scene.json"));
@@ -61,17 +65,29 @@ class LinkedParts implements Parts {
   }
 }
 
-const [folder, rate, trip, most] = [process.argv[2], Number(process.argv[3]), Number(process.argv[4]), Number(process.argv[5])];
+const [folder, rate, trip, most] = [
+  process.argv[2], Number(process.argv[3]), Number(process.argv[4]), Number(process.argv[5]),
+];
 for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose; view: View }[]) {
-  const steps: { bytes: number; requests: number; seconds: number; ids: number[]; owners: number[]; gone: number[] }[] = [];
+  const steps: {
+    bytes: number; requests: number; seconds: number; ids: number[]; owners: number[]; gone: number[]
+  }[] = [];
   let parts: LinkedParts | null = null, isComplete = false;
   const post = (report: Report): void => {
     if (report.kind === "state") isComplete = report.state.kind === "complete";
     if (report.kind !== "batch") return;
     const { ids, owners, gone } = report.batch;
-    steps.push({ bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now, ids: [...ids], owners: [...new Set(owners)], gone: [...gone] });
+    steps.push(
+      {
+        bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now, ids: [...ids],
+        owners: [...new Set(owners)], gone: [...gone],
+      }
+    );
   };
-  const host = new StaticHost(post, { now: () => parts?.now ?? 0 }, (events) => (parts = new LinkedParts(folder, events, rate, trip)));
+  const host = new StaticHost(
+    post, { now: () => 1000 * (parts?.now ?? 0), after: () => () => undefined },
+    (events) => (parts = new LinkedParts(folder, events, rate, trip)),
+  );
   host.setView(view);
   host.setPose(pose);
   void host.start();

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from gsvis._kernels.faces import face_of
+from gsvis._kernels.shared import WORKERS, take_next
 from gsvis.raycast._kernels.bvh import WIDTH
 from gsvis.raycast._kernels.trace import STACK, weight_of
 
@@ -104,3 +105,31 @@ def trace_outward(table, content, boxes, children, targets, rays, free, origin, 
                 if weight >= tau:
                     sets[i, f >> 3] |= np.uint8(1 << (f & 7))
                     break
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def see_from_space(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
+    """Write into seen (M,) whether a free voxel sees targets (M,) along one of rays (R, 3), which are tried in turn."""
+    blocks, taken = (len(targets) + 63) // 64, np.zeros(1, np.int64)
+    for _worker in prange(WORKERS):
+        stack_node = np.empty(STACK, np.int64)
+        stack_near = np.empty(STACK, np.float64)
+        t_near = np.empty(WIDTH, np.float64)
+        eye = np.empty(3, np.float64)
+        block = take_next(taken)
+        while block < blocks:
+            for i in range(64 * block, min(len(targets), 64 * block + 64)):
+                g = targets[i]
+                seen[i] = False
+                if g < 0:
+                    continue
+                for k in range(len(rays)):
+                    if not first_free(table[g, :3], rays[k], free, origin, size, eye):
+                        continue
+                    weight = weight_of(
+                        table, content, boxes, children, eye, -rays[k], g, limits, tau, stack_node, stack_near, t_near
+                    )
+                    if weight >= tau:
+                        seen[i] = True
+                        break
+            block = take_next(taken)

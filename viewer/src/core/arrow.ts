@@ -67,13 +67,17 @@ export function schemaMetadata(bytes: Uint8Array, key: string): string {
     const message = new Table(flat, flat.getUint32(0, true));
     const schema = message.table(2), [column, ...others] = schema.tables(1);
     const binary = message.byte(1) === SCHEMA && message.long(3) === 0n && schema.byte(0) === 0 && column !== undefined;
-    if (!binary || others.length > 0 || column.text(0) !== "sections" || column.byte(1) !== 0 || column.byte(2) !== BINARY) {
+    if (
+      !binary || others.length > 0 || column.text(0) !== "sections" || column.byte(1) !== 0 || column.byte(2) !== BINARY
+    ) {
       throw new RangeError("another schema");
     }
     for (const entry of schema.tables(2)) if (entry.text(0) === key) return entry.text(1);
     throw new RangeError(`no ${key}`);
   } catch (error) {
-    throw new ProtocolError(`WELCOME: expected the schema of batches, got other bytes (${(error as Error).message.slice(0, 60)})`);
+    throw new ProtocolError(
+      `WELCOME: expected the schema of batches, got other bytes (${(error as Error).message.slice(0, 60)})`
+    );
   }
 }
 
@@ -93,10 +97,13 @@ export function recordBatchRows(bytes: Uint8Array, refuse: (expected: string, go
   if (bytes.length < head) return refuse(`at least ${head} bytes`, `${bytes.length}`);
   const data = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const ends = Array.from({ length: 5 }, (_, k) => data.getInt32(FRAME.length + 4 * k, true));
-  const same = FRAME.every((value, k) => (k >= BODY_AT && k < BODY_AT + 8) || (k >= DATA_AT && k < DATA_AT + 8) || bytes[k] === value);
+  const same = FRAME.every(
+    (value, k) => (k >= BODY_AT && k < BODY_AT + 8) || (k >= DATA_AT && k < DATA_AT + 8) || bytes[k] === value,
+  );
   const whole = head + ends[4] + (-ends[4] & 7) === bytes.length && data.getInt32(FRAME.length + 20, true) === 0;
   const rising = ends[0] === 0 && ends.every((end, k) => k === 0 || end >= ends[k - 1]);
-  const sizes = data.getBigInt64(BODY_AT, true) === BigInt(bytes.length - FRAME.length) && data.getBigInt64(DATA_AT, true) === BigInt(ends[4]);
+  const sizes = data.getBigInt64(BODY_AT, true) === BigInt(bytes.length - FRAME.length) &&
+    data.getBigInt64(DATA_AT, true) === BigInt(ends[4]);
   if (!same || !whole || !rising || !sizes || bytes.subarray(head + ends[4]).some((value) => value !== 0)) {
     return refuse("four rows that fill the message", "others");
   }

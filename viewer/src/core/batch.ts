@@ -29,7 +29,9 @@ export function sequenceOf(message: Uint8Array): number {
   if (message.length < 8 || message[0] !== BATCH || message[1] !== 0 || message[2] !== 0 || message[3] !== 0) {
     throw new ProtocolError(`message: expected BATCH, got ${message.length} bytes of another kind`);
   }
-  if (message.length > MOST_BYTES) throw new ProtocolError(`BATCH: expected at most ${MOST_BYTES} bytes, got ${message.length}`, FAULTS.tooLarge);
+  if (message.length > MOST_BYTES) {
+    throw new ProtocolError(`BATCH: expected at most ${MOST_BYTES} bytes, got ${message.length}`, FAULTS.tooLarge);
+  }
   return new DataView(message.buffer, message.byteOffset).getUint32(4, true);
 }
 
@@ -42,7 +44,9 @@ export function parseBatch(message: Uint8Array, about: Header): Sections {
   const [ids, rows, records, packed] = recordBatchRows(message.subarray(8), refuse);
   if (rows.length % CHUNK_BYTES !== 0) refuse(`a multiple of ${CHUNK_BYTES} bytes`, `${rows.length}`);
   if (records.length % RECORD_BYTES !== 0) refuse(`a multiple of ${RECORD_BYTES} bytes`, `${records.length}`);
-  const [chunks, gaussians, terms, owners, gone] = parseIds(ids, rows.length / CHUNK_BYTES, records.length / RECORD_BYTES, about, refuse);
+  const [chunks, gaussians, terms, owners, gone] = parseIds(
+    ids, rows.length / CHUNK_BYTES, records.length / RECORD_BYTES, about, refuse,
+  );
   const bytes = Math.ceil((terms.length * about.termBits) / 8);
   if (packed.length !== bytes) refuse(`${bytes} bytes of terms`, `${packed.length}`);
   const termRecords = unpackTerms(packed, terms.length, about.termBits, refuse);
@@ -52,13 +56,17 @@ export function parseBatch(message: Uint8Array, about: Header): Sections {
 }
 
 /** Return the five lists of row 0: chunks, Gaussians, terms, owners, gone. */
-function parseIds(data: Uint8Array, c: number, g: number, about: Header, refuse: (expected: string, got: string) => never): Uint32Array[] {
+function parseIds(
+  data: Uint8Array, c: number, g: number, about: Header, refuse: (expected: string, got: string) => never,
+): Uint32Array[] {
   if (data.length < IDS_AT) refuse(`at least ${IDS_AT} bytes of ids`, `${data.length}`);
   const head = new DataView(data.buffer, data.byteOffset, IDS_AT);
   const m = head.getUint32(0, true), d = head.getUint32(4, true), orders = data.subarray(8, IDS_AT);
   const lengths = [c, g, m, m, d], n = about.gaussians, limits = [n, n, about.terms, n, n];
   const total = lengths.reduce((sum, length) => sum + length, 0);
-  if (orders.some((order) => order > MOST_ORDER) || total > 8 * data.length) refuse(`${total} ids`, `${data.length} bytes`);
+  if (orders.some((order) => order > MOST_ORDER) || total > 8 * data.length) {
+    refuse(`${total} ids`, `${data.length} bytes`);
+  }
   const words = wordsOf(data), end = 8 * data.length, lists: Uint32Array[] = [];
   let bit = 8 * IDS_AT;
   for (let k = 0; k < 5; k++) {
@@ -86,7 +94,10 @@ function idsFrom(values: Float64Array, limit: number): Uint32Array | null {
   return out;
 }
 
-/** Return the owners of terms from how far each is from where it is expected; null unless they rise and are of the scene. */
+/**
+ * Return the owners of terms from how far each is from where it is expected; null unless they rise and are of the
+ * scene.
+ */
 function ownersFrom(values: Float64Array, terms: Uint32Array, about: Header): Uint32Array | null {
   const share = Math.floor((65536 * about.gaussians) / Math.max(about.terms, 1)); // products stay below 2^53
   const out = new Uint32Array(values.length);
@@ -102,7 +113,9 @@ function ownersFrom(values: Float64Array, terms: Uint32Array, about: Header): Ui
 }
 
 /** Return the records of terms, 64 bits each, from `bits` each one after another. */
-function unpackTerms(data: Uint8Array, count: number, bits: number, refuse: (expected: string, got: string) => never): Uint32Array {
+function unpackTerms(
+  data: Uint8Array, count: number, bits: number, refuse: (expected: string, got: string) => never,
+): Uint32Array {
   const words = wordsOf(data), out = new Uint32Array(2 * count);
   for (let i = 0; i < count; i++) {
     const bit = i * bits;

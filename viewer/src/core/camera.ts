@@ -12,6 +12,17 @@ export function rotationOf(quaternion: readonly number[]): number[] {
   ];
 }
 
+/** Return the unit quaternion wxyz of a rotation, row by row: from the largest of its four components. */
+export function quaternionOf(rotation: readonly number[]): [number, number, number, number] {
+  const r = rotation, w = 1 + r[0] + r[4] + r[8], x = 1 + r[0] - r[4] - r[8], y = 1 - r[0] + r[4] - r[8],
+    z = 1 - r[0] - r[4] + r[8];
+  const most = Math.max(w, x, y, z), n = 0.5 / Math.sqrt(most);
+  if (most === w) return [w * n, (r[7] - r[5]) * n, (r[2] - r[6]) * n, (r[3] - r[1]) * n];
+  if (most === x) return [(r[7] - r[5]) * n, x * n, (r[1] + r[3]) * n, (r[2] + r[6]) * n];
+  if (most === y) return [(r[2] - r[6]) * n, (r[1] + r[3]) * n, y * n, (r[5] + r[7]) * n];
+  return [(r[3] - r[1]) * n, (r[2] + r[6]) * n, (r[5] + r[7]) * n, z * n];
+}
+
 /** Return the rotation camera from world, row by row: rows are the camera's axes in the world. */
 export function axesOf(pose: Pose): number[] {
   const r = rotationOf(pose.rotation);

@@ -16,11 +16,15 @@ export interface Chunks {
 
 /** Return no chunks. */
 export function noChunks(): Chunks {
-  return { starts: new Uint32Array(0), rows: new Uint32Array(0), counts: new Uint16Array(0), table: new Float32Array(0) };
+  return {
+    starts: new Uint32Array(0), rows: new Uint32Array(0), counts: new Uint16Array(0), table: new Float32Array(0),
+  };
 }
 
 /** Return the chunks with new ones, whose rows are 31 bytes each. `refuse` raises for what does not fit the scene. */
-export function addChunks(before: Chunks, fresh: Uint32Array, bytes: Uint8Array, about: Header, refuse: Refuse): Chunks {
+export function addChunks(
+  before: Chunks, fresh: Uint32Array, bytes: Uint8Array, about: Header, refuse: Refuse,
+): Chunks {
   if (fresh.length === 0) return before;
   const held = before.starts.length, n = held + fresh.length;
   if (n > about.chunks) refuse(`expected at most ${about.chunks} chunks, got ${n}`);
@@ -31,14 +35,22 @@ export function addChunks(before: Chunks, fresh: Uint32Array, bytes: Uint8Array,
   for (let k = 0; k < fresh.length; k++) {
     readRow(data, CHUNK_BYTES * k, table.subarray(8 * (held + k), 8 * (held + k + 1)), about.levels.length, refuse);
     counts[held + k] = data.getUint16(CHUNK_BYTES * k + 26, true);
-    if (counts[held + k] < 1 || counts[held + k] > MOST_MEMBERS) refuse(`expected chunks of 1 to ${MOST_MEMBERS} Gaussians, got others`);
+    if (counts[held + k] < 1 || counts[held + k] > MOST_MEMBERS) {
+      refuse(
+        `expected chunks of 1 to ${MOST_MEMBERS} Gaussians, got others`
+      );
+    }
   }
   const starts = new Uint32Array(n), rows = new Uint32Array(n);
   for (let k = 0, a = 0, b = 0; k < n; k++) {
     const isOld = b === fresh.length || (a < held && before.starts[a] <= fresh[b]);
     starts[k] = isOld ? before.starts[a] : fresh[b];
     rows[k] = isOld ? before.rows[a++] : held + b++;
-    if (k > 0 && starts[k - 1] + counts[rows[k - 1]] > starts[k]) refuse("expected chunks that do not overlap, got others");
+    if (
+      k > 0 && starts[k - 1] + counts[rows[k - 1]] > starts[k]
+    ) {
+      refuse("expected chunks that do not overlap, got others");
+    }
   }
   if (starts[n - 1] + counts[rows[n - 1]] > about.gaussians) refuse("expected chunks of this scene, got others");
   return { starts, rows, counts, table };
@@ -49,7 +61,11 @@ function readRow(data: DataView, at: number, to: Float32Array, levels: number, r
   for (let i = 0; i < 3; i++) {
     to[i] = data.getFloat32(at + 4 * i, true);
     to[4 + i] = data.getFloat32(at + 12 + 4 * i, true);
-    if (!Number.isFinite(to[i]) || !(to[4 + i] >= 0 && to[4 + i] < Infinity)) refuse("expected chunks with a box, got others");
+    if (
+      !Number.isFinite(to[i]) || !(to[4 + i] >= 0 && to[4 + i] < Infinity)
+    ) {
+      refuse("expected chunks with a box, got others");
+    }
   }
   to[3] = data.getInt16(at + 24, true);
   to[7] = data.getUint8(at + 28);
@@ -70,7 +86,9 @@ export function rowsOf(ids: Uint32Array, { starts, rows, counts }: Chunks, refus
   let at = low - 1;
   for (let i = 0; i < ids.length; i++) {
     while (at + 1 < starts.length && starts[at + 1] <= ids[i]) at++;
-    if (at < 0 || ids[i] - starts[at] >= counts[rows[at]]) refuse(`expected the row of the chunk of ${ids[i]}, got none`);
+    if (at < 0 || ids[i] - starts[at] >= counts[rows[at]]) {
+      refuse(`expected the row of the chunk of ${ids[i]}, got none`);
+    }
     out[i] = rows[at];
   }
   return out;

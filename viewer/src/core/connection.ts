@@ -2,7 +2,7 @@
 // Sockets and time are given to it, so it runs in a Worker and in tests.
 import { sequenceOf } from "./batch.ts";
 import { Receiver } from "./receiver.ts";
-import { Meter } from "./traffic.ts";
+import { type Clock as Ticking, Meter } from "./traffic.ts";
 import type { Pose, SourceEvents, SourceState, View } from "./types.ts";
 import { ack, bye, ERROR, FAULTS, hello, isPose, isView, parseError, poseAt, ProtocolError, tokenOf } from "./wire.ts";
 import type { Reach } from "./wire.ts";
@@ -18,11 +18,9 @@ export interface Socket {
   close(code?: number): void;
 }
 
-/** Time and chance; `after` returns what cancels it. */
-export interface Clock {
-  now(): number; // milliseconds, never falling
+/** Time and chance. */
+export interface Clock extends Ticking {
   wall(): number; // milliseconds, also while the machine sleeps
-  after(milliseconds: number, work: () => void): () => void;
   random(): number;
 }
 
@@ -42,7 +40,6 @@ const VIEW_MS = 250; // how long HELLO waits for the view
 const RESIZE_MS = 400; // how long a view rests before the server is asked anew
 const QUIET_MS = 700; // without a batch, and three round trips: the pose has what it needs
 const EMPTY_MS = 3_000; // the same, where nothing at all has come
-const TRAFFIC_MS = 250;
 const ASLEEP_MS = 30_000; // a timer this late: the machine slept, and the connection with it
 const MOST_MESSAGE = 64 << 20;
 const MOST_BUFFERED = 1 << 16; // of poses that the link does not carry
@@ -58,7 +55,7 @@ export class Connection {
   private readonly events: SourceEvents;
   private readonly connect: (url: string) => Socket;
   private readonly clock: Clock;
-  private readonly meter = new Meter();
+  private readonly meter: Meter;
   private readonly timers = new Map<string, () => void>();
   private socket: Socket | null = null;
   private phase: "waiting" | "opening" | "open" | "greeted" | "streaming" | "ended" = "waiting";
@@ -82,6 +79,7 @@ export class Connection {
     this.events = events;
     this.connect = connect;
     this.clock = clock;
+    this.meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
   }
 
   /** Connect, and stay connected. */
@@ -100,7 +98,9 @@ export class Connection {
     this.sayPose();
   }
 
-  /** Take what the eye sees. HELLO has the view, so a wider one needs a new connection, which keeps all that is held. */
+  /**
+   * Take what the eye sees. HELLO has the view, so a wider one needs a new connection, which keeps all that is held.
+   */
   setView(view: View): void {
     if (!isView(view)) return;
     this.view = { ...view };
@@ -125,6 +125,7 @@ export class Connection {
     if (this.phase === "ended") return;
     this.drop();
     this.end();
+    this.meter.stop();
   }
 
   private open(): void {
@@ -174,9 +175,11 @@ export class Connection {
   private hear(data: unknown): void {
     try {
       if (!(data instanceof ArrayBuffer)) throw new ProtocolError("message: expected bytes, got text");
-      if (data.byteLength > MOST_MESSAGE) throw new ProtocolError(`message: expected at most ${MOST_MESSAGE} bytes, got ${data.byteLength}`);
+      if (data.byteLength > MOST_MESSAGE) {
+        throw new ProtocolError(`message: expected at most ${MOST_MESSAGE} bytes, got ${data.byteLength}`);
+      }
       const message = new Uint8Array(data);
-      this.meter.add(this.clock.now(), message.length);
+      this.meter.add(message.length);
       if (message[0] === ERROR) this.hearError(message);
       else if (this.phase === "streaming") this.hearBatch(message);
       else this.hearWelcome(message);
@@ -199,20 +202,21 @@ export class Connection {
     this.events.header((this.receiver as Receiver).about, !isKept);
     if (this.state !== "complete") this.say({ kind: "streaming" });
     this.settle();
-    this.report();
+    this.meter.report();
     if (this.view !== null) this.later("resize", RESIZE_MS, () => this.resize());
   }
 
   private hearBatch(message: Uint8Array): void {
     const receiver = this.receiver as Receiver;
-    if (sequenceOf(message) === receiver.next) this.send(ack(receiver.next)); // before the work of decoding: the server measures the link
+    // before the work of decoding: the server measures the link
+    if (sequenceOf(message) === receiver.next) this.send(ack(receiver.next));
     const batch = receiver.receive(message);
     this.bad = 0;
     this.wait = FIRST_WAIT_MS;
     this.events.batch(batch);
     this.say({ kind: "streaming" });
     this.settle();
-    if (!this.timers.has("traffic")) this.later("traffic", TRAFFIC_MS, () => this.report());
+    this.meter.touch();
   }
 
   private hearError(message: Uint8Array): void {
@@ -233,7 +237,10 @@ export class Connection {
   /** Close a connection whose server breaks the protocol; some such errors no further try can heal. */
   private refuse(error: Error): void {
     if (!(error instanceof ProtocolError)) {
-      this.fail(error instanceof RangeError ? "This scene is too large for the memory of this device." : `The viewer failed: ${error.message}`);
+      this.fail(
+        error instanceof RangeError ? "This scene is too large for the memory of this device."
+          : `The viewer failed: ${error.message}`
+      );
     } else if (error.code === FAULTS.version || error.code === FAULTS.tooLarge) {
       this.fail(error.code === FAULTS.version ? `${ANOTHER_VERSION}: ${error.message}` : error.message, error.code);
     } else if (++this.bad >= MOST_BAD) {
@@ -274,7 +281,7 @@ export class Connection {
     try {
       socket.close(1000);
     } catch { /* it was never open */ }
-    for (const name of ["open", "view", "pose", "quiet", "steady", "resize", "traffic", "asleep"]) this.cancel(name);
+    for (const name of ["open", "view", "pose", "quiet", "steady", "resize", "asleep"]) this.cancel(name);
   }
 
   private send(data: Uint8Array<ArrayBuffer>): void {
@@ -329,13 +336,12 @@ export class Connection {
     this.events.state(state);
   }
 
-  private report(): void {
-    const { receiver } = this, now = this.clock.now(), rate = this.meter.rate(now);
+  private report(bytes: number, rate: number): void {
+    const { receiver } = this;
     this.events.traffic({
-      bytes: this.meter.bytes, rate, gaussians: receiver?.gaussians ?? 0, terms: receiver?.terms ?? 0,
+      bytes, rate, gaussians: receiver?.gaussians ?? 0, terms: receiver?.terms ?? 0,
       replaced: receiver?.replaced ?? 0, reconnects: Math.max(this.reconnects, 0),
     });
-    if (rate > 0) this.later("traffic", TRAFFIC_MS, () => this.report());
   }
 
   private reasonOf(event: CloseEvent): string {

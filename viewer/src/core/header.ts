@@ -1,5 +1,7 @@
-// What is known of a scene before its first Gaussian, from WELCOME or any JSON with the same keys; all of it is checked.
+// What is known of a scene before its first Gaussian, from WELCOME or any JSON with the same keys; all of it is
+// checked.
 import { schemaMetadata } from "./arrow.ts";
+import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
 import type { ColorTables, Header, Level } from "./types.ts";
 import { termWidths } from "./tables.ts";
 import { FAULTS, PROTOCOL, ProtocolError, WELCOME } from "./wire.ts";
@@ -29,16 +31,18 @@ export function parseWelcome(message: Uint8Array): Header {
 
 /** Return the header that a parsed JSON object describes; `where` names it in errors. */
 export function headerOf(said: unknown, where: string): Header {
-  const o = objectOf(said, where);
+  const o = object(said, where);
   const gaussians = integer(o, "gaussians", 0, MOST, where);
-  const colors = colorsOf(objectOf(o["colors"], `${where}, colors`), `${where}, colors`);
+  const colors = colorsOf(object(o["colors"], `${where}, colors`), `${where}, colors`);
   const termBits = termWidths(colors).reduce((sum, width) => sum + width, 0);
   const levels = list(o, "levels", 1, 16, where).map((level) => levelOf(level, gaussians, where));
   const up = triple(o["up"], `${where}, up`);
   const length = Math.hypot(...up);
   const identity = o["identity"];
   if (!(length > 0)) refuse(`${where}, up`, "a direction", up);
-  if (typeof identity !== "string" || !/^[0-9a-f]{64}$/.test(identity)) refuse(`${where}, identity`, "64 hexadecimal digits", identity);
+  if (typeof identity !== "string" || !/^[0-9a-f]{64}$/.test(identity)) {
+    refuse(`${where}, identity`, "64 hexadecimal digits", identity);
+  }
   if (termBits > 64) refuse(where, "terms of at most 64 bits", termBits);
   if (integer(o, "record_bytes", 0, 64, where) !== 16) refuse(`${where}, record_bytes`, "16", o["record_bytes"]);
   if (integer(o, "term_bits", 0, 64, where) !== termBits) refuse(`${where}, term_bits`, `${termBits}`, o["term_bits"]);
@@ -57,15 +61,15 @@ export function headerOf(said: unknown, where: string): Header {
 }
 
 function levelOf(said: unknown, gaussians: number, where: string): Level {
-  const o = objectOf(said, `${where}, levels`);
+  const o = object(said, `${where}, levels`);
   if (typeof o["name"] !== "string") refuse(`${where}, levels`, "a name", o["name"]);
   return { name: (o["name"] as string).slice(0, 100), count: integer(o, "count", 0, gaussians, `${where}, levels`) };
 }
 
-function colorsOf(o: Record<string, unknown>, where: string): ColorTables {
+function colorsOf(o: Fields, where: string): ColorTables {
   const variant = o["variant"];
   if (variant !== "rgb" && variant !== "hsl") refuse(`${where}, variant`, "rgb or hsl", variant);
-  const bits = objectOf(o["precision"], `${where}, precision`);
+  const bits = object(o["precision"], `${where}, precision`);
   const part = (name: string, most: number) => integer(bits, name, 2, most, `${where}, precision`);
   const pair = (value: unknown, name: string, low: number, high: number): [number, number] => {
     if (!Array.isArray(value) || value.length !== 2) return refuse(`${where}, ${name}`, "two numbers", value);
@@ -76,7 +80,8 @@ function colorsOf(o: Record<string, unknown>, where: string): ColorTables {
     variant: variant as "rgb" | "hsl",
     precision: {
       name: String(bits["name"]).slice(0, 100),
-      base: part("base", 8), scale: part("scale", variant === "hsl" ? 8 : 16), axis: part("axis", 16), center: part("center", 15),
+      base: part("base", 8), scale: part("scale", variant === "hsl" ? 8 : 16), axis: part("axis", 16),
+      center: part("center", 15),
       decay: part("decay", 16), intensity: part("intensity", 16),
     },
     base: list(o, "base", 3, 3, where).map((value) => pair(value, "base", -1e30, 1e30)),
@@ -84,37 +89,4 @@ function colorsOf(o: Record<string, unknown>, where: string): ColorTables {
     decays: pair(o["decays"], "decays", LEAST, MOST_DECAY),
     intensity: number(o["intensity"], 0, 1e30, `${where}, intensity`),
   };
-}
-
-function refuse(where: string, expected: string, got: unknown): never {
-  const text = (JSON.stringify(got) ?? "nothing").slice(0, 80);
-  throw new ProtocolError(`${where}: expected ${expected}, got ${text}`);
-}
-
-function objectOf(value: unknown, where: string): Record<string, unknown> {
-  if (typeof value !== "object" || value === null || Array.isArray(value)) return refuse(where, "an object", typeof value);
-  return value as Record<string, unknown>;
-}
-
-function number(value: unknown, low: number, high: number, where: string): number {
-  if (typeof value !== "number" || !(value >= low && value <= high)) return refuse(where, `a number from ${low} to ${high}`, value);
-  return value;
-}
-
-function integer(o: Record<string, unknown>, key: string, low: number, high: number, where: string): number {
-  const value = number(o[key], low, high, `${where}, ${key}`);
-  return Number.isInteger(value) ? value : refuse(`${where}, ${key}`, "an integer", value);
-}
-
-function list(o: Record<string, unknown>, key: string, least: number, most: number, where: string): unknown[] {
-  const value = o[key];
-  if (!Array.isArray(value)) return refuse(`${where}, ${key}`, "a list", typeof value);
-  if (value.length < least || value.length > most) refuse(`${where}, ${key}`, `${least} to ${most} entries`, value.length);
-  return value;
-}
-
-function triple(value: unknown, where: string): [number, number, number] {
-  if (!Array.isArray(value) || value.length !== 3) return refuse(where, "three numbers", value);
-  const [x, y, z] = value.map((part) => number(part, -1e30, 1e30, where));
-  return [x, y, z];
 }

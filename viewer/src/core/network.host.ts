@@ -1,26 +1,24 @@
-// What the network Worker does: one `Connection`, orders from the page in, events for it out. The arrays of batches move.
+// What the network Worker does: one `Connection`, orders from the page in, events for it out. The arrays of batches
+// move.
 import { Connection } from "./connection.ts";
 import type { Clock, ConnectionOptions, Socket } from "./connection.ts";
-import type { Batch, Header, Pose, SourceState, Traffic, View } from "./types.ts";
+import { REAL_TIME } from "./traffic.ts";
+import type { Pose, View } from "./types.ts";
+import { buffersOf, type Order, type Report } from "./worker-source.ts";
 
-/** From the page. */
-export type Order =
-  | { kind: "start"; options: ConnectionOptions }
-  | { kind: "pose"; pose: Pose }
-  | { kind: "view"; view: View }
-  | { kind: "retry" }
-  | { kind: "online" }
-  | { kind: "close" };
+/** Of a stream alone: try again at once. */
+export interface Retry {
+  kind: "retry";
+}
 
-/** To the page. */
-export type Report =
-  | { kind: "header"; header: Header; fresh: boolean }
-  | { kind: "batch"; batch: Batch }
-  | { kind: "state"; state: SourceState }
-  | { kind: "traffic"; traffic: Traffic };
+/** From the page, and from the Worker itself when the device is on a network again. */
+export type NetworkOrder = Order<{ options: ConnectionOptions }, Retry | { kind: "online" }>;
 
 /** Return what takes orders; it reports through `post`. */
-export function host(post: (report: Report, moved: ArrayBuffer[]) => void, connect: (url: string) => Socket, clock: Clock): (order: Order) => void {
+export function host(
+  post: (report: Report, moved: ArrayBuffer[]) => void, connect: (url: string) => Socket, clock: Clock,
+): (order: NetworkOrder) => void {
+  const say = (report: Report): void => post(report, buffersOf(report));
   let connection: Connection | null = null;
   let view: View | null = null, pose: Pose | null = null;
   return (order) => {
@@ -28,10 +26,10 @@ export function host(post: (report: Report, moved: ArrayBuffer[]) => void, conne
     if (order.kind === "pose") pose = order.pose;
     if (order.kind === "start" && connection === null) {
       connection = new Connection(order.options, {
-        header: (header, fresh) => post({ kind: "header", header, fresh }, []),
-        batch: (batch) => post({ kind: "batch", batch }, buffersOf(batch)),
-        state: (state) => post({ kind: "state", state }, []),
-        traffic: (traffic) => post({ kind: "traffic", traffic }, []),
+        header: (header, fresh) => say({ kind: "header", header, fresh }),
+        batch: (batch) => say({ kind: "batch", batch }),
+        state: (state) => say({ kind: "state", state }),
+        traffic: (traffic) => say({ kind: "traffic", traffic }),
       }, connect, clock);
       if (view !== null) connection.setView(view);
       if (pose !== null) connection.setPose(pose);
@@ -44,21 +42,5 @@ export function host(post: (report: Report, moved: ArrayBuffer[]) => void, conne
   };
 }
 
-function buffersOf(batch: Batch): ArrayBuffer[] {
-  const found = new Set<ArrayBuffer>();
-  for (const value of Object.values(batch) as unknown[]) {
-    if (ArrayBuffer.isView(value) && value.buffer instanceof ArrayBuffer) found.add(value.buffer);
-  }
-  return [...found];
-}
-
-/** The time of a browser or of node. */
-export const REAL_CLOCK: Clock = {
-  now: () => performance.now(),
-  wall: () => Date.now(),
-  after: (milliseconds, work) => {
-    const timer = setTimeout(work, milliseconds);
-    return () => clearTimeout(timer);
-  },
-  random: () => Math.random(),
-};
+/** Time and chance of a browser or of node. */
+export const REAL_CLOCK: Clock = { ...REAL_TIME, wall: () => Date.now(), random: () => Math.random() };

@@ -30,7 +30,9 @@ export interface Pick extends Picked {
 const MOST = 8;
 
 /** Return what the pixel with the center (x, y) shows, null if nothing. */
-export function pickAt(scene: SortedScene, tables: Tables, camera: Camera, x: number, y: number, levels: number): Pick | null {
+export function pickAt(
+  scene: SortedScene, tables: Tables, camera: Camera, x: number, y: number, levels: number,
+): Pick | null {
   const found: { splat: Splat; alpha: number; depth: number; row: number; place: number }[] = [];
   const axes = axesOf(camera);
   scene.each(camera, { left: x, top: y, right: x, bottom: y, levels }, (records, i, row, place) => {
@@ -49,7 +51,8 @@ export function pickAt(scene: SortedScene, tables: Tables, camera: Camera, x: nu
   }
   if (weighed.length === 0) return null;
   weighed.sort((a, b) => b.weight - a.weight);
-  const chosen = weighed.slice(0, MOST), terms = termsOf(scene, tables, chosen.map(({ hit }) => scene.slotAt(hit.place)));
+  const chosen = weighed.slice(0, MOST),
+    terms = termsOf(scene, tables, chosen.map(({ hit }) => scene.slotAt(hit.place)));
   const best = chosen.map(({ weight, hit }, k): Picked => ({
     slot: scene.slotAt(hit.place), id: scene.idAt(hit.place), weight, alpha: hit.alpha, depth: hit.depth,
     position: hit.splat.mean, scales: hit.splat.scale, opacity: hit.splat.opacity,
@@ -67,7 +70,9 @@ function termsOf(scene: SortedScene, tables: Tables, slots: number[]): Term[][] 
 }
 
 /** Return alpha and depth of a Gaussian at a point of the picture, null below 1/255. */
-export function alphaAt(splat: Splat, camera: Camera, axes: number[], px: number, py: number): { alpha: number; depth: number } | null {
+export function alphaAt(
+  splat: Splat, camera: Camera, axes: number[], px: number, py: number,
+): { alpha: number; depth: number } | null {
   const { fx, fy, cx, cy, width, height, position } = camera;
   const d = splat.mean.map((value, k) => value - position[k]);
   const point = [0, 3, 6].map((k) => axes[k] * d[0] + axes[k + 1] * d[1] + axes[k + 2] * d[2]);

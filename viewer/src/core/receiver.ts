@@ -92,7 +92,11 @@ export class Receiver {
     let at = 0; // owners and ids rise
     for (const owner of s.owners) {
       while (at < s.gaussians.length && s.gaussians[at] < owner) at++;
-      if (!has(this.sent, owner) && s.gaussians[at] !== owner) refuse(`expected terms of Gaussians that have come, got one of ${owner}`);
+      if (!has(this.sent, owner) && s.gaussians[at] !== owner) {
+        refuse(
+          `expected terms of Gaussians that have come, got one of ${owner}`
+        );
+      }
     }
   }
 
@@ -109,7 +113,11 @@ export class Receiver {
     for (const id of s.gone) add(this.gone, id);
     const gone = s.gone.filter((id) => this.slots[id] > 0).map((id) => this.slots[id] - 1);
     const chunkLevels = new Uint8Array(2 * s.chunks.length);
-    for (let k = 0; k < s.chunks.length; k++) chunkLevels.set(s.rows.subarray(CHUNK_BYTES * k + 29, CHUNK_BYTES * k + 31), 2 * k);
+    for (let k = 0; k < s.chunks.length; k++) {
+      chunkLevels.set(
+        s.rows.subarray(CHUNK_BYTES * k + 29, CHUNK_BYTES * k + 31), 2 * k,
+      );
+    }
     this.chunks = chunks;
     this.sequence = s.sequence;
     this.gaussians += g;
@@ -117,7 +125,8 @@ export class Receiver {
     this.replaced += gone.length;
     this.skipped += s.gone.length - gone.length;
     return {
-      first, ids: s.gaussians, records: s.records, rows, means, firstRow, chunks: chunks.table.slice(8 * firstRow), chunkLevels,
+      first, ids: s.gaussians, records: s.records, rows, means, firstRow, chunks: chunks.table.slice(8 * firstRow),
+      chunkLevels,
       firstTerm, terms: s.termRecords, owners: s.owners.map((id) => this.slots[id] - 1), gone, harmonics: null,
     };
   }

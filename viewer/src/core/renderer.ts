@@ -1,12 +1,16 @@
-// Draws what a store holds: finds colors where they are stale, projects the sorted Gaussians once each, blends their quads
+// Draws what a store holds: finds colors where they are stale, projects the sorted Gaussians once each, blends their
+// quads
 // back to front into a half-float picture, and brings that to the canvas.
 import { axesOf } from "./camera.ts";
 import { harmonicRanges, PAINTS } from "./colors.ts";
-import { colors, compile, cover, present, project, type Program, QUADS, splatFragment, splatVertex } from "./shaders.ts";
+import {
+  colors, compile, cover, present, project, type Program, QUADS, splatFragment, splatVertex,
+} from "./shaders.ts";
 import type { Store } from "./store.ts";
 import { GrowingTexture, ROW, takeRuns } from "./textures.ts";
 import type { Camera, Paint } from "./types.ts";
 
+/** What a picture is blended in: 32 or 16 bits of a float, or 8 bits, which clip colors above 1. */
 export type Precision = "float" | "half" | "bytes";
 
 /** How to draw. */
@@ -18,7 +22,7 @@ export interface Look {
 }
 
 /** Where a picture goes: null is the canvas. */
-export interface Destination {
+interface Destination {
   framebuffer: WebGLFramebuffer | null;
   x: number;
   y: number;
@@ -38,6 +42,7 @@ export class Renderer {
   readonly #colored: WebGLFramebuffer;
   readonly #target: WebGLFramebuffer;
   readonly #quads: WebGLVertexArrayObject;
+  readonly #indices: WebGLBuffer;
   readonly #empty: WebGLVertexArrayObject;
   #picture: WebGLTexture | null = null;
   #size = [0, 0];
@@ -57,7 +62,7 @@ export class Renderer {
     this.#shapes = new GrowingTexture(gl, "RGBA32UI");
     this.#paints = new GrowingTexture(gl, "RGBA32UI");
     [this.#splats, this.#colored, this.#target] = [0, 1, 2].map(() => gl.createFramebuffer());
-    this.#quads = makeQuads(gl);
+    [this.#quads, this.#indices] = makeQuads(gl);
     this.#empty = gl.createVertexArray();
     gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.DITHER);
@@ -65,7 +70,8 @@ export class Renderer {
 
   get bytes(): number {
     const pixel = { float: 16, half: 8, bytes: 4 }[this.precision];
-    return this.#order.bytes + this.#shapes.bytes + this.#paints.bytes + this.#size[0] * this.#size[1] * pixel + (this.#store?.bytes ?? 0);
+    const own = this.#order.bytes + this.#shapes.bytes + this.#paints.bytes;
+    return own + this.#size[0] * this.#size[1] * pixel + (this.#store?.bytes ?? 0);
   }
 
   /** Draw this store from now on; programs follow its variant. */
@@ -121,7 +127,11 @@ export class Renderer {
     this.draw(camera, look, { framebuffer, x: 0, y: 0 });
     const upward = new Uint8Array(4 * width * height), out = new Uint8ClampedArray(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upward);
-    for (let y = 0; y < height; y++) out.set(upward.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y);
+    for (let y = 0; y < height; y++) {
+      out.set(
+        upward.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y,
+      );
+    }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(framebuffer);
     gl.deleteTexture(texture);
@@ -134,7 +144,9 @@ export class Renderer {
     gl.deleteTexture(this.#picture);
     this.#picture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.#picture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, { float: gl.RGBA32F, half: gl.RGBA16F, bytes: gl.RGBA8 }[this.precision], width, height);
+    gl.texStorage2D(
+      gl.TEXTURE_2D, 1, { float: gl.RGBA32F, half: gl.RGBA16F, bytes: gl.RGBA8 }[this.precision], width, height,
+    );
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#target);
@@ -157,7 +169,8 @@ export class Renderer {
   #findColors(store: Store, camera: Camera, look: Look): void {
     const gl = this.#gl, program = this.#colors!, { paint, detailed } = look;
     const moves = (paint === "color" && detailed && store.viewDependent) || paint === "depth";
-    const seen = `${paint} ${paint === "color" || paint === "terms" ? detailed : ""} ${moves ? camera.position.join(" ") : ""}`;
+    const details = paint === "color" || paint === "terms" ? detailed : "";
+    const seen = `${paint} ${details} ${moves ? camera.position.join(" ") : ""}`;
     if (seen !== this.#seen) for (let row = 0; row * ROW < store.count; row++) store.stale.add(row);
     this.#seen = seen;
     if (store.stale.size === 0) return;
@@ -169,14 +182,18 @@ export class Renderer {
     gl.viewport(0, 0, ROW, store.colors.rows);
     gl.useProgram(program.program);
     this.#bind(program, {
-      records: store.records.texture, links: store.links.texture, chunks: store.chunks.texture, heads: store.heads.texture,
+      records: store.records.texture, links: store.links.texture, chunks: store.chunks.texture,
+      heads: store.heads.texture,
       terms: store.terms.texture, harmonics: store.harmonics.texture, tables: store.tableTexture,
     });
     const { harmonics, gaussians, levels } = store.header;
     gl.uniform1i(program.at("mode"), PAINTS[paint]);
     gl.uniform1i(program.at("levels"), levels.length);
     gl.uniform1i(program.at("detailed"), detailed ? 1 : 0);
-    gl.uniform1f(program.at("total"), paint === "arrival" ? Math.max(1, gaussians) : paint === "terms" ? 12 : 5 / (store.header.metersPerUnit || 1));
+    gl.uniform1f(
+      program.at("total"),
+      paint === "arrival" ? Math.max(1, gaussians) : paint === "terms" ? 12 : 5 / (store.header.metersPerUnit || 1),
+    );
     gl.uniform3fv(program.at("eye"), camera.position);
     if (harmonics) {
       const { lows, spans } = harmonicRanges(harmonics);
@@ -239,9 +256,12 @@ export class Renderer {
     const gl = this.#gl;
     for (const texture of [this.#order, this.#shapes, this.#paints]) texture.dispose();
     for (const framebuffer of [this.#splats, this.#colored, this.#target]) gl.deleteFramebuffer(framebuffer);
-    for (const program of [this.#splat, this.#present, this.#project, this.#colors]) if (program) gl.deleteProgram(program.program);
+    for (const program of [
+      this.#splat, this.#present, this.#project, this.#colors,
+    ]) if (program) gl.deleteProgram(program.program);
     gl.deleteTexture(this.#picture);
     gl.deleteVertexArray(this.#quads);
+    gl.deleteBuffer(this.#indices);
     gl.deleteVertexArray(this.#empty);
   }
 }
@@ -253,14 +273,14 @@ export function choosePrecision(gl: WebGL2RenderingContext, wanted: Precision): 
   return wanted !== "bytes" && half ? "half" : "bytes";
 }
 
-/** Return the corners of many quads: vertex 4 q + c is corner c of quad q. */
-function makeQuads(gl: WebGL2RenderingContext): WebGLVertexArrayObject {
+/** Return the corners of many quads, and the buffer of their indices: vertex 4 q + c is corner c of quad q. */
+function makeQuads(gl: WebGL2RenderingContext): [WebGLVertexArrayObject, WebGLBuffer] {
   const indices = new Uint16Array(6 * QUADS);
   for (let q = 0; q < QUADS; q++) indices.set([4 * q, 4 * q + 1, 4 * q + 2, 4 * q + 2, 4 * q + 1, 4 * q + 3], 6 * q);
-  const array = gl.createVertexArray();
+  const array = gl.createVertexArray(), buffer = gl.createBuffer();
   gl.bindVertexArray(array);
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
   gl.bindVertexArray(null);
-  return array;
+  return [array, buffer];
 }

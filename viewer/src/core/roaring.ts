@@ -101,12 +101,16 @@ function write({ words, count, runs }: Container, data: DataView, from: number):
 }
 
 /** Return holdings: Gaussians received, terms received, and Gaussians replaced, of a scene of N and T. */
-export function holdings(gaussians: number, terms: number, sets: [Uint32Array, Uint32Array, Uint32Array]): Uint8Array<ArrayBuffer> {
+export function holdings(
+  gaussians: number, terms: number, sets: [Uint32Array, Uint32Array, Uint32Array],
+): Uint8Array<ArrayBuffer> {
   const bitmaps = sets.map(serialize);
   const out = new Uint8Array(bitmaps.reduce((sum, bitmap) => sum + bitmap.length, 24));
   const data = new DataView(out.buffer);
   out.set([0x47, 0x56, 0x48, 0x31]); // GVH1
-  [gaussians, terms, ...bitmaps.map((bitmap) => bitmap.length)].forEach((value, k) => data.setUint32(4 + 4 * k, value, true));
+  [
+    gaussians, terms, ...bitmaps.map((bitmap) => bitmap.length),
+  ].forEach((value, k) => data.setUint32(4 + 4 * k, value, true));
   let at = 24;
   for (const bitmap of bitmaps) {
     out.set(bitmap, at);

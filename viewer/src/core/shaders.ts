@@ -1,5 +1,6 @@
 // The programs of the GPU. `colors` finds what the eye sees of each Gaussian, `project` its ellipse in the picture,
-// `splat` blends the ellipses back to front, `present` brings the picture to the canvas. Thresholds: docs/conventions.md.
+// `splat` blends the ellipses back to front, `present` brings the picture to the canvas.
+// Thresholds: docs/conventions.md.
 
 /** Quads of one instance. Software renderers pay for each instance. */
 export const QUADS = 1024;
@@ -32,7 +33,8 @@ const GAUSSIAN = `
 uniform usampler2D records, links, chunks;
 struct Chunk { vec3 origin, step; float low, stride, first, last; };
 Chunk chunkOf(uint row) {
-  vec4 a = uintBitsToFloat(texelFetch(chunks, texel(2u * row), 0)), b = uintBitsToFloat(texelFetch(chunks, texel(2u * row + 1u), 0));
+  vec4 a = uintBitsToFloat(texelFetch(chunks, texel(2u * row), 0));
+  vec4 b = uintBitsToFloat(texelFetch(chunks, texel(2u * row + 1u), 0));
   float rest = floor(b.w / 256.);
   return Chunk(a.xyz, b.xyz, a.w, b.w - 256. * rest, mod(rest, 16.), floor(rest / 16.));
 }
@@ -213,17 +215,22 @@ function addHarmonics(degree: number): string {
   const count = (degree + 1) ** 2 - 1, texels = Math.ceil((3 * count) / 16), lines: string[] = [];
   const basis = [
     "-0.4886025119 * x.y", "0.4886025119 * x.z", "-0.4886025119 * x.x",
-    "1.0925484306 * x.x * x.y", "-1.0925484306 * x.y * x.z", "0.3153915653 * (2. * zz - xx - yy)", "-1.0925484306 * x.x * x.z",
+    "1.0925484306 * x.x * x.y", "-1.0925484306 * x.y * x.z", "0.3153915653 * (2. * zz - xx - yy)",
+    "-1.0925484306 * x.x * x.z",
     "0.5462742153 * (xx - yy)",
-    "-0.5900435899 * x.y * (3. * xx - yy)", "2.8906114426 * x.x * x.y * x.z", "-0.4570457995 * x.y * (4. * zz - xx - yy)",
+    "-0.5900435899 * x.y * (3. * xx - yy)", "2.8906114426 * x.x * x.y * x.z",
+    "-0.4570457995 * x.y * (4. * zz - xx - yy)",
     "0.3731763326 * x.z * (2. * zz - 3. * xx - 3. * yy)", "-0.4570457995 * x.x * (4. * zz - xx - yy)",
     "1.4453057213 * x.z * (xx - yy)", "-0.5900435899 * x.x * (xx - 3. * yy)",
   ];
   lines.push("float xx = x.x * x.x, yy = x.y * x.y, zz = x.z * x.z;");
-  for (let k = 0; k < texels; k++) lines.push(`uvec4 h${k} = texelFetch(harmonics, texel(${texels}u * place + ${k}u), 0);`);
+  for (let k = 0; k < texels; k++) {
+    lines.push(`uvec4 h${k} = texelFetch(harmonics, texel(${texels}u * place + ${k}u), 0);`);
+  }
   const byte = (k: number) => `(h${k >> 4}.${"xyzw"[(k >> 2) & 3]} >> ${8 * (k & 3)}) & 255u`;
   for (let k = 0; k < count; k++) {
-    lines.push(`color += (${basis[k]}) * (lows[${k}] + spans[${k}] * vec3(${[0, 1, 2].map((c) => byte(3 * k + c)).join(", ")}));`);
+    const bytes = [0, 1, 2].map((c) => byte(3 * k + c)).join(", ");
+    lines.push(`color += (${basis[k]}) * (lows[${k}] + spans[${k}] * vec3(${bytes}));`);
   }
   return lines.join("\n  ");
 }
@@ -250,7 +257,9 @@ vec3 ramp(float t) {
 }
 uint countTerms(uint place) {
   uint n = 0u;
-  for (uint k = texelFetch(heads, texel(place), 0).x; k != 0u && n < 255u; n++) k = texelFetch(terms, texel(k - 1u), 0).z;
+  for (uint k = texelFetch(heads, texel(place), 0).x; k != 0u && n < 255u; n++) {
+    k = texelFetch(terms, texel(k - 1u), 0).z;
+  }
   return n;
 }
 void main() {
@@ -269,7 +278,8 @@ void main() {
   else if (mode == 5) color = ramp(1. - distance_ / (distance_ + total));
   else {
     uvec3 places_ = uvec3(min(basePlaces(record), ${layout.most}.));
-    vec3 base = vec3(entry(${int(layout.base[0])} + places_.x).x, entry(${int(layout.base[1])} + places_.y).x, entry(${int(layout.base[2])} + places_.z).x);
+    vec3 base = vec3(entry(${int(layout.base[0])} + places_.x).x, entry(${int(layout.base[1])} + places_.y).x,
+      entry(${int(layout.base[2])} + places_.z).x);
     color = base;
     ${count ? `if (detailed) {\n  ${addHarmonics(layout.degree)}\n  }` : `if (detailed) {
     uint n = 0u;
@@ -279,7 +289,9 @@ void main() {
     ${addTerm(layout)}
     }
     }`}
-    color = ${layout.hsl ? `toRgb(color, entry(${int(layout.scales)} + min(record.y & 255u, ${int(layout.mostScale)})).x)` : "max(color, 0.)"};
+    color = ${layout.hsl
+      ? `toRgb(color, entry(${int(layout.scales)} + min(record.y & 255u, ${int(layout.mostScale)})).x)`
+      : "max(color, 0.)"};
   }
   color = min(color, 65504.);
   found = uvec2(packHalf2x16(color.rg), packHalf2x16(vec2(color.b, 0.)));

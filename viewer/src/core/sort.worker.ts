@@ -27,15 +27,15 @@ function serve(request: SortRequest): void {
     const { number, camera, x, y, levels } = request;
     answer({ kind: "picked", number, pick: tables ? pickAt(scene, tables, camera, x, y, levels) : null });
   } else {
-    const { batches, slots } = scene.compact();
-    answer({ kind: "renumbered", slots }, slots ? [slots.buffer as ArrayBuffer] : []);
+    const { number } = request, { batches, slots } = scene.compact();
+    answer({ kind: "renumbered", number, slots }, slots ? [slots.buffer as ArrayBuffer] : []);
     for (const batch of batches) {
       const arrays = [batch.records, batch.rows, batch.chunks, batch.terms, batch.owners, batch.harmonics];
       const owned = new Set<ArrayBuffer>();
       for (const array of arrays) if (array?.byteLength) owned.add(array.buffer as ArrayBuffer);
-      answer({ kind: "content", batch }, [...owned]);
+      answer({ kind: "content", number, batch }, [...owned]);
     }
-    answer({ kind: "complete" });
+    answer({ kind: "complete", number });
   }
 }
 

@@ -8,14 +8,14 @@ export type SortRequest =
   | { kind: "append"; batch: Batch }
   | { kind: "sort"; camera: Camera; region: Region; room: Uint32Array | null }
   | { kind: "pick"; number: number; camera: Camera; x: number; y: number; levels: number }
-  | { kind: "content" };
+  | { kind: "content"; number: number };
 
 export type SortAnswer =
   | { kind: "order"; order: Uint32Array; count: number; camera: Camera; milliseconds: number; places: number }
   | { kind: "picked"; number: number; pick: Pick | null }
-  | { kind: "content"; batch: Batch }
-  | { kind: "renumbered"; slots: Uint32Array | null } // before the content
-  | { kind: "complete" } // after it
+  | { kind: "content"; number: number; batch: Batch }
+  | { kind: "renumbered"; number: number; slots: Uint32Array | null } // before the content
+  | { kind: "complete"; number: number } // after it
   | { kind: "failed"; message: string };
 
 /** Starts the Worker; a page in one file passes its own. */
@@ -28,6 +28,8 @@ export class Sorter {
   readonly #picks = new Map<number, (pick: Pick | null) => void>();
   readonly #rooms: Uint32Array[] = [];
   #picked = 0;
+  #asked = 0; // number of the last question for the content
+  #isFilling = false; // and whether its answer is still wanted
   #sorting = false;
   onOrder: (answer: Extract<SortAnswer, { kind: "order" }>) => void = () => {};
   onContent: (batch: Batch) => void = () => {};
@@ -38,18 +40,25 @@ export class Sorter {
   constructor(start: WorkerStart = startWorker) {
     this.#worker = start();
     this.#worker.onmessage = (event: MessageEvent<SortAnswer>) => this.#receive(event.data);
-    this.#worker.onerror = (event) => this.onFailure(`the sort Worker failed: ${event.message || "it could not be started"}`);
+    this.#worker.onerror = (event) => {
+      this.#answerPicks();
+      this.onFailure(`the sort Worker failed: ${event.message || "it could not be started"}`);
+    };
   }
 
   get sorting(): boolean { return this.#sorting; }
 
   reset(header: Header): void {
+    this.forget();
     this.#post({ kind: "reset", header });
   }
 
   /** Give a batch away; its arrays may not be used after this. */
   append(batch: Batch): void {
-    const buffers = [batch.records, batch.rows, batch.ids, batch.chunks, batch.chunkLevels, batch.terms, batch.owners, batch.gone, batch.harmonics];
+    const buffers = [
+      batch.records, batch.rows, batch.ids, batch.chunks, batch.chunkLevels, batch.terms, batch.owners, batch.gone,
+      batch.harmonics,
+    ];
     const owned = new Set<ArrayBuffer>();
     for (const array of buffers) if (array && array.buffer.byteLength) owned.add(array.buffer as ArrayBuffer);
     this.#post({ kind: "append", batch: { ...batch, means: new Float32Array(0) } }, [...owned]);
@@ -74,13 +83,23 @@ export class Sorter {
     });
   }
 
-  /** Ask for all that has arrived, without what was replaced. */
+  /** Ask for all that has arrived, without what was replaced. What was asked before is not passed on any more. */
   content(): void {
-    this.#post({ kind: "content" });
+    this.#isFilling = true;
+    this.#post({ kind: "content", number: ++this.#asked });
+  }
+
+  /** Pass on nothing more of the content that was asked for. */
+  forget(): void {
+    this.#isFilling = false;
   }
 
   close(): void {
     this.#worker.terminate();
+    this.#answerPicks();
+  }
+
+  #answerPicks(): void {
     for (const resolve of this.#picks.values()) resolve(null);
     this.#picks.clear();
   }
@@ -96,12 +115,19 @@ export class Sorter {
     } else if (answer.kind === "picked") {
       this.#picks.get(answer.number)?.(answer.pick);
       this.#picks.delete(answer.number);
-    } else if (answer.kind === "content") this.onContent(answer.batch);
-    else if (answer.kind === "renumbered") this.onRenumbered(answer.slots);
-    else if (answer.kind === "complete") this.onComplete();
-    else {
+    } else if (answer.kind === "failed") {
       this.#sorting = false;
+      this.#answerPicks();
       this.onFailure(answer.message);
+    } else if (this.#isFilling && answer.number === this.#asked) this.#fill(answer);
+  }
+
+  #fill(answer: Extract<SortAnswer, { kind: "renumbered" | "content" | "complete" }>): void {
+    if (answer.kind === "renumbered") this.onRenumbered(answer.slots);
+    else if (answer.kind === "content") this.onContent(answer.batch);
+    else {
+      this.#isFilling = false;
+      this.onComplete();
     }
   }
 }

@@ -11,7 +11,7 @@ const DIGIT = 14; // bits of one of the two passes of a sort
 const MOST_KEY = 2 ** (2 * DIGIT) - 1;
 const NEAR_BITS = new Uint32Array(Float32Array.of(NEAR).buffer)[0];
 
-export interface Page {
+interface Page {
   records: Uint32Array; // (4 PAGE)
   rows: Uint32Array; // (PAGE), GONE for those replaced
   ids: Uint32Array;
@@ -180,12 +180,17 @@ export class SortedScene {
   /** Mark the chunks of which something may be seen, and prepare the depths of their Gaussians. */
   #classify(camera: Camera, region: Region, first: number): void {
     const { fx, fy, cx, cy, width, height } = camera, r = axesOf(camera), [ex, ey, ez] = camera.position;
-    const slopeX = Math.max(cx, width - cx) / fx + (0.15 * width) / fx, slopeY = Math.max(cy, height - cy) / fy + (0.15 * height) / fy;
+    const slopeX = Math.max(cx, width - cx) / fx + (0.15 * width) / fx,
+      slopeY = Math.max(cy, height - cy) / fy + (0.15 * height) / fy;
     const wide = REACH * fx * Math.hypot(1, slopeX), high = REACH * fy * Math.hypot(1, slopeY);
     const planes = [
       [fx, 0, cx - region.left + REACH, wide], [-fx, 0, region.right - cx + REACH, wide],
       [0, fy, cy - region.top + REACH, high], [0, -fy, region.bottom - cy + REACH, high], [0, 0, 1, 0],
-    ].map(([a, b, c, d]) => [a * r[0] + b * r[3] + c * r[6], a * r[1] + b * r[4] + c * r[7], a * r[2] + b * r[5] + c * r[8], d]);
+    ].map(
+      ([a, b, c, d]) => [
+        a * r[0] + b * r[3] + c * r[6], a * r[1] + b * r[4] + c * r[7], a * r[2] + b * r[5] + c * r[8], d,
+      ],
+    );
     const { chunks, widest, levels } = this, steps = this.hsl ? 8191 : 16383;
     for (let row = first; row < this.rowCount; row++) {
       const k = 8 * row, sx = chunks[k + 4], sy = chunks[k + 5], sz = chunks[k + 6];
@@ -195,7 +200,9 @@ export class SortedScene {
       let shown = (own & region.levels) !== 0;
       for (let p = 0; shown && p < 5; p++) {
         const [a, b, c, d] = planes[p];
-        const most = a * x + b * y + c * z + half * (a * sx + b * sy + c * sz + Math.abs(a * sx) + Math.abs(b * sy) + Math.abs(c * sz));
+        const most = a * x + b * y + c * z + half * (
+          a * sx + b * sy + c * sz + Math.abs(a * sx) + Math.abs(b * sy) + Math.abs(c * sz)
+        );
         shown = most + d * size >= (p === 4 ? NEAR : 0);
       }
       this.#classes[row] = shown ? 1 : 0;
@@ -220,7 +227,8 @@ export class SortedScene {
         if (row === GONE || classes[row] === 0) continue;
         const a = records[4 * i + 1], b = records[4 * i + 2], c = records[4 * i + 3], d = 4 * row;
         const z = hsl
-          ? depths[d] + depths[d + 1] * ((a >>> 8) & 8191) + depths[d + 2] * ((b >>> 5) & 8191) + depths[d + 3] * ((c >>> 2) & 8191)
+          ? depths[d] + depths[d + 1] * ((a >>> 8) & 8191) + depths[d + 2] * ((b >>> 5) & 8191) +
+            depths[d + 3] * ((c >>> 2) & 8191)
           : depths[d] + depths[d + 1] * (a & 16383) + depths[d + 2] * (b & 16383) + depths[d + 3] * (c & 16383);
         if (z <= NEAR) continue;
         floats[found] = z;
@@ -270,7 +278,8 @@ export class SortedScene {
     this.#camera = camera;
     this.#region = region;
     const count = this.#found, needed = Math.max(1, Math.ceil(count / unit)) * unit;
-    const order = room && room.length >= needed && room.length <= 2 * needed + 65536 ? room : new Uint32Array(Math.ceil((needed * 1.1) / unit) * unit);
+    const fits = room && room.length >= needed && room.length <= 2 * needed + 65536;
+    const order = fits ? room : new Uint32Array(Math.ceil((needed * 1.1) / unit) * unit);
     this.#distribute(order, count);
     return { order, count };
   }
@@ -296,7 +305,9 @@ export class SortedScene {
   }
 
   /** Call `visit` for all Gaussians that may be seen in a region: its record, the index in it, chunk and place. */
-  each(camera: Camera, region: Region, visit: (records: Uint32Array, i: number, row: number, place: number) => void): void {
+  each(
+    camera: Camera, region: Region, visit: (records: Uint32Array, i: number, row: number, place: number) => void,
+  ): void {
     this.#reserveChunks();
     this.#camera = null;
     this.#classify(camera, region, 0);
@@ -329,7 +340,10 @@ export class SortedScene {
     });
     for (let from = 0; from < this.termCount; from += PAGE) {
       const to = Math.min(from + PAGE, this.termCount), owners = this.owners.slice(from, to);
-      batches.push({ ...rest, first: this.count, records: none, rows: none, harmonics: null, firstTerm: from, terms: this.terms.slice(2 * from, 2 * to), owners });
+      batches.push({
+        ...rest, first: this.count, records: none, rows: none, harmonics: null, firstTerm: from,
+        terms: this.terms.slice(2 * from, 2 * to), owners,
+      });
     }
     const slots = this.renumbered ? Uint32Array.from({ length: this.count }, (_, place) => this.slotAt(place)) : null;
     return { batches, slots };
@@ -351,12 +365,16 @@ export class SortedScene {
       page.rows[at] = from.rows[i];
       page.ids[at] = from.ids[i];
       if (page.slots && from.slots) page.slots[at] = from.slots[i];
-      if (page.harmonics && from.harmonics) page.harmonics.set(from.harmonics.subarray(each * i, each * (i + 1)), each * at);
+      if (page.harmonics && from.harmonics) {
+        page.harmonics.set(from.harmonics.subarray(each * i, each * (i + 1)), each * at);
+      }
       this.count += 1;
     }
     this.rowCount = rows;
     this.sizes.fill(0);
-    for (let place = 0; place < this.count; place++) this.sizes[this.pages[Math.floor(place / PAGE)].rows[place % PAGE]]++;
+    for (let place = 0; place < this.count; place++) {
+      this.sizes[this.pages[Math.floor(place / PAGE)].rows[place % PAGE]]++;
+    }
     let kept = 0;
     for (let t = 0; t < this.termCount; t++) {
       if (this.placeOf(this.owners[t]) < 0) continue;
@@ -369,5 +387,6 @@ export class SortedScene {
 }
 
 function sameRegion(a: Region | null, b: Region): boolean {
-  return !!a && a.left === b.left && a.top === b.top && a.right === b.right && a.bottom === b.bottom && a.levels === b.levels;
+  return !!a && a.left === b.left && a.top === b.top && a.right === b.right && a.bottom === b.bottom &&
+    a.levels === b.levels;
 }

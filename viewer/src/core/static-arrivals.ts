@@ -1,4 +1,5 @@
-// What has come of a static scene, as the batches that a renderer takes: slots, rows of chunks, terms, and what is replaced.
+// What has come of a static scene, as the batches that a renderer takes: slots, rows of chunks, terms, and what is
+// replaced.
 import type { Blocks } from "./static-blocks.ts";
 import { HELD } from "./static-plan.ts";
 import type { Holdings, Run } from "./static-plan.ts";
@@ -73,7 +74,11 @@ export class Arrivals {
       const counts = at, size = blocks.size(b);
       let sum = 0;
       for (let k = 0; k < size; k++) sum += data[counts + k];
-      if (sum !== blocks.termCount![b]) throw new Error(`terms: block ${b}: expected ${blocks.termCount![b]} terms, got ${sum}; export the scene again`);
+      if (sum !== blocks.termCount![b]) {
+        throw new Error(
+          `terms: block ${b}: expected ${blocks.termCount![b]} terms, got ${sum}; export the scene again`
+        );
+      }
       at += size;
       for (let k = 0; k < size; k++) {
         for (let t = 0; t < data[counts + k]; t++, at += width, filled++) {
@@ -98,7 +103,9 @@ export class Arrivals {
   addReplaced(block: number, row: Uint8Array): void {
     const size = this.blocks.size(block), view = new DataView(row.buffer, row.byteOffset, row.byteLength);
     const bytes = row.subarray(0, size).reduce((sum, count) => sum + 4 * count, size);
-    if (bytes !== row.length) throw new Error(`replaced: block ${block}: expected ${bytes} bytes, got ${row.length}; export the scene again`);
+    if (bytes !== row.length) {
+      throw new Error(`replaced: block ${block}: expected ${bytes} bytes, got ${row.length}; export the scene again`);
+    }
     let at = size;
     for (let k = 0; k < size; k++) {
       const needs = new Uint32Array(row[k]);
@@ -128,8 +135,10 @@ export class Arrivals {
   private empty(): Batch {
     const none = (): Uint32Array => new Uint32Array(0);
     return {
-      first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0), firstRow: this.rows,
-      chunks: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms, terms: none(), owners: none(), gone: none(),
+      first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0),
+      firstRow: this.rows,
+      chunks: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms, terms: none(), owners: none(),
+      gone: none(),
       harmonics: null,
     };
   }

@@ -1,4 +1,5 @@
-// The chunks of a static scene and the blocks that follow from them: what is fetched together, where it lies, how large it is.
+// The chunks of a static scene and the blocks that follow from them: what is fetched together, where it lies, how large
+// it is.
 import { BLOCK } from "./static-scene.ts";
 import type { StaticScene } from "./static-scene.ts";
 
@@ -11,7 +12,9 @@ export class Blocks {
   readonly start: Uint32Array; // (B + 1) place of its first Gaussian in the files
   readonly rows: Float32Array; // (8 C) as in `Batch.chunks`
   readonly levels: Uint8Array; // (2 C) first and last level
-  readonly spheres: Float32Array; // (5 C): center of each chunk, radius of its box and half the largest standard deviation, mean square of their distance from the center
+  // (5 C): center of each chunk, radius of its box and half the largest standard deviation, mean square of their
+  // distance from the center
+  readonly spheres: Float32Array;
   readonly top: number; // the highest level
   readonly meanRadius: number; // of the boxes of chunks
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
@@ -30,8 +33,11 @@ export class Blocks {
       const at = 32 * k, low = view.getInt16(at + 24, true);
       let square = 0;
       for (let axis = 0; axis < 3; axis++) {
-        const origin = view.getFloat32(at + 4 * axis, true), step = view.getFloat32(at + 12 + 4 * axis, true), half = (places * step) / 2;
-        if (!Number.isFinite(origin) || !(step >= 0)) throw new Error(`chunks: row ${k}: expected a box, got none; export the scene again`);
+        const origin = view.getFloat32(at + 4 * axis, true), step = view.getFloat32(at + 12 + 4 * axis, true),
+          half = (places * step) / 2;
+        if (!Number.isFinite(origin) || !(step >= 0)) {
+          throw new Error(`chunks: row ${k}: expected a box, got none; export the scene again`);
+        }
         this.rows[8 * k + axis] = origin;
         this.rows[8 * k + 4 + axis] = step;
         this.spheres[5 * k + axis] = origin + half;
@@ -44,7 +50,10 @@ export class Blocks {
       this.levels[2 * k] = view.getUint8(at + 29);
       this.levels[2 * k + 1] = view.getUint8(at + 30);
       counts[k] = view.getUint16(at + 26, true);
-      if (counts[k] < 1 || counts[k] > 256 || this.levels[2 * k] > this.levels[2 * k + 1] || this.levels[2 * k + 1] > this.top) {
+      if (
+        counts[k] < 1 || counts[k] > 256 || this.levels[2 * k] > this.levels[2 * k + 1] ||
+        this.levels[2 * k + 1] > this.top
+      ) {
         throw new Error(`chunks: row ${k}: expected 1 to 256 Gaussians of known levels; export the scene again`);
       }
     }
@@ -58,13 +67,17 @@ export class Blocks {
     this.lay(counts);
   }
 
-  /** Place the blocks: of each run of chunks with equal levels the first 64 of every chunk, then the next 64, and on. */
+  /**
+   * Place the blocks: of each run of chunks with equal levels the first 64 of every chunk, then the next 64, and on.
+   */
   private lay(counts: Uint16Array): void {
     const ids = new Float64Array(counts.length + 1);
     for (let k = 0; k < counts.length; k++) ids[k + 1] = ids[k] + counts[k];
     let block = 0, place = 0;
     for (let low = 0, high = 0; low < counts.length; low = high) {
-      while (high < counts.length && this.levels[2 * high] === this.levels[2 * low] && this.levels[2 * high + 1] === this.levels[2 * low + 1]) high++;
+      const alike = (k: number): boolean =>
+        this.levels[2 * k] === this.levels[2 * low] && this.levels[2 * k + 1] === this.levels[2 * low + 1];
+      while (high < counts.length && alike(high)) high++;
       for (let before = 0; before < 256; before += BLOCK) {
         for (let k = low; k < high; k++) {
           if (counts[k] <= before) continue;
@@ -79,7 +92,10 @@ export class Blocks {
       }
     }
     if (block !== this.count || place !== this.scene.header.gaussians) {
-      throw new Error(`chunks: expected ${this.count} blocks of ${this.scene.header.gaussians} Gaussians, got ${block} of ${place}; export the scene again`);
+      throw new Error(
+        `chunks: expected ${this.count} blocks of ${this.scene.header.gaussians} Gaussians, got ${block} of ${place};` +
+          " export the scene again",
+      );
     }
   }
 
@@ -91,7 +107,9 @@ export class Blocks {
       counts[b] = view.getUint16(2 * b, true);
       starts[b + 1] = starts[b] + this.size(b) + this.scene.termBytes * counts[b];
     }
-    if (starts[this.count] !== this.scene.files.get("terms")?.bytes) throw new Error("blocks: expected as many terms as the scene has, got another number");
+    if (starts[this.count] !== this.scene.files.get("terms")?.bytes) {
+      throw new Error("blocks: expected as many terms as the scene has, got another number");
+    }
     [this.termStart, this.termCount] = [starts, counts];
   }
 

@@ -1,7 +1,10 @@
 // The cells of a static scene: which cell an eye is in, where its row lies, and what that row says.
 import type { StaticScene } from "./static-scene.ts";
 
-/** What a cell sees: blocks, the logarithm (base 2) of the gain of each, and the share of its terms that are active here. */
+/**
+ * What a cell sees: blocks, the logarithm (base 2) of the gain of each, and the share of its terms that are active
+ * here.
+ */
 export interface CellRow {
   blocks: Uint32Array;
   gains: Float32Array;
@@ -22,7 +25,11 @@ export class Cells {
       this.starts[k + 1] = this.starts[k] + view.getUint32(16 * k + 12, true);
       this.byBox.set(this.key(k, 0, 0, 0), k);
     }
-    if (this.starts[count] !== scene.files.get("cells")?.bytes) throw new Error("grid: expected rows that fill the file of cells, got others; export the scene again");
+    if (this.starts[count] !== scene.files.get("cells")?.bytes) {
+      throw new Error(
+        "grid: expected rows that fill the file of cells, got others; export the scene again"
+      );
+    }
   }
 
   /** Return the cell that holds a position; if none does, the one with the nearest center. */
@@ -35,7 +42,11 @@ export class Cells {
     let best = 0, least = Infinity;
     for (let k = 0; k < count; k++) {
       let square = 0;
-      for (let axis = 0; axis < 3; axis++) square += (origin[axis] + size * (this.boxes[3 * k + axis] + 0.5) - position[axis]) ** 2;
+      for (let axis = 0; axis < 3; axis++) {
+        square += (
+          origin[axis] + size * (this.boxes[3 * k + axis] + 0.5) - position[axis]
+        ) ** 2;
+      }
       if (square < least) [best, least] = [k, square];
     }
     return best;
@@ -65,7 +76,9 @@ export class Cells {
 export function parseRow(scene: StaticScene, data: Uint8Array): CellRow {
   const bits = Math.ceil(scene.blocks / 8), each = scene.cells.active ? 2 : 1, seen: number[] = [];
   for (let b = 0; b < scene.blocks && b >> 3 < data.length; b++) if ((data[b >> 3] >> (b & 7)) & 1) seen.push(b);
-  if (data.length !== bits + each * seen.length) throw new Error(`cells: expected a row of ${bits + each * seen.length} bytes, got ${data.length}`);
+  if (data.length !== bits + each * seen.length) {
+    throw new Error(`cells: expected a row of ${bits + each * seen.length} bytes, got ${data.length}`);
+  }
   const gains = new Float32Array(seen.length);
   for (let k = 0; k < seen.length; k++) gains[k] = (data[bits + k] - 255 + scene.cells.gainTop) / 4;
   return { blocks: Uint32Array.from(seen), gains, shares: scene.cells.active ? data.slice(bits + seen.length) : null };
@@ -73,5 +86,8 @@ export function parseRow(scene: StaticScene, data: Uint8Array): CellRow {
 
 /** Return a row with all blocks alike: what a cell is taken to see whose own row is lost. */
 export function everything(scene: StaticScene): CellRow {
-  return { blocks: Uint32Array.from({ length: scene.blocks }, (_, b) => b), gains: new Float32Array(scene.blocks), shares: null };
+  return {
+    blocks: Uint32Array.from({ length: scene.blocks }, (_, b) => b), gains: new Float32Array(scene.blocks),
+    shares: null,
+  };
 }

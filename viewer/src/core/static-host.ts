@@ -1,28 +1,21 @@
-// What the Worker of a static scene does: orders from the page in, events for it out. Reads scene.json anew when files are gone.
+// What the Worker of a static scene does: orders from the page in, events for it out. Reads scene.json anew when files
+// are gone.
 import { Link } from "./static-link.ts";
 import type { PartEvents, Parts } from "./static-parts.ts";
 import { parseScene } from "./static-scene.ts";
 import { StaticSession } from "./static-session.ts";
-import type { Batch, Header, Pose, SourceState, Traffic, View } from "./types.ts";
+import { type Clock, Meter } from "./traffic.ts";
+import type { Pose, View } from "./types.ts";
+import { isPose, isView } from "./wire.ts";
+import type { Report } from "./worker-source.ts";
 
-export type Order =
-  | { kind: "start"; base: string; held: Map<string, Blob> | null }
-  | { kind: "pose"; pose: Pose }
-  | { kind: "view"; view: View }
-  | { kind: "close" };
-
-export type Report =
-  | { kind: "header"; header: Header; fresh: boolean }
-  | { kind: "batch"; batch: Batch }
-  | { kind: "state"; state: SourceState }
-  | { kind: "traffic"; traffic: Traffic };
-
-export interface Clock {
-  now(): number; // seconds
+/** Where a scene is: its address, and the files that the page itself holds. */
+export interface StaticStart {
+  base: string;
+  held: Map<string, Blob> | null;
 }
 
-const AGAIN = 30; // seconds before scene.json is read anew
-const RATE_WINDOW = 2; // seconds
+const AGAIN_MS = 30_000; // before scene.json is read anew
 
 export class StaticHost {
   private readonly stop = new AbortController();
@@ -33,15 +26,19 @@ export class StaticHost {
   private view: View | null = null;
   private looked = -Infinity;
   private restarts = 0;
-  private readonly recent: { at: number; bytes: number }[] = [];
+  private readonly meter: Meter;
 
-  constructor(private readonly post: (report: Report) => void, private readonly clock: Clock, make: (events: PartEvents, stop: AbortSignal) => Parts) {
-    this.link = new Link(() => clock.now());
+  constructor(
+    private readonly post: (report: Report) => void, private readonly clock: Clock,
+    make: (events: PartEvents, stop: AbortSignal) => Parts,
+  ) {
+    this.link = new Link(() => clock.now() / 1000);
+    this.meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
     this.parts = make({
       bytes: (count) => {
         this.link.add(count);
-        this.recent.push({ at: clock.now(), bytes: count });
-        this.traffic();
+        this.meter.add(count);
+        this.meter.touch();
       },
       waiting: (seconds, message) => this.post({ kind: "state", state: { kind: "waiting", seconds, message } }),
       resumed: () => this.session?.report(),
@@ -59,11 +56,13 @@ export class StaticHost {
   }
 
   setPose(pose: Pose): void {
+    if (!isPose(pose)) return;
     this.pose = pose;
     this.session?.setPose(pose);
   }
 
   setView(view: View): void {
+    if (!isView(view)) return;
     this.view = view;
     this.session?.setView(view);
   }
@@ -71,6 +70,7 @@ export class StaticHost {
   close(): void {
     this.session?.close();
     this.stop.abort();
+    this.meter.stop();
   }
 
   private async open(text: string): Promise<void> {
@@ -83,7 +83,7 @@ export class StaticHost {
       batch: (batch) => {
         if (!mine()) return;
         this.post({ kind: "batch", batch });
-        this.traffic();
+        this.meter.touch();
       },
       state: (state) => { if (mine()) this.post({ kind: "state", state }); },
       traffic: () => undefined,
@@ -99,7 +99,7 @@ export class StaticHost {
   /** A file is missing: perhaps the site was written anew under the same address. */
   private async renew(): Promise<void> {
     const before = this.session;
-    if (before === null || this.clock.now() - this.looked < AGAIN) return;
+    if (before === null || this.clock.now() - this.looked < AGAIN_MS) return;
     this.looked = this.clock.now();
     let text: string;
     try {
@@ -118,22 +118,21 @@ export class StaticHost {
     }
   }
 
-  private traffic(): void {
-    const now = this.clock.now();
-    while (this.recent.length > 0 && now - this.recent[0].at > RATE_WINDOW) this.recent.shift();
-    const sum = this.recent.reduce((total, each) => total + each.bytes, 0);
-    const rate = sum === 0 ? 0 : sum / Math.max(now - this.recent[0].at, RATE_WINDOW / 20);
+  private report(bytes: number, rate: number): void {
     const got = this.session?.arrivals;
     this.post({
       kind: "traffic",
       traffic: {
-        bytes: this.link.bytes, rate, gaussians: got?.gaussians ?? 0, terms: got?.terms ?? 0, replaced: got?.replaced ?? 0, reconnects: this.restarts,
+        bytes, rate, gaussians: got?.gaussians ?? 0, terms: got?.terms ?? 0, replaced: got?.replaced ?? 0,
+        reconnects: this.restarts,
       },
     });
   }
 
   private fail(error: unknown): void {
     if (this.stop.signal.aborted) return;
-    this.post({ kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } });
+    this.post(
+      { kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } }
+    );
   }
 }

@@ -7,7 +7,6 @@ const WEIGHT = 0.4; // of the last measurement in the mean
 export class Link {
   throughput = START;
   roundTrip = 0.05;
-  bytes = 0;
   private under = 0;
   private since = 0;
   private pending = 0; // bytes since `since`
@@ -33,7 +32,6 @@ export class Link {
 
   /** Count bytes that have arrived. */
   add(count: number): void {
-    this.bytes += count;
     this.pending += count;
   }
 

@@ -1,4 +1,5 @@
-// Bytes of the files of a static scene: HTTP ranges with retries, whole files from servers without ranges, or files held in memory.
+// Bytes of the files of a static scene: HTTP ranges with retries, whole files from servers without ranges, or files
+// held in memory.
 import type { StaticFile } from "./static-scene.ts";
 
 /** Why bytes are not to be had. `missing` and `cut` are for good; the scene goes on without them. */
@@ -24,7 +25,7 @@ export interface PartEvents {
   resumed(): void;
 }
 
-export interface HttpOptions {
+interface HttpOptions {
   fetch?: typeof fetch;
   sleep?: (seconds: number) => Promise<void>;
   random?: () => number;
@@ -44,7 +45,10 @@ export class HttpParts implements Parts {
   private readonly random: () => number;
   private down = 0; // requests that wait for the link
 
-  constructor(private readonly base: string, private readonly events: PartEvents, private readonly stop: AbortSignal, options: HttpOptions = {}) {
+  constructor(
+    private readonly base: string, private readonly events: PartEvents, private readonly stop: AbortSignal,
+    options: HttpOptions = {},
+  ) {
     this.fetch = options.fetch ?? ((input, init) => fetch(input, init));
     this.sleep = options.sleep ?? ((seconds) => new Promise((done) => { setTimeout(done, 1000 * seconds); }));
     this.random = options.random ?? Math.random;
@@ -76,7 +80,9 @@ export class HttpParts implements Parts {
     if (found !== undefined) return found;
     const made = this.attempt(file.name, async () => {
       const data = await this.body(await this.ask(file.name, {}));
-      if (data.length !== file.bytes) throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
+      if (data.length !== file.bytes) {
+        throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
+      }
       return data;
     });
     this.whole.set(file.name, made);
@@ -91,14 +97,20 @@ export class HttpParts implements Parts {
       this.known = true;
       if (answer.status !== 206) {
         this.ranges = false;
-        if (data.length !== file.bytes) throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
+        if (data.length !== file.bytes) {
+          throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
+        }
         this.whole.set(file.name, Promise.resolve(data));
         return data.slice(start, end);
       }
       const said = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(answer.headers.get("content-range") ?? "");
       const other = said !== null && Number(said[1]) !== start; // a file cut behind these bytes is good enough
       if (data.length !== end - start || other) {
-        throw new PartError("cut", `${file.name}: expected bytes ${start} to ${end} of ${file.bytes}, got ${said?.[0] ?? `${data.length} bytes`}`);
+        throw new PartError(
+          "cut",
+          `${file.name}: expected bytes ${start} to ${end} of ${file.bytes}, ` +
+            `got ${said?.[0] ?? `${data.length} bytes`}`,
+        );
       }
       return data;
     });
@@ -106,7 +118,9 @@ export class HttpParts implements Parts {
   }
 
   private async ask(name: string, headers: Record<string, string>, cache: RequestCache = "default"): Promise<Response> {
-    const answer = await this.fetch(new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin" });
+    const answer = await this.fetch(
+      new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin" },
+    );
     if (answer.ok) return answer;
     await answer.body?.cancel();
     const message = `${name}: the server answers ${answer.status}`;
@@ -133,7 +147,10 @@ export class HttpParts implements Parts {
           const cut = error instanceof PartError && error.kind === "cut", failed = error instanceof Retry;
           if (error instanceof PartError && !cut) throw error;
           if ((cut || failed) && ++errors >= TRIES) throw cut ? error : new PartError("missing", error.message);
-          const seconds = Math.min(LONGEST, Math.max(failed ? error.seconds : 0, 0.25 * 2 ** Math.min(tries, 10)) * (0.75 + 0.5 * this.random()));
+          const seconds = Math.min(
+            LONGEST,
+            Math.max(failed ? error.seconds : 0, 0.25 * 2 ** Math.min(tries, 10)) * (0.75 + 0.5 * this.random()),
+          );
           if (!cut && !failed) {
             if (!waited) [waited, this.down] = [true, this.down + 1];
             this.events.waiting(seconds, `${name}: no connection`);
@@ -165,7 +182,9 @@ export class HeldParts implements Parts {
 
   async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
     const found = this.find(file.name);
-    if (found.size !== file.bytes) throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${found.size}`);
+    if (found.size !== file.bytes) {
+      throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${found.size}`);
+    }
     const data = new Uint8Array(await found.slice(start, end).arrayBuffer());
     this.events.bytes(data.length);
     return data;

@@ -1,5 +1,7 @@
-// What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring bytes.
+// What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring
+// bytes.
 // The factors are those of the streaming server's policy "utility" (gsvis.abr.policies).
+import { rotationOf } from "./camera.ts";
 import type { Blocks } from "./static-blocks.ts";
 import type { CellRow } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
@@ -54,20 +56,16 @@ export function levelBytes(blocks: Blocks, row: CellRow, bytesEach: number): num
   const found = new Array<number>(blocks.top + 1).fill(0);
   for (const b of row.blocks) {
     const c = blocks.chunk[b];
-    for (let level = blocks.levels[2 * c]; level <= blocks.levels[2 * c + 1]; level++) found[level] += blocks.size(b) * bytesEach;
+    for (let level = blocks.levels[2 * c]; level <= blocks.levels[2 * c + 1]; level++) {
+      found[level] += blocks.size(b) * bytesEach;
+    }
   }
   return found;
 }
 
 /** Return five planes (normal, offset): points inside have a positive distance from all; see `FieldOfView.planes`. */
 export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
-  const [w0, x0, y0, z0] = pose.rotation, n = Math.hypot(w0, x0, y0, z0) || 1;
-  const w = w0 / n, x = x0 / n, y = y0 / n, z = z0 / n;
-  const turn = [
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  ];
+  const turn = rotationOf(pose.rotation);
   const widest = (89 * Math.PI) / 180, planes = new Float64Array(20);
   const sides = [[view.left, 0, 1], [view.right, 0, -1], [view.up, 1, 1], [view.down, 1, -1]] as const;
   for (let k = 0; k < 5; k++) {
@@ -87,7 +85,9 @@ export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
 }
 
 /** Return what is not held of the row of a cell, most useful first. Rows of neighbours count less (`adjacent`). */
-export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, view: View, regime: Regime, adjacent = false): Order {
+export function rank(
+  blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, view: View, regime: Regime, adjacent = false,
+): Order {
   const planes = frustum(pose, view), chunks = blocks.levels.length / 2, power = POWERS[regime];
   const middle = Math.max(blocks.top - 1, 0);
   const caps = { high: [blocks.top, blocks.top], medium: [middle, middle], low: [middle, 0] }[regime];
@@ -98,7 +98,8 @@ export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, v
     const b = row.blocks[k], c = blocks.chunk[b];
     if (blocks.levels[2 * c + 1] < least) continue;
     if (Number.isNaN(far[c])) {
-      const x = blocks.spheres[5 * c], y = blocks.spheres[5 * c + 1], z = blocks.spheres[5 * c + 2], radius = blocks.spheres[5 * c + 3];
+      const x = blocks.spheres[5 * c], y = blocks.spheres[5 * c + 1], z = blocks.spheres[5 * c + 2],
+        radius = blocks.spheres[5 * c + 3];
       const [ex, ey, ez] = pose.position;
       far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + blocks.spheres[5 * c + 4] + 1e-12);
       inside[c] = 1;
@@ -115,7 +116,10 @@ export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, v
       found.push(2 * k);
     }
     const share = row.shares === null ? 255 : row.shares[k];
-    if (!adjacent && blocks.termCount !== null && blocks.termCount[b] > 0 && share > 0 && held.terms[b] === NONE && held.records[b] !== LOST) {
+    if (
+      !adjacent && blocks.termCount !== null && blocks.termCount[b] > 0 && share > 0 && held.terms[b] === NONE &&
+      held.records[b] !== LOST
+    ) {
       keys[2 * k + 1] = key + TERMS + Math.log2(share / 255);
       found.push(2 * k + 1);
     }
@@ -125,11 +129,15 @@ export function rank(blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, v
 }
 
 /**
- * Return the next runs of an order, of about `budget` bytes, and the entry behind them. Blocks between two runs join them
+ * Return the next runs of an order, of about `budget` bytes, and the entry behind them. Blocks between two runs join
+ * them
  * where they take at most `gap` bytes and are not held: that is cheaper than another request.
  */
-export function slice(blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number, bytesEach: number): { runs: Run[]; next: number } {
-  const chosen: [number[], number[]] = [[], []], places: [Map<number, number>, Map<number, number>] = [new Map(), new Map()];
+export function slice(
+  blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number, bytesEach: number,
+): { runs: Run[]; next: number } {
+  const chosen: [number[], number[]] = [[], []],
+    places: [Map<number, number>, Map<number, number>] = [new Map(), new Map()];
   let size = 0, next = from;
   for (; next < order.blocks.length && size < budget; next++) {
     const b = order.blocks[next], kind = order.terms[next] as 0 | 1, states = kind ? held.terms : held.records;
@@ -163,7 +171,12 @@ function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: num
     : (blocks.start[block] - blocks.start[run.end]) * bytesEach;
   if (between > gap) return false;
   for (let k = run.end; k < block; k++) {
-    if (run.terms ? held.terms[k] !== NONE || (held.records[k] !== HELD && held.records[k] !== ASKED) : held.records[k] !== NONE) return false;
+    if (
+      run.terms ? held.terms[k] !== NONE ||
+      (held.records[k] !== HELD && held.records[k] !== ASKED) : held.records[k] !== NONE
+    ) {
+      return false;
+    }
   }
   return true;
 }

@@ -1,4 +1,5 @@
-// One static scene while it is looked at: its tables, what each cell needs, the requests under way, and what comes of them.
+// One static scene while it is looked at: its tables, what each cell needs, the requests under way, and what comes of
+// them.
 import { Arrivals } from "./static-arrivals.ts";
 import { Blocks } from "./static-blocks.ts";
 import { Cells, everything, parseRow } from "./static-cells.ts";
@@ -22,7 +23,7 @@ const KEPT_ROWS = 64; // cells
 
 const NOTHING: Order = { blocks: new Uint32Array(0), terms: new Uint8Array(0) };
 
-export interface SessionEvents extends SourceEvents {
+interface SessionEvents extends SourceEvents {
   gone(): void; // a file of this scene is missing: there may be a new one
 }
 
@@ -50,7 +51,8 @@ export class StaticSession {
   private readonly losses = new Map<string, number>();
 
   private constructor(
-    readonly scene: StaticScene, private readonly parts: Parts, private readonly blocks: Blocks, private readonly cells: Cells | null,
+    readonly scene: StaticScene, private readonly parts: Parts, private readonly blocks: Blocks,
+    private readonly cells: Cells | null,
     private readonly link: Link, private readonly events: SessionEvents,
   ) {
     this.held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
@@ -58,7 +60,11 @@ export class StaticSession {
     const degree = scene.header.harmonics?.degree ?? 0;
     this.bytesEach = 16 + 3 * ((degree + 1) ** 2 - 1);
     this.endingBefore = new Uint32Array(blocks.count + 1);
-    for (let b = 0; b < blocks.count; b++) this.endingBefore[b + 1] = this.endingBefore[b] + (blocks.last(b) < blocks.top ? 1 : 0);
+    for (let b = 0; b < blocks.count; b++) {
+      this.endingBefore[b + 1] = this.endingBefore[b] + (
+        blocks.last(b) < blocks.top ? 1 : 0
+      );
+    }
   }
 
   /** Read the tables of a scene. Without chunks nothing can be drawn; without a grid there is one cell. */
@@ -122,12 +128,18 @@ export class StaticSession {
   private isStale(cell: number): boolean {
     const was = this.planned, pose = this.pose!, view = this.view!;
     if (was === null || was.cell !== cell || was.terms !== (this.blocks.termCount !== null)) return true;
-    if (was.view.left !== view.left || was.view.right !== view.right || was.view.up !== view.up || was.view.down !== view.down) return true;
+    if (
+      was.view.left !== view.left || was.view.right !== view.right || was.view.up !== view.up ||
+      was.view.down !== view.down
+    ) {
+      return true;
+    }
     const moved = Math.hypot(...pose.position.map((v, k) => v - was.pose.position[k]));
     const size = this.scene.cells.size > 0 ? this.scene.cells.size : 4 * this.blocks.meanRadius;
     const cosine = Math.abs(pose.rotation.reduce((sum, v, k) => sum + v * was.pose.rotation[k], 0));
     const norms = Math.hypot(...pose.rotation) * Math.hypot(...was.pose.rotation);
-    return moved > MOVE * size || 2 * Math.acos(Math.min(cosine / norms, 1)) > TURN || this.currentRegime(cell) !== was.regime;
+    return moved > MOVE * size || 2 * Math.acos(Math.min(cosine / norms, 1)) > TURN ||
+      this.currentRegime(cell) !== was.regime;
   }
 
   private currentRegime(cell: number): Regime {
@@ -214,12 +226,22 @@ export class StaticSession {
     const found = this.rows.get(cell);
     if (found !== undefined) return found;
     const file = this.scene.files.get("cells")!, [start, end] = this.cells?.range(cell) ?? [0, 0];
-    const asked = this.cells === null ? Promise.resolve(everything(this.scene)) : this.parts.read(file, start, end).then((data) => parseRow(this.scene, data));
+    const asked = this.cells === null
+      ? Promise.resolve(everything(this.scene))
+      : this.parts.read(file, start, end).then((data) => parseRow(this.scene, data));
     const made = asked.catch((error: unknown) => {
       this.lose(error);
       return everything(this.scene);
     }).then((row) => {
-      if (this.rows.size >= KEPT_ROWS) for (const key of this.rows.keys()) if (this.rows.size >= KEPT_ROWS && key !== this.planned?.cell) this.rows.delete(key);
+      if (this.rows.size >= KEPT_ROWS) {
+        for (const key of this.rows.keys()) {
+          if (
+            this.rows.size >= KEPT_ROWS && key !== this.planned?.cell
+          ) {
+            this.rows.delete(key);
+          }
+        }
+      }
       this.rows.set(cell, row);
       this.pump();
       return row;
@@ -246,7 +268,9 @@ export class StaticSession {
 
   private async fetchRecords(run: Run): Promise<void> {
     const [first, end] = [this.blocks.start[run.first], this.blocks.start[run.end]], width = this.bytesEach - 16;
-    const harmonics = width === 0 ? null : this.read("harmonics", width * first, width * end).catch((error: unknown) => {
+    const harmonics = width === 0
+      ? null
+      : this.read("harmonics", width * first, width * end).catch((error: unknown) => {
       if (!this.isClosed) this.lose(error);
       return null;
     });
@@ -276,7 +300,9 @@ export class StaticSession {
       const size = this.blocks.termStart![b + 1] - this.blocks.termStart![b], own = data.subarray(at, at + size);
       at += size;
       if (this.held.records[b] !== HELD) continue;
-      const isRead = this.takeBlock(() => this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own)));
+      const isRead = this.takeBlock(
+        () => this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own)),
+      );
       if (!isRead) this.held.terms[b] = LOST;
     }
     return true;
@@ -300,7 +326,8 @@ export class StaticSession {
     try {
       this.replacedEnds ??= this.read("replaced", 0, 4 * (this.endingBefore[this.blocks.count] + 1));
       const head = await this.replacedEnds, ends = new DataView(head.buffer, head.byteOffset, head.byteLength);
-      const from = ends.getUint32(4 * low, true), data = await this.read("replaced", from, ends.getUint32(4 * high, true));
+      const from = ends.getUint32(4 * low, true),
+        data = await this.read("replaced", from, ends.getUint32(4 * high, true));
       const found: [number, Uint8Array][] = [];
       for (let b = run.first, k = low; b < run.end; b++) {
         if (this.blocks.last(b) === this.blocks.top) continue;
@@ -334,6 +361,8 @@ export class StaticSession {
   private message(): string | null {
     const [first] = this.losses.keys();
     if (first === undefined) return null;
-    return this.losses.size === 1 ? `A part of the scene is missing: ${first}` : `${this.losses.size} parts of the scene are missing, such as ${first}`;
+    return this.losses.size === 1
+      ? `A part of the scene is missing: ${first}`
+      : `${this.losses.size} parts of the scene are missing, such as ${first}`;
   }
 }

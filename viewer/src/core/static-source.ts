@@ -1,6 +1,8 @@
-// A source that reads a static scene (docs/static.md) from any file server, or from the page itself; the work is in a Worker.
-import type { Order, Report } from "./static-host.ts";
-import type { Pose, Source, SourceEvents, View } from "./types.ts";
+// A source that reads a static scene (docs/static.md) from any file server, or from the page itself; the work is in a
+// Worker.
+import type { StaticStart } from "./static-host.ts";
+import type { Source } from "./types.ts";
+import { workerSource } from "./worker-source.ts";
 
 /** Options of `staticSource`. */
 export interface StaticOptions {
@@ -8,58 +10,23 @@ export interface StaticOptions {
 }
 
 /** The address of a scene that the page holds itself, as the pages of `gsvis export --format html` do. */
-export const INLINE = "inline:";
+const INLINE = "inline:";
+
+// Written out, so that bundlers of other pages find the file.
+const startWorker = (): Worker => new Worker(
+  new URL("static.js", import.meta.url), { type: "module", name: "gsvis static" },
+);
 
 /** Return a source for the folder of a static scene, or for its scene.json. */
 export function staticSource(url: string | URL, options: StaticOptions = {}): Source {
-  let worker: Worker | null = null;
-  let isClosed = false, lastPose = "";
-  const waiting = new Map<string, Order>();
-  const order = (what: Order): void => {
-    if (worker === null) waiting.set(what.kind, what);
-    else worker.postMessage(what);
+  const begin = (): StaticStart | Error => {
+    const base = baseOf(url);
+    if (base === null) return new Error(`This is no address of a scene: ${String(url).slice(0, 200)}`);
+    return { base, held: base === INLINE ? filesOfPage() : null };
   };
-  return {
-    start(events: SourceEvents): void {
-      const fail = (message: string): void => {
-        if (!isClosed) events.state({ kind: "failed", message });
-        isClosed = true;
-      };
-      const base = baseOf(url);
-      if (base === null) return fail(`This is no address of a scene: ${String(url).slice(0, 200)}`);
-      try {
-        worker = options.worker?.() ?? new Worker(new URL("static.js", import.meta.url), { type: "module", name: "gsvis static" });
-      } catch (error) {
-        return fail(`The browser does not start the Worker that reads the scene: ${(error as Error).message}`);
-      }
-      worker.onerror = (event) => fail(`The Worker that reads the scene failed${event.message ? `: ${event.message}` : " to load."}`);
-      worker.onmessage = (event: MessageEvent<Report>) => {
-        if (!isClosed) pass(event.data, events);
-      };
-      worker.postMessage({ kind: "start", base, held: base === INLINE ? filesOfPage() : null } satisfies Order);
-      for (const what of waiting.values()) worker.postMessage(what);
-      waiting.clear();
-    },
-    pose(pose: Pose): void {
-      const said = [...pose.position, ...pose.rotation].join(" ");
-      if (said === lastPose) return;
-      lastPose = said;
-      order({ kind: "pose", pose: { position: [...pose.position], rotation: [...pose.rotation] } });
-    },
-    view: ({ left, right, up, down }: View) => order({ kind: "view", view: { left, right, up, down } }),
-    close(): void {
-      isClosed = true;
-      worker?.postMessage({ kind: "close" } satisfies Order);
-      worker = null;
-    },
-  };
-}
-
-function pass(report: Report, events: SourceEvents): void {
-  if (report.kind === "header") events.header(report.header, report.fresh);
-  else if (report.kind === "batch") events.batch(report.batch);
-  else if (report.kind === "state") events.state(report.state);
-  else events.traffic(report.traffic);
+  return workerSource<StaticStart>({
+    title: "the Worker that reads the scene", make: options.worker ?? startWorker, begin,
+  });
 }
 
 /** Return the address that names of files are relative to; null for none that can be read. */

@@ -1,17 +1,18 @@
 // The Worker that reads a static scene: planning and decoding never wait for drawing.
 import { StaticHost } from "./static-host.ts";
-import type { Order, Report } from "./static-host.ts";
+import type { StaticStart } from "./static-host.ts";
 import { HeldParts, HttpParts } from "./static-parts.ts";
-import type { Batch } from "./types.ts";
+import { REAL_TIME } from "./traffic.ts";
+import { buffersOf, type Order, type Report } from "./worker-source.ts";
 
 declare const self: DedicatedWorkerGlobalScope;
 
 let host: StaticHost | null = null;
 
-self.onmessage = (event: MessageEvent<Order>) => {
+self.onmessage = (event: MessageEvent<Order<StaticStart>>) => {
   const order = event.data;
   if (order.kind === "start") {
-    host = new StaticHost(post, { now: () => performance.now() / 1000 }, (events, stop) =>
+    host = new StaticHost(post, REAL_TIME, (events, stop) =>
       order.held === null ? new HttpParts(order.base, events, stop) : new HeldParts(order.held, events));
     void host.start();
   } else if (order.kind === "pose") host?.setPose(order.pose);
@@ -23,13 +24,5 @@ self.onmessage = (event: MessageEvent<Order>) => {
 };
 
 function post(report: Report): void {
-  self.postMessage(report, report.kind === "batch" ? buffersOf(report.batch) : []);
-}
-
-function buffersOf(batch: Batch): ArrayBuffer[] {
-  const found = new Set<ArrayBuffer>();
-  for (const value of Object.values(batch) as unknown[]) {
-    if (ArrayBuffer.isView(value) && value.buffer instanceof ArrayBuffer) found.add(value.buffer);
-  }
-  return [...found];
+  self.postMessage(report, buffersOf(report));
 }

@@ -1,4 +1,5 @@
-// What the GPU holds of a scene: records as they came, rows of chunks, terms as linked lists, tables, and the colors found.
+// What the GPU holds of a scene: records as they came, rows of chunks, terms as linked lists, tables, and the colors
+// found.
 import { harmonicTexels, packTables, padHarmonics, type PackedTables } from "./colors.ts";
 import { GrowingTexture, ROW } from "./textures.ts";
 import type { Batch, Header } from "./types.ts";

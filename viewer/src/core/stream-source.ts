@@ -1,8 +1,10 @@
-// A source that streams from a gsvis server. The socket and the decoding are in a Worker; this end passes messages on.
-import type { Order, Report } from "./network.host.ts";
+// A source that streams from a gsvis server. The socket and the decoding are in a Worker.
+import type { ConnectionOptions } from "./connection.ts";
+import type { Retry } from "./network.host.ts";
 import { MOST_BYTES } from "./receiver.ts";
-import type { Pose, Source, SourceEvents, View } from "./types.ts";
+import type { Source } from "./types.ts";
 import { isToken } from "./wire.ts";
+import { workerSource } from "./worker-source.ts";
 
 /** Options of `streamSource`. */
 export interface StreamOptions {
@@ -21,60 +23,24 @@ export interface StreamSource extends Source {
 const MARGIN = 0.14;
 const NEAR = 0.01;
 
+// Written out, so that bundlers of other pages find the file.
+const startWorker = (): Worker => new Worker(
+  new URL("network.js", import.meta.url), { type: "module", name: "gsvis network" },
+);
+
 /** Return a source for the address of a stream, such as `/stream/NAME`, of this page's host or another. */
 export function streamSource(url: string | URL, options: StreamOptions = {}): StreamSource {
-  let worker: Worker | null = null;
-  let lastPose = "", isClosed = false;
-  const waiting = new Map<string, Order>();
-  const order = (what: Order) => {
-    if (worker === null) waiting.set(what.kind, what);
-    else worker.postMessage(what);
+  const begin = (): { options: ConnectionOptions } | Error => {
+    const address = addressOf(url), token = options.token ?? null;
+    if (address instanceof Error) return address;
+    if (token !== null && !isToken(token)) return new Error("The token has characters that no token has.");
+    const reach = { margin: options.margin ?? MARGIN, near: options.near ?? NEAR };
+    return { options: { url: address, token, reach, mostBytes: options.mostBytes ?? MOST_BYTES } };
   };
-  return {
-    start(events: SourceEvents): void {
-      const fail = (message: string) => {
-        if (!isClosed) events.state({ kind: "failed", message });
-        isClosed = true;
-      };
-      const address = addressOf(url);
-      if (typeof address !== "string") return fail(address.message);
-      const token = options.token ?? null;
-      if (token !== null && !isToken(token)) return fail("The token has characters that no token has.");
-      try {
-        worker = options.worker?.() ?? new Worker(new URL("network.js", import.meta.url), { type: "module", name: "gsvis network" });
-      } catch (error) {
-        return fail(`The browser does not start the network Worker: ${(error as Error).message}`);
-      }
-      worker.onerror = (event) => fail(`The network Worker failed${event.message ? `: ${event.message}` : " to load."}`);
-      worker.onmessage = (event: MessageEvent<Report>) => {
-        if (!isClosed) pass(event.data, events);
-      };
-      const reach = { margin: options.margin ?? MARGIN, near: options.near ?? NEAR };
-      worker.postMessage({ kind: "start", options: { url: address, token, reach, mostBytes: options.mostBytes ?? MOST_BYTES } } satisfies Order);
-      for (const what of waiting.values()) worker.postMessage(what);
-      waiting.clear();
-    },
-    pose(pose: Pose): void {
-      const said = [...pose.position, ...pose.rotation].join(" ");
-      if (said === lastPose) return;
-      lastPose = said;
-      order({ kind: "pose", pose: { position: [...pose.position], rotation: [...pose.rotation] } });
-    },
-    view: ({ left, right, up, down }: View) => order({ kind: "view", view: { left, right, up, down } }),
-    retry: () => order({ kind: "retry" }),
-    close(): void {
-      isClosed = true;
-      worker?.postMessage({ kind: "close" } satisfies Order); // it ends itself once BYE has left
-      worker = null;
-    },
-  };
-}
-
-function pass(report: Report, events: SourceEvents): void {
-  if (report.kind === "header") events.header(report.header, report.fresh);
-  else if (report.kind === "batch") events.batch(report.batch);
-  else if (report.kind === "state") events.state(report.state);
-  else events.traffic(report.traffic);
+  const { tell, ...source } = workerSource<{ options: ConnectionOptions }, Retry>({
+    title: "the network Worker", make: options.worker ?? startWorker, begin,
+  });
+  return { ...source, retry: () => tell({ kind: "retry" }) };
 }
 
 /** Return the address as ws: or wss:, or an error that a person understands. */

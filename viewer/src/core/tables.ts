@@ -100,7 +100,9 @@ function geometric(low: number, high: number, bits: number): Float32Array {
 /** Return 2^bits - 1 values: entry i from the middle is floor (exp(k i) - 1), the last of them is the limit. */
 function compand(limit: number, floor: number, bits: number): Float32Array {
   const half = (1 << (bits - 1)) - 1, rate = Math.log1p(limit / floor) / half;
-  return withEnds(2 * half + 1, -limit, limit, (k) => Math.sign(k - half) * floor * Math.expm1(rate * Math.abs(k - half)));
+  return withEnds(
+    2 * half + 1, -limit, limit, (k) => Math.sign(k - half) * floor * Math.expm1(rate * Math.abs(k - half)),
+  );
 }
 
 /** Return even steps from low, once around. */
@@ -116,16 +118,22 @@ function withEnds(count: number, low: number, high: number, value: (k: number) =
 }
 
 /** Write the center of record `i` to `means` at `i`; `chunks` is as in `Batch`, and `row` counts from its beginning. */
-export function decodeMean(records: Uint32Array, i: number, chunks: Float32Array, row: number, layout: RecordLayout, means: Float32Array): void {
+export function decodeMean(
+  records: Uint32Array, i: number, chunks: Float32Array, row: number, layout: RecordLayout, means: Float32Array,
+): void {
   const width = layout.position + layout.rotation + layout.scale;
   for (let k = 0; k < 3; k++) {
-    const value = chunks[8 * row + k] + take(records, 128 * i + layout.from + k * width, layout.position) * chunks[8 * row + 4 + k];
+    const value = chunks[8 * row + k] + take(
+      records, 128 * i + layout.from + k * width, layout.position,
+    ) * chunks[8 * row + 4 + k];
     means[3 * i + k] = Math.min(Math.max(value, -LARGEST), LARGEST);
   }
 }
 
 /** Return the Gaussian of record `i`; `chunks` is as in `Batch`, and `row` counts from its beginning. */
-export function decodeRecord(records: Uint32Array, i: number, chunks: Float32Array, row: number, tables: Tables): Splat {
+export function decodeRecord(
+  records: Uint32Array, i: number, chunks: Float32Array, row: number, tables: Tables,
+): Splat {
   const { layout, base, scales } = tables;
   const width = layout.position + layout.rotation + layout.scale, half = (1 << (layout.rotation - 1)) - 1;
   const mean = new Float32Array(3), scale: number[] = [], v: number[] = [];
@@ -137,7 +145,9 @@ export function decodeRecord(records: Uint32Array, i: number, chunks: Float32Arr
     scale.push(Math.fround(2 ** (Math.min(Math.max(level, LEAST_LOG), MOST_LOG) / 64)));
   }
   const w = Math.sqrt(Math.max(0, 1 - v[0] * v[0] - v[1] * v[1] - v[2] * v[2]));
-  const place = (k: number, table: Float32Array) => table[Math.min(take(records, 128 * i + 8 * k, 8), table.length - 1)];
+  const place = (k: number, table: Float32Array) => table[
+    Math.min(take(records, 128 * i + 8 * k, 8), table.length - 1)
+  ];
   return {
     mean: [mean[0], mean[1], mean[2]],
     quat: [w, v[0], v[1], v[2]],
@@ -166,7 +176,9 @@ export function decodeTerm(terms: Uint32Array, i: number, tables: Tables): Term 
 }
 
 /** Return the RGB (>= 0) that an eye sees of a Gaussian with these terms. */
-export function colorSeen(splat: Splat, terms: Term[], eye: [number, number, number], variant: "rgb" | "hsl"): [number, number, number] {
+export function colorSeen(
+  splat: Splat, terms: Term[], eye: [number, number, number], variant: "rgb" | "hsl",
+): [number, number, number] {
   const away = splat.mean.map((value, k) => value - eye[k]), length = Math.hypot(...away);
   const x = length > 0 ? away.map((value) => value / length) : [0, 0, 1];
   const color = [...splat.base];
@@ -185,7 +197,7 @@ function clamp(value: number): number {
 }
 
 /** Return RGB of hue in turns, saturation and lightness in [0, 1]. */
-export function rgbOfHsl(hue: number, saturation: number, lightness: number): [number, number, number] {
+function rgbOfHsl(hue: number, saturation: number, lightness: number): [number, number, number] {
   const chroma = saturation * Math.min(lightness, 1 - lightness);
   const channel = (shift: number) => {
     const k = shift + 12 * hue, turn = k - 12 * Math.floor(k / 12);

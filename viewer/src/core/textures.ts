@@ -1,6 +1,7 @@
-// A texture of unsigned integers that is filled from its first texel on and grows, on the GPU, without a copy on the CPU.
+// A texture of unsigned integers that is filled from its first texel on and grows, on the GPU, without a copy on the
+// CPU.
 
-export type Format = "R32UI" | "RG32UI" | "RGBA32UI";
+type Format = "R32UI" | "RG32UI" | "RGBA32UI";
 
 /** Texels in a row of every growing texture. */
 export const ROW = 2048;
@@ -24,12 +25,18 @@ export class GrowingTexture {
   get rows(): number { return this.#rows; }
   get bytes(): number { return this.#rows * ROW * 4 * LENGTHS[this.#format]; }
 
-  /** Make room for `texels`; `most` bounds how far ahead it grows. Returns whether the texture is another one now. */
+  /**
+   * Make room for `texels`; `most` bounds how far ahead it grows. Returns whether the texture is another one now: never
+   * one of a lost context.
+   */
   reserve(texels: number, most = Infinity): boolean {
     const needed = Math.max(1, Math.ceil(texels / ROW));
-    if (needed <= this.#rows) return false;
-    const gl = this.#gl, limit = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
-    if (needed > limit) throw new Error(`this device draws at most ${limit * ROW} Gaussians or terms of a scene, got ${texels}`);
+    const gl = this.#gl;
+    if (needed <= this.#rows || gl.isContextLost()) return false;
+    const limit = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
+    if (needed > limit) {
+      throw new Error(`this device draws at most ${limit * ROW} Gaussians or terms of a scene, got ${texels}`);
+    }
     const ahead = Math.max(this.#rows * 2, needed > 1 ? LEAST_ROWS : 1);
     const rows = Math.min(limit, Math.max(needed, Math.min(ahead, Math.ceil(most / ROW))));
     const texture = gl.createTexture();

@@ -4,14 +4,18 @@
 /** Numbers that define the tables of base colors and terms; `colors` of WELCOME (docs/streaming.md). */
 export interface ColorTables {
   variant: "rgb" | "hsl";
-  precision: { name: string; base: number; scale: number; axis: number; center: number; decay: number; intensity: number };
+  precision: {
+    name: string; base: number; scale: number; axis: number; center: number; decay: number; intensity: number
+  };
   base: [number, number][];
   scales: [number, number];
   decays: [number, number];
   intensity: number;
 }
 
-/** Spherical harmonics of a bare scene: `bands` of (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`. */
+/**
+ * Spherical harmonics of a bare scene: `bands` of (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`.
+ */
 export interface HarmonicTables {
   degree: 1 | 2 | 3;
   low: number[];
@@ -39,7 +43,8 @@ export interface Header {
 }
 
 /**
- * What has arrived, decoded as far as the CPU needs it. Slots number the Gaussians in the order of their arrival, from 0 on; terms and
+ * What has arrived, decoded as far as the CPU needs it. Slots number the Gaussians in the order of their arrival, from
+ * 0 on; terms and
  * rows of chunks are numbered in the same way. All arrays may be transferred.
  */
 export interface Batch {
@@ -58,12 +63,13 @@ export interface Batch {
   harmonics: Uint8Array | null; // (3 K G) of a bare scene, K coefficients of R, G, B each
 }
 
-/** Where an eye is, and what it sees: tangents of the angles from the axis to the four borders. */
+/** Where an eye is: quaternion wxyz, world from camera. */
 export interface Pose {
   position: [number, number, number];
   rotation: [number, number, number, number];
 }
 
+/** What an eye sees: tangents of the angles from its axis to the four borders. */
 export interface View {
   left: number;
   right: number;
@@ -87,8 +93,10 @@ export type SourceState =
   | { kind: "streaming"; message?: string } // `message`: what is missing and gone round
   | { kind: "complete"; message?: string }
   | { kind: "waiting"; seconds: number; message: string } // the connection is lost; next try in `seconds`
-  | { kind: "failed"; message: string; code?: number }; // does not try again; `code` of ERROR: 2 another version, 4 token or origin
+  // does not try again; `code` of ERROR: 2 another version, 4 token or origin
+  | { kind: "failed"; message: string; code?: number };
 
+/** What has come so far. */
 export interface Traffic {
   bytes: number; // received so far
   rate: number; // bytes a second of late
@@ -98,6 +106,7 @@ export interface Traffic {
   reconnects: number;
 }
 
+/** What a source reports. */
 export interface SourceEvents {
   header(header: Header, fresh: boolean): void; // fresh: drop everything drawn so far
   batch(batch: Batch): void;

@@ -45,7 +45,7 @@ export interface Statistics {
   reconnects: number;
 }
 
-/** Events: `detail` of the last one is a sentence for people; the others say that a property has changed. */
+/** Names of events: `problem` has a sentence for people as `detail`, the others say that a property has changed. */
 export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlost" | "contextrestored" | "problem";
 
 /** Raised where the browser cannot draw at all. */
@@ -54,6 +54,7 @@ export class UnsupportedError extends Error {}
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
 const MIB = 2 ** 20;
 
+/** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
 export class Viewer extends EventTarget {
   readonly canvas: HTMLCanvasElement;
   readonly #gl: WebGL2RenderingContext;
@@ -71,7 +72,7 @@ export class Viewer extends EventTarget {
   #levels: boolean[] = [];
   #lost = false;
   #immersed = false;
-  #waiting: Batch[] | null = null; // what arrived while the GPU is filled anew
+  #waiting: Batch[] | null = null; // what arrived while the GPU is lost or filled anew
   #dirty = true;
   #version = 0; // of the data
   #sorted: { camera: Camera; version: number; region: Region } | null = null; // what the last order is for
@@ -81,21 +82,26 @@ export class Viewer extends EventTarget {
   #settled: (() => void)[] = [];
   #opened = 0;
   #replaced = 0; // since the last compaction
-  readonly #figures = { frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null };
+  readonly #figures = {
+    frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null,
+  };
   #traffic: Traffic = { bytes: 0, rate: 0, gaussians: 0, terms: 0, replaced: 0, reconnects: 0 };
 
-  /**
-   * Throws `UnsupportedError` where there is no WebGL2.
-   */
+  /** Draw on a canvas. Throws `UnsupportedError` where there is no WebGL2. */
   constructor(canvas: HTMLCanvasElement, options: ViewerOptions = {}) {
     super();
     this.canvas = canvas;
     this.#options = options;
-    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" });
+    const gl = canvas.getContext(
+      "webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" },
+    );
     if (!gl) throw new UnsupportedError("This browser does not offer WebGL2, or graphics are switched off in it.");
     this.#gl = gl;
     this.#renderer = new Renderer(gl, options.precision);
-    this.#look = { background: options.background ?? [0, 0, 0], antialiased: options.antialiased ?? false, paint: "color", detailed: true };
+    this.#look = {
+      background: options.background ?? [0, 0, 0], antialiased: options.antialiased ?? false, paint: "color",
+      detailed: true,
+    };
     this.#sorter = new Sorter(options.sortWorker);
     this.#sorter.onOrder = ({ order, count, milliseconds }) => this.#takeOrder(order, count, milliseconds);
     this.#sorter.onRenumbered = (slots) => this.#beginStore(slots);
@@ -147,7 +153,10 @@ export class Viewer extends EventTarget {
     this.#renderer.dispose();
   }
 
+  /** What is known of the scene, null before the source has said it. */
   get header(): Header | null { return this.#header; }
+
+  /** How the source fares. */
   get state(): SourceState { return this.#state; }
 
   /** Where the eye is and how wide it sees; setting it draws. */
@@ -162,11 +171,14 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
-  /** The exact camera of the canvas. Set one to draw it whatever the canvas's size on the page, until `camera` is set. */
+  /** The exact camera of the canvas. Set one to draw it whatever the size of the canvas, until `camera` is set. */
   get lens(): Camera {
     if (this.#fixed) return this.#fixed;
     const { clientWidth, clientHeight } = this.canvas, ratio = this.pixelRatio;
-    return cameraOf(this.#eye, Math.max(1, Math.round(clientWidth * ratio)), Math.max(1, Math.round(clientHeight * ratio)), this.#eye.fovY);
+    return cameraOf(
+      this.#eye, Math.max(1, Math.round(clientWidth * ratio)), Math.max(1, Math.round(clientHeight * ratio)),
+      this.#eye.fovY,
+    );
   }
 
   set lens(lens: Camera) {
@@ -186,6 +198,7 @@ export class Viewer extends EventTarget {
     return Math.min(globalThis.devicePixelRatio || 1, this.#options.maxPixelRatio ?? (isSmall() ? 1.5 : 2));
   }
 
+  /** What the colors show. */
   get paint(): Paint { return this.#look.paint; }
   set paint(paint: Paint) { this.#look.paint = paint; this.redraw(); }
 
@@ -193,9 +206,11 @@ export class Viewer extends EventTarget {
   get termsShown(): boolean { return this.#look.detailed; }
   set termsShown(shown: boolean) { this.#look.detailed = shown; this.redraw(); }
 
+  /** What lies behind the scene: RGB from 0 to 1. */
   get background(): [number, number, number] { return this.#look.background; }
   set background(background: [number, number, number]) { this.#look.background = background; this.redraw(); }
 
+  /** Whether opacities are lowered to make up for the blur of 0.3 square pixels. */
   get antialiased(): boolean { return this.#look.antialiased; }
   set antialiased(antialiased: boolean) { this.#look.antialiased = antialiased; this.redraw(); }
 
@@ -203,14 +218,16 @@ export class Viewer extends EventTarget {
   get levelsShown(): boolean[] { return this.#levels; }
   set levelsShown(shown: boolean[]) { this.#levels = shown; this.redraw(); }
 
+  /** Figures of this moment. */
   get statistics(): Statistics {
     const now = performance.now(), figures = this.#figures, { bytes, rate, reconnects } = this.#traffic;
     this.#recent = this.#recent.filter((time) => now - time < 1000);
     return {
-      fps: this.#recent.length, frames: figures.frames, frameMilliseconds: figures.frame, sortMilliseconds: figures.sort,
-      appendMilliseconds: figures.append, gaussians: this.#store?.count ?? 0, drawn: this.#renderer.count,
-      replaced: figures.replaced, terms: this.#store?.termCount ?? 0, dropped: figures.dropped, gpuBytes: this.#renderer.bytes,
-      firstImageSeconds: figures.first, precision: this.#renderer.precision, state: this.#state, bytes, rate, reconnects,
+      fps: this.#recent.length, frames: figures.frames, frameMilliseconds: figures.frame,
+      sortMilliseconds: figures.sort, appendMilliseconds: figures.append, gaussians: this.#store?.count ?? 0,
+      drawn: this.#renderer.count, replaced: figures.replaced, terms: this.#store?.termCount ?? 0,
+      dropped: figures.dropped, gpuBytes: this.#renderer.bytes, firstImageSeconds: figures.first,
+      precision: this.#renderer.precision, state: this.#state, bytes, rate, reconnects,
     };
   }
 
@@ -254,7 +271,10 @@ export class Viewer extends EventTarget {
     canvas.height = image.height;
     canvas.getContext("2d")?.putImageData(image, 0, 0);
     return new Promise((resolve, reject) => {
-      canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG of the picture."))), "image/png");
+      canvas.toBlob(
+        (blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG of the picture."))),
+        "image/png",
+      );
     });
   }
 
@@ -301,7 +321,8 @@ export class Viewer extends EventTarget {
       this.#figures.dropped = this.#figures.replaced = this.#replaced = 0;
       this.#waiting = null;
       this.#version += 1;
-      if (!this.#lost) {
+      if (this.#isLost()) this.#waiting = [];
+      else {
         this.#beginStore(null);
         this.#finishStore();
       }
@@ -310,20 +331,21 @@ export class Viewer extends EventTarget {
   }
 
   #takeBatch(batch: Batch): void {
+    if (this.#isLost()) this.#waiting ??= [];
     if (this.#waiting) {
       this.#waiting.push(batch);
       return;
     }
     const begin = performance.now(), store = this.#store;
     const fitting = this.#trim(batch);
-    if (!this.#lost) store?.append(fitting);
+    store?.append(fitting);
     this.#replaced += batch.gone.length;
     this.#figures.replaced += batch.gone.length;
     this.#version += 1;
     if (batch.owners.length) this.#dirty = true;
     this.#sorter.append(fitting);
     this.#figures.append = performance.now() - begin;
-    if (store && !this.#lost && this.#replaced > 100_000 && this.#replaced > store.count * 0.35) this.#refill();
+    if (store && this.#replaced > 100_000 && this.#replaced > store.count * 0.35) this.#refill();
     this.#request();
   }
 
@@ -331,25 +353,35 @@ export class Viewer extends EventTarget {
   #trim(batch: Batch): Batch {
     const store = this.#store, count = batch.ids.length;
     if (!store || count === 0) return batch;
-    const most = Math.min(store.most, (this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB) / (store.perGaussian + 36));
+    const memory = this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB;
+    const most = Math.min(store.most, memory / (store.perGaussian + 36));
     if (store.count + count <= most) return batch;
     if (this.#figures.dropped === 0) {
-      this.#say("problem", `This device's memory holds ${store.count.toLocaleString("en")} Gaussians of this scene; the others are left out.`);
+      this.#say(
+        "problem",
+        `This device's memory holds ${store.count.toLocaleString("en")} Gaussians of this scene;` +
+          " the others are left out.",
+      );
     }
     this.#figures.dropped += count;
     const none = new Uint32Array(0);
     return { ...batch, ids: none, records: none, rows: none, harmonics: null };
   }
 
+  /** Return whether the GPU has lost all; the event that says so may come later. */
+  #isLost(): boolean {
+    return this.#lost || this.#gl.isContextLost();
+  }
+
   /** Fill the GPU anew from what the Worker holds: after a lost context, or to close the gaps of what was replaced. */
   #refill(): void {
-    this.#waiting = [];
+    this.#waiting ??= [];
     this.#replaced = 0;
     this.#sorter.content();
   }
 
   #beginStore(slots: Uint32Array | null): void {
-    if (!this.#header || this.#lost) return;
+    if (!this.#header || this.#isLost()) return;
     this.#store?.dispose();
     this.#store = new Store(this.#gl, this.#header);
     this.#store.slots = slots;
@@ -378,14 +410,18 @@ export class Viewer extends EventTarget {
   #lose = (event: Event): void => {
     event.preventDefault(); // otherwise it never comes back
     this.#lost = true;
+    this.#waiting ??= [];
+    this.#sorter.forget();
     this.#say("contextlost");
   };
 
   #restore = (): void => {
+    if (this.#gl.isContextLost()) return; // lost once more since
     this.#lost = false;
     this.#renderer = new Renderer(this.#gl, this.#options.precision);
     this.#store = null;
     if (this.#header) this.#refill();
+    else this.#waiting = null;
     this.#say("contextrestored");
     this.redraw();
   };
@@ -401,9 +437,13 @@ export class Viewer extends EventTarget {
     if (!this.#store) return true;
     const turned = last ? angleBetween(last.camera, camera) : 0;
     const still = last !== null && sameCamera(last.camera, camera);
-    const slack = still ? last.region.right - camera.width : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
+    const slack = still
+      ? last.region.right - camera.width
+      : Math.ceil(Math.max(camera.width, camera.height) * Math.min(0.4, least + (1.5 * turned) / this.#eye.fovY));
     const { width, height } = camera;
-    const region: Region = { left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask() };
+    const region: Region = {
+      left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask(),
+    };
     const done = still && last.version === this.#version && last.region.levels === this.#mask();
     if (!done && !this.#sorter.sorting) {
       this.#asked = { camera, version: this.#version, region };
@@ -433,7 +473,9 @@ export class Viewer extends EventTarget {
       this.#renderer.draw(camera, this.#look);
       this.#count(begin);
       this.#figures.frame = performance.now() - begin;
-      if (this.#figures.first === null && this.#renderer.count) this.#figures.first = (performance.now() - this.#opened) / 1000;
+      if (this.#figures.first === null && this.#renderer.count) {
+        this.#figures.first = (performance.now() - this.#opened) / 1000;
+      }
       this.#say("frame");
     }
     if (ordered) for (const resolve of this.#settled.splice(0)) resolve();

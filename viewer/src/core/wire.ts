@@ -1,4 +1,5 @@
-// The messages of docs/streaming.md that are not batches: those of a client, and ERROR. Little-endian, byte 0 is the kind.
+// The messages of docs/streaming.md that are not batches: those of a client, and ERROR. Little-endian, byte 0 is the
+// kind.
 import type { Pose, View } from "./types.ts";
 
 /** Version of the messages. */
@@ -38,7 +39,9 @@ export function hello(view: View, reach: Reach, identity = "", holdings = new Ui
   const data = new DataView(out.buffer);
   out.set([1, PROTOCOL]);
   data.setUint32(4, holdings.length, true);
-  [view.left, view.right, view.up, view.down, reach.margin, reach.near].forEach((value, k) => data.setFloat32(8 + 4 * k, value, true));
+  [
+    view.left, view.right, view.up, view.down, reach.margin, reach.near,
+  ].forEach((value, k) => data.setFloat32(8 + 4 * k, value, true));
   for (let k = 0; k < identity.length / 2; k++) out[32 + k] = parseInt(identity.slice(2 * k, 2 * k + 2), 16);
   out.set(holdings, HELLO_BYTES);
   return out;
@@ -93,7 +96,8 @@ export function parseError(message: Uint8Array): { code: number; line: string } 
 /** Whether a pose can be sent: finite numbers in float32, and a rotation. */
 export function isPose(pose: Pose): boolean {
   const norm = Math.hypot(...pose.rotation);
-  return [...pose.position, ...pose.rotation].every((value) => Number.isFinite(Math.fround(value))) && norm > 1e-5 && norm < 1e5;
+  return [...pose.position, ...pose.rotation].every((value) => Number.isFinite(Math.fround(value))) && norm > 1e-5 &&
+    norm < 1e5;
 }
 
 /** Whether a view can be sent: an image with an inside, of sensible size. */

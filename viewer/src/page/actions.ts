@@ -2,7 +2,7 @@
 
 import type { IconName } from "./icons.ts";
 
-export interface Action {
+interface Action {
   id: string;
   label: string;
   key?: string; // as KeyboardEvent.key gives it, in lower case

@@ -15,13 +15,15 @@ export interface PageAddress {
   bare: boolean; // no interface
 }
 
-export interface Metas {
+interface Metas {
   scene: string | null; // name of a scene of this server
   content: string | null; // address of a static scene
   settings: string | null;
 }
 
-/** Read the address of a page: `?content=` names a folder of a static scene or a stream, `?settings=` a settings.json. */
+/**
+ * Read the address of a page: `?content=` names a folder of a static scene or a stream, `?settings=` a settings.json.
+ */
 export function readAddress(href: string, metas: Metas): PageAddress {
   const page = new URL(href);
   const query = page.searchParams;

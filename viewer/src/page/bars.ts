@@ -12,10 +12,18 @@ const WIDE_ONLY = new Set(["statistics", "share", "picture", "full"]); // phones
 export class TitleBar {
   readonly element = make("header", { class: "title" });
   private readonly state = make("p", { class: "state" });
-  private readonly progress = make("div", { class: "progress", role: "progressbar", "aria-label": "Loading", "aria-valuemin": 0, "aria-valuemax": 100, hidden: true });
+  private readonly progress = make(
+    "div",
+    {
+      class: "progress", role: "progressbar", "aria-label": "Loading", "aria-valuemin": 0, "aria-valuemax": 100,
+      hidden: true,
+    },
+  );
 
   constructor(name: string, home: string | null) {
-    const back = home ? make("a", { class: "tool", href: home, "aria-label": "All scenes", title: "All scenes" }, icon("back")) : null;
+    const back = home
+      ? make("a", { class: "tool", href: home, "aria-label": "All scenes", title: "All scenes" }, icon("back"))
+      : null;
     this.element.append(...(back ? [back] : []), make("div", {}, make("h1", {}, name), this.state), this.progress);
   }
 
@@ -40,7 +48,7 @@ export function toolBar(actions: Actions): HTMLElement {
   return bar;
 }
 
-export interface DockTargets {
+interface DockTargets {
   mode(): Mode;
   setMode(mode: Mode): void;
   views(): { count: number; label: string };
@@ -54,7 +62,8 @@ export class Dock {
 
   constructor(actions: Actions, private readonly targets: DockTargets) {
     this.modes = choices<Mode>("mode", "Way to move", [
-      { value: "orbit", label: "Orbit", icon: "orbit" }, { value: "fly", label: "Fly", icon: "fly" }, { value: "walk", label: "Walk", icon: "walk" },
+      { value: "orbit", label: "Orbit", icon: "orbit" }, { value: "fly", label: "Fly", icon: "fly" },
+      { value: "walk", label: "Walk", icon: "walk" },
     ], targets.mode, targets.setMode);
     this.views.append(actionButton(actions, "previous"), this.label, actionButton(actions, "next"));
     this.element.append(this.modes.element, actionButton(actions, "home"), this.views);

@@ -10,7 +10,7 @@ import { BAD_HASH, FAR_HASH } from "./messages.ts";
 import type { Mode } from "./navigator.ts";
 import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, distance, rotate, scale } from "./vector.ts";
+import { add, boundsOf, distance, rotate, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const PATIENCE = 2500; // milliseconds that a first picture waits for facts
@@ -23,14 +23,16 @@ export interface Surroundings {
   poses: readonly StartPose[]; // views that the scene itself proposes
 }
 
-export interface Beginning {
+interface Beginning {
   rig: Rig;
   mode: Mode;
   problem: string | null;
   focused: boolean; // whether it is known how far away lies what is looked at
 }
 
-export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, view.fov * DEGREES);
+export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(
+  view.eye, view.to, frame, view.fov * DEGREES,
+);
 
 /** Return views that the scene proposes as people write them. */
 export function viewsFromPoses(poses: readonly StartPose[]): View[] {
@@ -43,7 +45,9 @@ export function viewsFromPoses(poses: readonly StartPose[]): View[] {
 /** Ask for floor and cells; what does not come in time counts as unknown. */
 export async function survey(facts: Facts, poses: readonly StartPose[]): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
-  const [floor, cells, known] = await Promise.all([Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]);
+  const [floor, cells, known] = await Promise.all(
+    [Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]
+  );
   return { floor, cells, poses: poses.length ? poses : (known ?? []) };
 }
 
@@ -77,14 +81,16 @@ function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }:
 }
 
 function isFar(eye: Vec3, cells: Cells): boolean {
-  const middle = add(cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)));
+  const middle = add(
+    cells.origin, scale(cells.boxes.reduce(add, [0, 0, 0]), cells.size / Math.max(cells.boxes.length, 1)),
+  );
   return distance(eye, middle) > FAR * extent(cells);
 }
 
 function extent(cells: Cells): number {
   const sides = [0, 1, 2].map((k) => {
-    const places = cells.boxes.map((box) => box[k]);
-    return (Math.max(...places) - Math.min(...places) + 1) * cells.size;
+    const [low, high] = boundsOf(cells.boxes.map((box) => box[k]));
+    return (high - low + 1) * cells.size;
   });
   return Math.hypot(...sides);
 }

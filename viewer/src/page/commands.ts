@@ -31,20 +31,31 @@ export interface Commands {
 export function defineActions(actions: Actions, page: Commands): void {
   const several = (): boolean => page.views() > 1;
   const all = [
-    { id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: page.inspecting, run: page.toggleInspecting },
+    {
+      id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: page.inspecting,
+      run: page.toggleInspecting,
+    },
     { id: "options", label: "Options", key: "o", icon: "options", pressed: page.optionsShown, run: page.toggleOptions },
-    { id: "statistics", label: "Statistics", key: "t", icon: "statistics", pressed: page.statisticsShown, run: page.toggleStatistics },
+    {
+      id: "statistics", label: "Statistics", key: "t", icon: "statistics", pressed: page.statisticsShown,
+      run: page.toggleStatistics,
+    },
     { id: "share", label: "Copy link to this view", key: "c", icon: "share", run: page.share },
     { id: "picture", label: "Save picture", key: "p", icon: "picture", run: page.savePicture },
     { id: "paint", label: "Color shows the next", key: "g", run: page.nextPaint },
     { id: "cells", label: "Cells", key: "b", available: page.cellsKnown, run: page.toggleCells },
     { id: "home", label: "First view", key: "r", icon: "home", run: page.goHome },
-    { id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => page.stepView(-1) },
+    {
+      id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => page.stepView(-1),
+    },
     { id: "next", label: "Next view", key: ".", icon: "next", available: several, run: () => page.stepView(1) },
     { id: "mode", label: "Next way to move", key: "m", run: page.nextMode },
     { id: "full", label: "Full screen", key: "f", icon: "full", available: () => document.fullscreenEnabled === true,
       pressed: () => document.fullscreenElement !== null, run: page.toggleFull },
-    { id: "vr", label: "Virtual reality", key: "v", icon: "headset", available: page.vrOffered, pressed: page.vrOn, run: page.toggleVr },
+    {
+      id: "vr", label: "Virtual reality", key: "v", icon: "headset", available: page.vrOffered, pressed: page.vrOn,
+      run: page.toggleVr,
+    },
     { id: "theme", label: "Dark or light", key: "l", run: page.toggleTheme },
     { id: "hide", label: "Only the scene", key: "x", run: page.toggleBare },
     { id: "help", label: "Help", key: "?", icon: "help", run: page.help },

@@ -33,14 +33,19 @@ export interface Choice<T extends string> {
 
 /** Radio buttons that look like one control. `refresh` shows the choice of `current` again. */
 export function choices<T extends string>(
-  name: string, label: string, options: readonly Choice<T>[], current: () => T, choose: (value: T) => void, look = "segments",
+  name: string, label: string, options: readonly Choice<T>[], current: () => T, choose: (value: T) => void,
+  look = "segments",
 ): { element: HTMLFieldSetElement; refresh(): void } {
-  const inputs = options.map((option) => make("input", { type: "radio", name, value: option.value, id: `${name}-${option.value}` }));
+  const inputs = options.map(
+    (option) => make("input", { type: "radio", name, value: option.value, id: `${name}-${option.value}` }),
+  );
   const element = make("fieldset", { class: look }, make("legend", {}, label));
   options.forEach((option, i) => {
     on(inputs[i], "change", () => choose(option.value));
     const text = make("span", {}, option.label);
-    const shown = make("label", { for: inputs[i].id, title: option.label }, option.icon ? icon(option.icon) : null, text);
+    const shown = make(
+      "label", { for: inputs[i].id, title: option.label }, option.icon ? icon(option.icon) : null, text,
+    );
     element.append(inputs[i], shown);
   });
   const refresh = (): void => inputs.forEach((input) => (input.checked = input.value === current()));
@@ -49,23 +54,29 @@ export function choices<T extends string>(
 }
 
 /** A switch with a label and a line below it. */
-export function toggle(label: string, text: string, current: () => boolean, change: (on: boolean) => void): { element: HTMLLabelElement; refresh(): void } {
+export function toggle(
+  label: string, text: string, current: () => boolean, change: (on: boolean) => void,
+): { element: HTMLLabelElement; refresh(): void } {
   const input = make("input", { type: "checkbox", role: "switch" });
   on(input, "change", () => change(input.checked));
-  const element = make("label", { class: "switch" }, make("span", {}, label, text ? make("small", {}, text) : null), input);
+  const element = make(
+    "label", { class: "switch" }, make("span", {}, label, text ? make("small", {}, text) : null), input,
+  );
   const refresh = (): void => void (input.checked = current());
   refresh();
   return { element, refresh };
 }
 
-export interface Scale {
+interface Scale {
   low: number;
   high: number;
   step: number;
   text(value: number): string;
 }
 
-export function slider(id: string, label: string, scale: Scale, current: () => number, change: (value: number) => void): { element: HTMLDivElement; refresh(): void } {
+export function slider(
+  id: string, label: string, scale: Scale, current: () => number, change: (value: number) => void,
+): { element: HTMLDivElement; refresh(): void } {
   const input = make("input", { type: "range", id, min: scale.low, max: scale.high, step: scale.step });
   const output = make("output", { for: id });
   const refresh = (): void => {

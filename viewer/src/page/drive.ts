@@ -13,7 +13,7 @@ import { frameFromUp } from "./vector.ts";
 const REST_MS = 300; // without motion, after which a view is at rest
 const LONGEST_FRAME = 0.25; // seconds of motion in one frame
 
-export interface DriveTargets {
+interface DriveTargets {
   actions: Actions;
   moved(): void;
   rested(): void;
@@ -46,7 +46,10 @@ export class Drive {
   listen(canvas: HTMLCanvasElement): void {
     const { navigator, targets } = this;
     const wake = (): void => this.wake();
-    new Pointers(canvas, { navigator, wake, click: (x, y, event) => targets.click(x, y, event.altKey), doubleClick: targets.doubleClick });
+    new Pointers(
+      canvas,
+      { navigator, wake, click: (x, y, event) => targets.click(x, y, event.altKey), doubleClick: targets.doubleClick },
+    );
     this.keyboard?.stop();
     this.keyboard = new Keyboard(canvas, {
       actions: targets.actions, mode: () => navigator.mode, wake, view: targets.view, escape: targets.escape,

@@ -3,6 +3,7 @@
 
 import type { Pose } from "../core/types.ts";
 import type { Floor } from "./ground.ts";
+import { fields, isPositive, list, numbers, vector } from "./json.ts";
 import { normalize } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 
@@ -19,7 +20,6 @@ export interface Cells {
 
 export interface Sight {
   cell: number;
-  distance: number;
   weight: [number, number] | null; // least and most share of a pixel
 }
 
@@ -29,8 +29,11 @@ export interface Why {
 }
 
 const MOST_POSES = 99;
-
-type Fields = Record<string, unknown>;
+const MOST_PLACE = 1e9; // of a box in the grid
+const MOST_CELLS = 100_000; // of more nothing is said
+const MOST_SQUARES = 1 << 24; // of a floor
+const MOST_DIRECTIONS = 1000;
+const MOST_KEPT = 200; // answers
 
 export class Facts {
   private readonly kept = new Map<string, Promise<unknown>>();
@@ -64,9 +67,16 @@ export class Facts {
     const known = this.kept.get(path);
     if (known) return known;
     const answer = fetch(this.base + path, { headers: { accept: "application/json" } })
-      .then((response): unknown => (response.ok ? response.json() : null))
-      .catch(() => null);
-    if (this.kept.size > 200) this.kept.clear();
+      .then((response): unknown => {
+        if (response.ok) return response.json();
+        if (response.status !== 404) this.kept.delete(path); // not known for good: asked again
+        return null;
+      })
+      .catch(() => {
+        this.kept.delete(path);
+        return null;
+      });
+    if (this.kept.size >= MOST_KEPT) this.kept.clear();
     this.kept.set(path, answer);
     return answer;
   }
@@ -75,29 +85,29 @@ export class Facts {
 export function readFloor(json: unknown): Floor | null {
   const it = fields(json);
   if (!it) return null;
-  const [origin, first, second, up] = [it.origin, it.first, it.second, it.up].map(vector);
+  const [origin, first, second, up] = [it.origin, it.first, it.second, it.up].map((value) => vector(value));
   const { side, columns, rows, heights } = it;
-  if (!origin || !first || !second || !up || !positive(side) || !positive(columns) || !positive(rows)) return null;
-  if (!Array.isArray(heights) || heights.length !== columns * rows) return null;
+  if (!origin || !first || !second || !up || !isPositive(side) || !isCount(columns) || !isCount(rows)) return null;
+  if (!Array.isArray(heights) || heights.length !== columns * rows || heights.length > MOST_SQUARES) return null;
   const levels = Float32Array.from(heights, (height) => (typeof height === "number" ? height : NaN));
   return levels.some(Number.isFinite) ? { origin, side, first, second, up, columns, rows, heights: levels } : null;
 }
 
+/** Return cells; null where there are none, too many, or one that is no box: other answers count them. */
 export function readCells(json: unknown): Cells | null {
   const it = fields(json);
-  const origin = vector(it?.origin);
-  if (!it || !origin || !positive(it.size) || !Array.isArray(it.boxes)) return null;
-  return { origin, size: it.size, boxes: it.boxes.map(vector).filter((box): box is Vec3 => box !== null) };
+  const origin = vector(it?.origin), boxes = list(it?.boxes, MOST_CELLS + 1).map((box) => vector(box, MOST_PLACE));
+  if (!it || !origin || !isPositive(it.size) || boxes.length === 0 || boxes.length > MOST_CELLS) return null;
+  return boxes.includes(null) ? null : { origin, size: it.size, boxes: boxes as Vec3[] };
 }
 
 /** Return the poses in a list; what is none is left out. */
 export function readPoses(json: unknown): StartPose[] {
-  const numbers = (value: unknown, count: number): boolean => Array.isArray(value) && value.length === count && value.every((x) => Number.isFinite(x));
-  return (Array.isArray(json) ? json.slice(0, MOST_POSES) : []).flatMap((each) => {
-    const it = fields(each);
-    if (!it || !numbers(it.position, 3) || !numbers(it.rotation, 4)) return [];
-    const mode: Pick<StartPose, "mode"> = it.mode === "orbit" || it.mode === "fly" ? { mode: it.mode } : {};
-    return [{ position: it.position as Vec3, rotation: it.rotation as Pose["rotation"], ...mode }];
+  return list(json, MOST_POSES).flatMap((each) => {
+    const it = fields(each), position = vector(it?.position);
+    const rotation = numbers(it?.rotation, 4) as Pose["rotation"] | null;
+    if (!it || !position || !rotation) return [];
+    return [{ position, rotation, ...(it.mode === "orbit" || it.mode === "fly" ? { mode: it.mode } : {}) }];
   });
 }
 
@@ -105,31 +115,26 @@ export function readWhy(json: unknown): Why | null {
   const it = fields(json);
   if (!it) return null;
   const [cells, directions] = [fields(it.cells), fields(it.directions)];
-  const seeing = (Array.isArray(cells?.seeing) ? cells.seeing : []).map(readSight).filter((sight): sight is Sight => sight !== null);
-  const seen = (Array.isArray(directions?.seen) ? directions.seen : []).map((one) => vector(Array.isArray(one?.[0]) ? one[0] : one));
+  const seeing = list(cells?.seeing, MOST_CELLS).map(readSight).filter((sight): sight is Sight => sight !== null);
+  const seen = list(directions?.seen, MOST_DIRECTIONS).map(
+    (one) => vector(Array.isArray(one) && Array.isArray(one[0]) ? one[0] : one),
+  );
   return {
-    cells: cells && positive(cells.of) ? { of: cells.of, seeing } : null,
-    directions: directions && positive(directions.of)
-      ? { of: directions.of, seen: seen.filter((one): one is Vec3 => one !== null).map((one) => normalize(one)) } : null,
+    cells: cells && isPositive(cells.of) ? { of: cells.of, seeing } : null,
+    directions: directions && isPositive(directions.of)
+      ? {
+        of: directions.of, seen: seen.filter((one): one is Vec3 => one !== null).map((one) => normalize(one)),
+      } : null,
   };
 }
 
 function readSight(json: unknown): Sight | null {
   const it = fields(json);
-  if (typeof it?.cell !== "number" || typeof it.distance !== "number") return null;
-  const weight = it.weight;
-  const known = Array.isArray(weight) && weight.length === 2 && weight.every((x) => typeof x === "number");
-  return { cell: it.cell, distance: it.distance, weight: known ? (weight as [number, number]) : null };
+  if (typeof it?.cell !== "number") return null;
+  return { cell: it.cell, weight: numbers(it.weight, 2) as [number, number] | null };
 }
 
-function fields(value: unknown): Fields | null {
-  return typeof value === "object" && value !== null && !Array.isArray(value) ? (value as Fields) : null;
-}
-
-function vector(value: unknown): Vec3 | null {
-  return Array.isArray(value) && value.length === 3 && value.every((x) => Number.isFinite(x)) ? (value as Vec3) : null;
-}
-
-function positive(value: unknown): value is number {
-  return typeof value === "number" && Number.isFinite(value) && value > 0;
+/** Whether a value is a whole number above 0. */
+function isCount(value: unknown): value is number {
+  return isPositive(value) && Number.isInteger(value);
 }

@@ -3,9 +3,10 @@
 import type { Held } from "./navigator.ts";
 
 const DEAD = 0.12; // of a stick
-const ACTIONS: Record<number, string> = { 0: "mode", 1: "home", 2: "inspect", 3: "statistics", 14: "previous", 15: "next" };
+const ACTIONS: Record<number,
+  string> = { 0: "mode", 1: "home", 2: "inspect", 3: "statistics", 14: "previous", 15: "next" };
 
-export interface PadState {
+interface PadState {
   axes: readonly number[];
   buttons: readonly { pressed: boolean; value: number }[];
 }
@@ -53,6 +54,8 @@ export class Gamepads {
 
   private pads(): Gamepad[] {
     if (document.hidden || !navigator.getGamepads) return [];
-    return navigator.getGamepads().filter((pad): pad is Gamepad => pad !== null && pad.connected && pad.mapping === "standard");
+    return navigator.getGamepads().filter(
+      (pad): pad is Gamepad => pad !== null && pad.connected && pad.mapping === "standard",
+    );
   }
 }

@@ -4,7 +4,7 @@ import { draw } from "./dom.ts";
 import { cross, dot, normalize, scale, add, subtract } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 
-export interface Face {
+interface Face {
   corners: [Vec3, Vec3, Vec3];
   center: Vec3;
 }
@@ -56,11 +56,18 @@ export function drawGlobe(seen: readonly Vec3[], toEye: Vec3, up: Vec3): SVGSVGE
   const level = cross(up, z);
   const x = normalize(level, cross([z[1], z[2], z[0]], z));
   const y = cross(z, x);
-  const svg = draw("svg", { viewBox: "-52 -52 104 104", class: "globe", "aria-hidden": "true" }, draw("circle", { r: 50, class: "rim" }));
-  const order = faces.map((face, i) => ({ face, lit: lit[i], depth: dot(face.center, z) })).sort((a, b) => a.depth - b.depth);
+  const svg = draw(
+    "svg", { viewBox: "-52 -52 104 104", class: "globe", "aria-hidden": "true" },
+    draw("circle", { r: 50, class: "rim" }),
+  );
+  const order = faces.map(
+    (face, i) => ({ face, lit: lit[i], depth: dot(face.center, z) }),
+  ).sort((a, b) => a.depth - b.depth);
   for (const { face, lit: shown, depth } of order) {
     if (depth < 0 && !shown) continue;
-    const points = face.corners.map((corner) => scale(corner, 50)).map((p) => `${dot(p, x).toFixed(1)},${(-dot(p, y)).toFixed(1)}`);
+    const points = face.corners.map((corner) => scale(corner, 50)).map(
+      (p) => `${dot(p, x).toFixed(1)},${(-dot(p, y)).toFixed(1)}`,
+    );
     const side = depth < 0 ? "back" : "front";
     svg.append(draw("polygon", { points: points.join(" "), class: `${side}${shown ? " seen" : ""}` }));
   }

@@ -36,7 +36,9 @@ export interface Floor {
 }
 
 /** Return `x` if it lies in a square, else the nearest place well inside. */
-const inside = (x: number, square: number): number => (x >= square && x < square + 1 ? x : clamp(x, square + 0.01, square + 0.99));
+const inside = (x: number, square: number): number => (x >= square && x < square + 1 ? x : clamp(
+  x, square + 0.01, square + 0.99,
+));
 
 const MOST_STEP = 0.5; // of a square: what is thinner than a square still stops a walker
 

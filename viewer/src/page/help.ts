@@ -49,6 +49,10 @@ export class Help {
 
 function table(title: string, rows: [string, string][]): HTMLElement {
   const list = make("dl");
-  for (const [key, text] of rows) list.append(make("div", {}, make("dt", {}, make("kbd", {}, key)), make("dd", {}, text)));
+  for (const [key, text] of rows) {
+    list.append(
+      make("div", {}, make("dt", {}, make("kbd", {}, key)), make("dd", {}, text))
+    );
+  }
   return make("section", {}, make("h3", {}, title), list);
 }

@@ -8,7 +8,7 @@ import type { ViewerLike } from "./viewer-like.ts";
 import { describePick, describeWhy } from "./why-card.ts";
 import type { Place } from "./why-card.ts";
 
-export interface InspectorTargets {
+interface InspectorTargets {
   side: Side;
   facts(): Facts;
   viewer(): ViewerLike | null;
@@ -47,7 +47,9 @@ export class Inspector {
     side.open("why", TITLE, summary, pending);
     const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);
     if (!pending.isConnected) return;
-    pending.replaceWith(...(why ? describeWhy(why, pick, cells, this.targets.place()) : [note("The server knows no more about it.")]));
+    pending.replaceWith(
+      ...(why ? describeWhy(why, pick, cells, this.targets.place()) : [note("The server knows no more about it.")])
+    );
   }
 }
 

@@ -4,12 +4,15 @@ import type { Actions } from "./actions.ts";
 import type { Held, Mode } from "./navigator.ts";
 
 const MOVES: Record<string, Partial<Held>> = {
-  KeyW: { ahead: 1 }, KeyS: { ahead: -1 }, KeyA: { aside: -1 }, KeyD: { aside: 1 }, KeyE: { above: 1 }, KeyQ: { above: -1 },
+  KeyW: { ahead: 1 }, KeyS: { ahead: -1 }, KeyA: { aside: -1 }, KeyD: { aside: 1 }, KeyE: { above: 1 },
+  KeyQ: { above: -1 },
   ArrowLeft: { turn: -1 }, ArrowRight: { turn: 1 }, PageUp: { tilt: 1 }, PageDown: { tilt: -1 },
 };
-const ARROWS = { orbit: { ArrowUp: { tilt: 1 }, ArrowDown: { tilt: -1 } }, other: { ArrowUp: { ahead: 1 }, ArrowDown: { ahead: -1 } } };
+const ARROWS = {
+  orbit: { ArrowUp: { tilt: 1 }, ArrowDown: { tilt: -1 } }, other: { ArrowUp: { ahead: 1 }, ArrowDown: { ahead: -1 } },
+};
 
-export interface KeyTargets {
+interface KeyTargets {
   actions: Actions;
   mode(): Mode;
   wake(): void;

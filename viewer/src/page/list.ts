@@ -5,7 +5,7 @@ import { formatCount } from "./format.ts";
 import { icon } from "./icons.ts";
 import { ThemeChoice } from "./theme.ts";
 
-export interface ListedScene {
+interface ListedScene {
   name: string;
   href: string;
   gaussians: number | null;
@@ -16,7 +16,9 @@ export function readScenes(json: unknown): ListedScene[] {
   const all = typeof json === "object" && json !== null && "scenes" in json ? json.scenes : json;
   const rows: [string, unknown][] = Array.isArray(all) ? all.map((row) => [nameOf(row), row])
     : typeof all === "object" && all !== null ? Object.entries(all) : [];
-  return rows.filter(([name]) => name).map(([name, row]) => ({ name, href: `view/${encodeURIComponent(name)}`, gaussians: countOf(row) }));
+  return rows.filter(([name]) => name).map(
+    ([name, row]) => ({ name, href: `view/${encodeURIComponent(name)}`, gaussians: countOf(row) }),
+  );
 }
 
 function nameOf(row: unknown): string {
@@ -25,7 +27,8 @@ function nameOf(row: unknown): string {
 }
 
 function countOf(row: unknown): number | null {
-  return typeof row === "object" && row !== null && "gaussians" in row && typeof row.gaussians === "number" ? row.gaussians : null;
+  return typeof row === "object" && row !== null && "gaussians" in row &&
+    typeof row.gaussians === "number" ? row.gaussians : null;
 }
 
 export async function showList(): Promise<void> {
@@ -46,5 +49,7 @@ export async function showList(): Promise<void> {
 
 function row(scene: ListedScene): HTMLLIElement {
   const count = scene.gaussians === null ? null : make("small", {}, `${formatCount(scene.gaussians)} Gaussians`);
-  return make("li", {}, make("a", { href: scene.href }, make("span", {}, make("b", {}, scene.name), count), icon("next")));
+  return make(
+    "li", {}, make("a", { href: scene.href }, make("span", {}, make("b", {}, scene.name), count), icon("next")),
+  );
 }

@@ -4,7 +4,7 @@ import { draw } from "./dom.ts";
 import type { Cells, Sight } from "./facts.ts";
 import { forward } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, dot, scale } from "./vector.ts";
+import { add, boundsOf, dot, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const SIDE = 200; // of the picture, its own units
@@ -15,8 +15,8 @@ export function drawMap(cells: Cells, seeing: readonly Sight[], at: Vec3, rig: R
   const half = cells.size / 2;
   const centers = cells.boxes.map((box) => flat(add(cells.origin, scale(add(box, [0.5, 0.5, 0.5]), cells.size))));
   const all = [...centers, flat(at), flat(rig.eye)];
-  const low = [0, 1].map((k) => Math.min(...all.map((p) => p[k])) - half);
-  const high = [0, 1].map((k) => Math.max(...all.map((p) => p[k])) + half);
+  const bounds = [0, 1].map((k) => boundsOf(all.map((p) => p[k])));
+  const low = bounds.map(([least]) => least - half), high = bounds.map(([, most]) => most + half);
   const size = Math.max(high[0] - low[0], high[1] - low[1], 1e-9);
   const zoom = (SIDE - 2 * MARGIN) / size;
   const place = ([x, y]: [number, number]): [number, number] => [
@@ -33,7 +33,13 @@ export function drawMap(cells: Cells, seeing: readonly Sight[], at: Vec3, rig: R
   const side = Math.max(cells.size * zoom - 0.6, 1);
   const svg = draw("svg", { viewBox: `0 0 ${SIDE} ${SIDE}`, class: "map", "aria-hidden": "true" });
   for (const { at: [x, y], weight } of columns.values()) {
-    const box = draw("rect", { x: x - side / 2, y: y - side / 2, width: side, height: side, rx: Math.min(1.5, side / 4), class: weight ? "seeing" : "cell" });
+    const box = draw(
+      "rect",
+      {
+        x: x - side / 2, y: y - side / 2, width: side, height: side, rx: Math.min(1.5, side / 4),
+        class: weight ? "seeing" : "cell",
+      },
+    );
     if (weight) box.style.setProperty("opacity", String(0.35 + 0.65 * Math.min(1, Math.sqrt(weight))));
     svg.append(box);
   }
@@ -44,7 +50,9 @@ export function drawMap(cells: Cells, seeing: readonly Sight[], at: Vec3, rig: R
   svg.append(
     draw("line", { x1: ex, y1: ey, x2: gx, y2: gy, class: "sight" }),
     draw("circle", { cx: gx, cy: gy, r: 4, class: "gaussian" }),
-    draw("path", { d: "M9 0L-5 5.5L-2.5 0L-5 -5.5z", class: "eye", transform: `translate(${ex} ${ey}) rotate(${turned})` }),
+    draw(
+      "path", { d: "M9 0L-5 5.5L-2.5 0L-5 -5.5z", class: "eye", transform: `translate(${ex} ${ey}) rotate(${turned})` },
+    ),
   );
   return svg;
 }

@@ -13,7 +13,8 @@ export interface Message {
 
 export const NO_WEBGL: Message = {
   title: "This browser cannot draw the scene",
-  text: "The viewer needs WebGL2, and this browser does not offer it. It may be switched off, or the graphics driver may be blocked. A current Firefox, Chrome, Edge or Safari has it.",
+  text: "The viewer needs WebGL2, and this browser does not offer it. It may be switched off, or the " +
+    "graphics driver may be blocked. A current Firefox, Chrome, Edge or Safari has it.",
 };
 
 export const NO_SCENE: Message = {
@@ -28,10 +29,21 @@ export const FAR_HASH = "The view in the address lies outside of the scene. You 
 /** Return what to say when a source has given up. */
 export function explainFailure(message: string, code?: number): Message {
   const detail = message.slice(0, 1000);
-  if (code === 4) return { title: "The server did not let this page in", text: "If it needs a token, enter the one that you got from whoever runs it.", detail, token: true };
+  if (code === 4) {
+    return {
+      title: "The server did not let this page in",
+      text: "If it needs a token, enter the one that you got from whoever runs it.", detail, token: true,
+    };
+  }
   const known: Record<number, [string, string]> = {
-    1: ["The server refused a message", "Viewer and server do not understand each other. Load the page again; it may come from an older server."],
-    2: ["Viewer and server differ in version", "Load the page again without the cache, so that the viewer of this server is used."],
+    1: [
+      "The server refused a message",
+      "Viewer and server do not understand each other. Load the page again; it may come from an older server.",
+    ],
+    2: [
+      "Viewer and server differ in version",
+      "Load the page again without the cache, so that the viewer of this server is used.",
+    ],
     3: ["The server has ended the connection", "A limit of the server was exceeded."],
     5: ["The server is full", "All places are taken. Try again in a moment."],
     6: ["The server has ended the connection", "A limit of the server was exceeded."],
@@ -39,7 +51,8 @@ export function explainFailure(message: string, code?: number): Message {
     8: ["The server has a problem", "It reported an internal error."],
     9: ["The server has shut down", "Try again when it is back."],
   };
-  const [title, text] = known[code ?? 0] ?? ["The scene cannot be loaded", "It may have been moved, or the server may be unreachable."];
+  const [title, text] = known[code ?? 0] ??
+    ["The scene cannot be loaded", "It may have been moved, or the server may be unreachable."];
   return { title, text, detail, retry: true };
 }
 
@@ -49,7 +62,8 @@ export function describeState(state: SourceState, gaussians: number): string {
     case "connecting": return "Connecting …";
     case "streaming": return gaussians ? `Loading · ${formatCount(gaussians)}` : "Loading …";
     case "complete": return `${formatCount(gaussians)} Gaussians`;
-    case "waiting": return state.seconds >= 1 ? `Offline · next try in ${Math.ceil(state.seconds)} s` : "Offline · trying again";
+    case "waiting":
+      return state.seconds >= 1 ? `Offline · next try in ${Math.ceil(state.seconds)} s` : "Offline · trying again";
     case "failed": return "Stopped";
   }
 }

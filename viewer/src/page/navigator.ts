@@ -3,10 +3,10 @@
 
 import { LevelGround } from "./ground.ts";
 import type { Ground } from "./ground.ts";
-import { alike, approach, aroundBetween, between, forward, look, orbit, pivot, rigFromTarget, slide, walk } from "./rig.ts";
+import { alike, approach, aroundBetween, between, look, orbit, pivot, rigFromTarget, slide, walk } from "./rig.ts";
 import { LEAST_FOV, MOST_FOV } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, clamp, distance, mix, scale, subtract } from "./vector.ts";
+import { add, clamp, distance, mix, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 export type Mode = "orbit" | "fly" | "walk";
@@ -126,11 +126,6 @@ export class Navigator {
     }
   }
 
-  /** Change the field of view by a factor. */
-  widen(factor: number): void {
-    this.setFov(this.wanted.fovY * factor);
-  }
-
   setFov(fovY: number): void {
     this.wanted = { ...this.wanted, fovY: clamp(fovY, LEAST_FOV, MOST_FOV) };
   }
@@ -169,7 +164,9 @@ export class Navigator {
     const turn = TURN_SPEED * seconds;
     if (this.mode === "orbit") this.wanted = orbit(this.wanted, this.frame, -held.turn * turn, -held.tilt * turn);
     else this.wanted = look(this.wanted, held.turn * turn, held.tilt * turn);
-    const fit = this.mode === "orbit" ? Math.max(0.3 * this.wanted.reach, 0.2 * this.meter) : METERS_A_SECOND[this.mode] * this.meter;
+    const fit = this.mode === "orbit"
+      ? Math.max(0.3 * this.wanted.reach, 0.2 * this.meter)
+      : METERS_A_SECOND[this.mode] * this.meter;
     const way = fit * this.pace * seconds * (held.fast ? FAST : 1);
     if (held.ahead === 0 && held.aside === 0 && held.above === 0) return;
     const size = Math.max(1, Math.hypot(held.ahead, held.aside));
@@ -208,13 +205,4 @@ export class Navigator {
   private blend(a: Rig, b: Rig, t: number): Rig {
     return this.mode === "orbit" ? aroundBetween(a, b, t, this.frame) : between(a, b, t);
   }
-}
-
-/** Return a view of a box from outside, a little from above. */
-export function rigAroundBox(low: Vec3, high: Vec3, frame: Frame, fovY: number): Rig {
-  const center = mix(low, high, 0.5);
-  const radius = Math.max(distance(low, high) / 2, 1e-6);
-  const away = (radius / Math.sin(fovY / 2)) * 0.9;
-  const draft = { eye: center, turn: 0.6, tilt: -0.35, reach: away, fovY };
-  return { ...draft, eye: subtract(center, scale(forward(draft, frame), away)) };
 }

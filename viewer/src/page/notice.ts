@@ -5,7 +5,7 @@ import type { Message } from "./messages.ts";
 
 const PASSES = 6000; // milliseconds
 
-export interface NoticeTargets {
+interface NoticeTargets {
   retry(): void;
   token(token: string): void;
 }
@@ -21,7 +21,14 @@ export class Notices {
   stop(message: Message): void {
     const parts: Node[] = [make("h2", {}, message.title), make("p", {}, message.text)];
     if (message.token) parts.push(this.tokenForm());
-    if (message.detail) parts.push(make("details", { open: message.token === true }, make("summary", {}, "What was said"), make("code", {}, message.detail)));
+    if (message.detail) {
+      parts.push(
+        make(
+          "details", { open: message.token === true }, make("summary", {}, "What was said"),
+          make("code", {}, message.detail),
+        )
+      );
+    }
     if (message.retry) {
       const retry = make("button", { type: "button", class: "primary" }, "Try again");
       on(retry, "click", () => this.targets.retry());
@@ -44,9 +51,17 @@ export class Notices {
   }
 
   private tokenForm(): HTMLFormElement {
-    const input = make("input", { type: "password", id: "token", name: "token", required: true, autocomplete: "current-password" });
-    const user = make("input", { type: "text", name: "username", autocomplete: "username", value: "gsvis", hidden: true }); // for password managers
-    const form = make("form", { class: "token" }, user, make("label", { for: "token" }, "Token"), input, make("button", { class: "primary" }, "Open"));
+    const input = make(
+      "input", { type: "password", id: "token", name: "token", required: true, autocomplete: "current-password" },
+    );
+    // for password managers
+    const user = make(
+      "input", { type: "text", name: "username", autocomplete: "username", value: "gsvis", hidden: true },
+    );
+    const form = make(
+      "form", { class: "token" }, user, make("label", { for: "token" }, "Token"), input,
+      make("button", { class: "primary" }, "Open"),
+    );
     on(form, "submit", (event) => {
       event.preventDefault();
       if (input.value.trim()) this.targets.token(input.value.trim());

@@ -8,6 +8,7 @@ import { cross, dot, subtract } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const NEAR = 0.02; // of a cell
+const MOST_BOXES = 20_000; // more lines than these would hide the scene
 const SHARES = [0.15, 0.3, 0.55, 0.9]; // of opacity, far to near
 
 /** Return the edges of cells, each once: its lower corner in cells and the axis along which it runs. */
@@ -33,7 +34,7 @@ export class Overlay {
 
   set(cells: Cells | null): void {
     this.cells = cells;
-    this.edges = cells ? edgesOf(cells) : [];
+    this.edges = cells && cells.boxes.length <= MOST_BOXES ? edgesOf(cells) : [];
   }
 
   get known(): boolean {

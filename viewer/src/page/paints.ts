@@ -3,7 +3,7 @@
 import type { Header, Paint } from "../core/types.ts";
 import type { Choice } from "./controls.ts";
 
-export interface PaintChoice extends Choice<Paint> {
+interface PaintChoice extends Choice<Paint> {
   fits?(header: Header): boolean;
 }
 

@@ -1,4 +1,5 @@
-// The options: what the colors show, levels, terms, cells, field of view, pace, theme, and the actions of small screens.
+// The options: what the colors show, levels, terms, cells, field of view, pace, theme, and the actions of small
+// screens.
 
 import type { Header, Paint } from "../core/types.ts";
 import type { Actions } from "./actions.ts";
@@ -9,7 +10,7 @@ import { LEGENDS, levelColor, PAINTS } from "./paints.ts";
 import type { Theme } from "./theme.ts";
 import type { ViewerLike } from "./viewer-like.ts";
 
-export interface PanelTargets {
+interface PanelTargets {
   viewer: () => ViewerLike | null;
   actions: Actions;
   theme: { chosen: Theme; choose(theme: Theme): void };
@@ -26,9 +27,13 @@ interface Part {
 export class Panel {
   readonly element = make("div", { class: "panel" });
   private readonly legend = make("p", { class: "legend" });
+  private readonly buttons: HTMLElement; // made once: each of them watches the actions as long as the page lives
   private parts: Part[] = [];
 
-  constructor(private readonly targets: PanelTargets) {}
+  constructor(private readonly targets: PanelTargets) {
+    const names = ["statistics", "share", "picture", "full", "help"];
+    this.buttons = make("div", { class: "actions" }, ...names.map((id) => actionButton(targets.actions, id, true)));
+  }
 
   /** Build the panel anew for a scene. */
   fill(header: Header | null): void {
@@ -40,26 +45,36 @@ export class Panel {
     if (viewer && header) {
       const paints = PAINTS.filter((paint) => !paint.fits || paint.fits(header));
       sections.push(
-        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.setPaint(paint), "chips")), this.legend,
+        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.setPaint(paint), "chips")),
+        this.legend,
       );
       if (header.levels.length > 1) sections.push(this.levels(viewer, header, add));
       const detailed = header.terms > 0 || header.harmonics !== null;
       if (detailed || targets.cells.known()) sections.push(section("Parts",
         detailed ? add(toggle("View-dependent color", "Highlights that change as you move",
           () => viewer.termsShown, (shown) => void (viewer.termsShown = shown))) : null,
-        targets.cells.known() ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show)) : null,
+        targets.cells.known()
+          ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show))
+          : null,
       ));
     }
-    const { fov, pace, theme, actions } = targets;
+    const { fov, pace, theme } = targets;
     sections.push(
       section("Camera",
-        add(slider("fov", "Field of view", { low: 20, high: 110, step: 1, text: (x) => `${Math.round(x)}°` }, fov.degrees, fov.choose)),
+        add(
+          slider(
+            "fov", "Field of view", { low: 20, high: 110, step: 1, text: (x) => `${Math.round(x)}°` }, fov.degrees,
+            fov.choose,
+          ),
+        ),
         add(slider("pace", "Pace", { low: -2, high: 2, step: 0.5, text: (x) => `${Number((2 ** x).toFixed(2))} ×` },
           () => Math.log2(pace.factor()), (x) => pace.choose(2 ** x))),
       ),
-      section("Appearance", add(choices<Theme>("theme", "Appearance", [{ value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" }],
+      section("Appearance", add(choices<Theme>("theme", "Appearance", [
+        { value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" },
+      ],
         () => theme.chosen, (chosen) => theme.choose(chosen)))),
-      make("div", { class: "actions" }, ...["statistics", "share", "picture", "full", "help"].map((id) => actionButton(actions, id, true))),
+      this.buttons,
     );
     this.element.replaceChildren(...sections);
     this.refresh();
@@ -90,7 +105,8 @@ export class Panel {
 
   private showLegend(paint: Paint): void {
     const { text, low, high } = LEGENDS[paint];
-    const bar = low ? make("span", { class: "bar" }, make("small", {}, low), make("i", { class: `ramp ${paint}` }), make("small", {}, high)) : null;
+    const ramp = make("i", { class: `ramp ${paint}` });
+    const bar = low ? make("span", { class: "bar" }, make("small", {}, low), ramp, make("small", {}, high)) : null;
     this.legend.replaceChildren(make("span", {}, text), ...(bar ? [bar] : []));
   }
 
@@ -101,7 +117,9 @@ export class Panel {
         next[i] = shown;
         viewer.levelsShown = next;
       };
-      const row = add(toggle(level.name, `${formatCount(level.count)} Gaussians`, () => viewer.levelsShown[i] ?? true, change));
+      const row = add(
+        toggle(level.name, `${formatCount(level.count)} Gaussians`, () => viewer.levelsShown[i] ?? true, change),
+      );
       const dot = make("i", { class: "dot" });
       dot.style.setProperty("background", levelColor(i, header.levels.length));
       row.prepend(dot);

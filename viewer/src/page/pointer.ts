@@ -1,4 +1,5 @@
-// Mouse, pen and fingers on the canvas: drags turn, two fingers or the right button pan, wheel and pinch zoom, clicks pick.
+// Mouse, pen and fingers on the canvas: drags turn, two fingers or the right button pan, wheel and pinch zoom, clicks
+// pick.
 
 import type { Navigator } from "./navigator.ts";
 
@@ -6,7 +7,7 @@ const STILL = 6; // pixels that a click may move
 const CLICK = 400; // milliseconds that it may last
 const DOUBLE = 320; // between two clicks
 
-export interface PointerTargets {
+interface PointerTargets {
   navigator: Navigator;
   wake(): void;
   click(x: number, y: number, event: PointerEvent): void;
@@ -72,7 +73,8 @@ export class Pointers {
     if (!start || event.timeStamp - start.time > CLICK || event.button !== 0) return;
     const box = this.canvas.getBoundingClientRect();
     const [x, y] = [event.clientX - box.left, event.clientY - box.top];
-    const again = this.last && event.timeStamp - this.last.time < DOUBLE && Math.hypot(x - this.last.x, y - this.last.y) < 4 * STILL;
+    const again = this.last && event.timeStamp - this.last.time < DOUBLE &&
+      Math.hypot(x - this.last.x, y - this.last.y) < 4 * STILL;
     this.last = again ? null : { x, y, time: event.timeStamp };
     if (again) this.targets.doubleClick(x, y);
     else this.targets.click(x, y, event);

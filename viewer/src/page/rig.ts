@@ -1,7 +1,9 @@
 // Where a visitor is and looks, without roll: an eye, a turn, a tilt, and how far ahead lies what is looked at.
 // Turn and tilt are radians in a frame: turning right and tilting upwards are positive.
 
-import { add, clamp, distance, dot, normalize, quaternionFromColumns, rotate, scale, subtract, cross } from "./vector.ts";
+import {
+  add, clamp, distance, dot, normalize, quaternionFromColumns, rotate, scale, subtract, cross,
+} from "./vector.ts";
 import type { Frame, Quat, Vec3 } from "./vector.ts";
 
 export interface Rig {

@@ -4,23 +4,49 @@ import type { Pose, Source } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
 import type { StartPose } from "./facts.ts";
+import { fields, list } from "./json.ts";
 
-/** Where a scene is read from, and whether its server prepares it for streaming meanwhile. */
-export interface Located {
+/**
+ * Where a scene is read from, and whether its server prepares it for streaming meanwhile; `answered`: the server has
+ * said so.
+ */
+interface Located {
   scene: SceneAddress;
   preparing: boolean;
+  answered: boolean;
 }
+
+const LOOK_MS = 3000; // between two questions whether a scene is prepared
+const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
 
 /** Return the address to read a scene from: a server has some scenes as streams and some as files. */
 export async function locate(scene: SceneAddress): Promise<Located> {
-  if (!scene.root) return { scene, preparing: false };
+  if (!scene.root) return { scene, preparing: false, answered: false };
   const listed = await ask(scene.root);
-  const rows = isFields(listed) && Array.isArray(listed.scenes) ? listed.scenes.filter(isFields) : [];
-  const row = rows.find((each) => each.name === scene.name);
-  if (typeof row?.stream === "string") return { scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) }, preparing: false };
-  if (typeof row?.static !== "string") return { scene, preparing: false };
-  return { scene: { ...scene, kind: "static", url: new URL(row.static, scene.root).href }, preparing: row.preparing === true };
+  const rows = fields(listed)?.scenes, said = { preparing: false, answered: Array.isArray(rows) };
+  const row = list(rows).map(fields).find((each) => each?.name === scene.name);
+  if (typeof row?.stream === "string") {
+    return { ...said, scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) } };
+  }
+  if (typeof row?.static !== "string") return { ...said, scene };
+  const url = new URL(row.static, scene.root).href;
+  return { ...said, scene: { ...scene, kind: "static", url }, preparing: row.preparing === true };
 }
+
+/** Ask until the server has prepared a scene; return its stream, or null where none will come. */
+export async function awaitStream(
+  scene: SceneAddress, sleep: (milliseconds: number) => Promise<void> = rest,
+): Promise<SceneAddress | null> {
+  for (let wait = LOOK_MS; ; ) {
+    await sleep(wait);
+    const now = await locate(scene);
+    wait = now.answered ? LOOK_MS : Math.min(2 * wait, LONGEST_LOOK_MS); // a question without an answer settles nothing
+    if (!now.answered || now.preparing) continue;
+    return now.scene.kind === "stream" ? now.scene : null;
+  }
+}
+
+const rest = (milliseconds: number): Promise<void> => new Promise((done) => { setTimeout(done, milliseconds); });
 
 function streamUrl(path: string, root: string): string {
   const url = new URL(path, root);
@@ -31,9 +57,11 @@ function streamUrl(path: string, root: string): string {
 /** Return the views that a static scene proposes; none for a stream. */
 export async function proposedPoses(scene: SceneAddress): Promise<StartPose[]> {
   if (scene.kind !== "static") return [];
-  const address = /\.json$/.test(new URL(scene.url).pathname) ? scene.url : `${scene.url.replace(/\/?$/, "/")}scene.json`;
+  const address = /\.json$/.test(new URL(scene.url).pathname)
+    ? scene.url
+    : `${scene.url.replace(/\/?$/, "/")}scene.json`;
   const content = scene.url === "inline:" ? readInline() : await ask(address);
-  return isFields(content) ? readPoses(content.poses) : [];
+  return readPoses(fields(content)?.poses);
 }
 
 /** Hold poses back until the page has chosen its first view: no byte is spent on a view that nobody sees. */
@@ -71,8 +99,4 @@ async function ask(address: string): Promise<unknown> {
   } catch {
     return null; // the source says what is wrong
   }
-}
-
-function isFields(value: unknown): value is Record<string, unknown> {
-  return typeof value === "object" && value !== null && !Array.isArray(value);
 }

@@ -2,6 +2,7 @@
 // Its frame is the scene's, turned by 180 degrees around z; `"frame": "scene"` says that positions are the scene's own.
 
 import type { View } from "./hash.ts";
+import { fields, list, vector } from "./json.ts";
 import { FOV_DEGREES } from "./rig.ts";
 import { clamp, distance } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
@@ -12,7 +13,7 @@ export interface Settings {
 }
 
 const MOST_VIEWS = 99;
-type Fields = Record<string, unknown>;
+const FARTHEST = 1e6; // of a coordinate, as on the wire
 
 /** Return what the viewer can use of settings; throw an Error that says what is wrong. */
 export function readSettings(json: unknown): Settings {
@@ -23,37 +24,24 @@ export function readSettings(json: unknown): Settings {
   }
   const own = all.frame === "scene";
   const views: View[] = [];
-  for (const camera of all.version === 2 ? list(all.cameras) : [all.camera]) {
+  for (const camera of all.version === 2 ? list(all.cameras, MOST_VIEWS) : [all.camera]) {
     addView(views, fields(camera)?.initial ?? camera, fields(camera)?.name, own);
   }
-  for (const annotation of list(all.annotations)) {
+  for (const annotation of list(all.annotations, MOST_VIEWS)) {
     const it = fields(annotation);
     addView(views, fields(it?.camera)?.initial, it?.title, own);
   }
-  const color = vector(fields(all.background)?.color);
+  const color = vector(fields(all.background)?.color, FARTHEST);
   const bounded = color?.map((c) => clamp(c, 0, 1)) as Vec3 | undefined;
   return { views, background: bounded ?? null };
 }
 
 function addView(views: View[], pose: unknown, name: unknown, own: boolean): void {
   const it = fields(pose);
-  const [eye, to] = [vector(it?.position), vector(it?.target)];
+  const [eye, to] = [vector(it?.position, FARTHEST), vector(it?.target, FARTHEST)];
   if (!it || !eye || !to || !(distance(eye, to) > 1e-9) || views.length >= MOST_VIEWS) return;
   const turn = (v: Vec3): Vec3 => (own ? v : [-v[0], -v[1], v[2]]);
   const fov = typeof it.fov === "number" && Number.isFinite(it.fov) ? it.fov : 60;
   const view: View = { eye: turn(eye), to: turn(to), fov: clamp(fov, ...FOV_DEGREES) };
   views.push(typeof name === "string" && name.trim() ? { ...view, name: name.trim().slice(0, 80) } : view);
-}
-
-function fields(value: unknown): Fields | null {
-  return typeof value === "object" && value !== null && !Array.isArray(value) ? (value as Fields) : null;
-}
-
-function list(value: unknown): unknown[] {
-  return Array.isArray(value) ? value.slice(0, MOST_VIEWS) : [];
-}
-
-function vector(value: unknown): Vec3 | null {
-  const good = Array.isArray(value) && value.length === 3;
-  return good && value.every((c) => typeof c === "number" && Number.isFinite(c) && Math.abs(c) <= 1e6) ? (value as Vec3) : null;
 }

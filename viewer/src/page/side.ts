@@ -6,12 +6,16 @@ import { icon } from "./icons.ts";
 export class Side {
   readonly element = make("section", { class: "side", hidden: true, "aria-labelledby": "side-title" });
   private readonly title = make("h2", { id: "side-title" });
-  private readonly body = make("div", { class: "side-body", tabindex: 0, role: "group", "aria-labelledby": "side-title" });
+  private readonly body = make(
+    "div", { class: "side-body", tabindex: 0, role: "group", "aria-labelledby": "side-title" },
+  );
   private name = "";
   private opener: Element | null = null;
 
   constructor(private readonly changed: () => void) {
-    const close = make("button", { type: "button", class: "tool", "aria-label": "Close the panel", title: "Close (Esc)" }, icon("close"));
+    const close = make(
+      "button", { type: "button", class: "tool", "aria-label": "Close the panel", title: "Close (Esc)" }, icon("close"),
+    );
     on(close, "click", () => this.close());
     this.element.append(make("header", {}, this.title, close), this.body);
   }

@@ -4,7 +4,7 @@ import type { Cells } from "./facts.ts";
 import type { Floor } from "./ground.ts";
 import { NORMAL_FOV, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, dot, scale, subtract } from "./vector.ts";
+import { add, boundsOf, dot, scale, subtract } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 const WAYS = 16; // directions looked at from the first place
@@ -27,7 +27,10 @@ export function startOnFloor(floor: Floor, frame: Frame): Rig | null {
     if (far > farthest) [farthest, way] = [far, angle];
   }
   const at = (p: number, q: number): Vec3 =>
-    add(add(floor.origin, scale(floor.first, p * floor.side)), add(scale(floor.second, q * floor.side), scale(floor.up, heights[best])));
+    add(
+      add(floor.origin, scale(floor.first, p * floor.side)),
+      add(scale(floor.second, q * floor.side), scale(floor.up, heights[best])),
+    );
   const away = Math.max(farthest, 2);
   return rigFromTarget(at(x, y), at(x + Math.cos(way) * away, y + Math.sin(way) * away), frame, NORMAL_FOV);
 }
@@ -39,7 +42,7 @@ export function startInCells(cells: Cells, frame: Frame): Rig | null {
   const middle = scale(centers.reduce(add), 1 / centers.length);
   const away = (center: Vec3): number => dot(subtract(center, middle), subtract(center, middle));
   const eye = centers.reduce((a, b) => (away(b) < away(a) ? b : a));
-  const reach = (axis: Vec3): number => Math.max(...centers.map((center) => dot(subtract(center, eye), axis)));
+  const reach = (axis: Vec3): number => boundsOf(centers.map((center) => dot(subtract(center, eye), axis)))[1];
   const axes = [frame.north, frame.east, scale(frame.north, -1), scale(frame.east, -1)];
   const ahead = axes.reduce((a, b) => (reach(b) > reach(a) + 1e-9 ? b : a));
   return rigFromTarget(eye, add(eye, scale(ahead, Math.max(reach(ahead), cells.size))), frame, NORMAL_FOV);
@@ -63,11 +66,14 @@ export function surroundedBy(cells: Cells, frame: Frame): Vec3 | null {
 /** Return for each square how many squares away the floor ends, 0 where nobody can stand. */
 function roomOf({ columns, rows, heights }: Floor): Float32Array {
   const room = new Float32Array(columns * rows);
-  const at = (x: number, y: number): number => (x < 0 || y < 0 || x >= columns || y >= rows ? 0 : room[y * columns + x]);
+  const at = (x: number, y: number): number =>
+    (x < 0 || y < 0 || x >= columns || y >= rows ? 0 : room[y * columns + x]);
   for (let y = 0; y < rows; y++) {
     for (let x = 0; x < columns; x++) {
       if (!Number.isFinite(heights[y * columns + x])) continue;
-      room[y * columns + x] = 1 + Math.min(at(x - 1, y), at(x, y - 1), 0.414 + at(x - 1, y - 1), 0.414 + at(x + 1, y - 1));
+      room[y * columns + x] = 1 + Math.min(
+        at(x - 1, y), at(x, y - 1), 0.414 + at(x - 1, y - 1), 0.414 + at(x + 1, y - 1),
+      );
     }
   }
   for (let y = rows - 1; y >= 0; y--) {

@@ -6,7 +6,8 @@ import { formatBytes, formatCount, formatSeconds } from "./format.ts";
 import type { Statistics } from "./viewer-like.ts";
 
 const ROWS = {
-  fps: "Frames a second", drawn: "Drawn", gaussians: "Gaussians", terms: "Terms", bytes: "Received", rate: "Rate", first: "First image",
+  fps: "Frames a second", drawn: "Drawn", gaussians: "Gaussians", terms: "Terms", bytes: "Received", rate: "Rate",
+  first: "First image",
 } as const;
 
 export class StatisticsCard {
@@ -24,7 +25,8 @@ export class StatisticsCard {
   }
 
   show(now: Statistics, header: Header | null): void {
-    const of = (count: number, all: number | undefined): string => (all ? `${formatCount(count)} of ${formatCount(all)}` : formatCount(count));
+    const of = (count: number, all: number | undefined): string =>
+      (all ? `${formatCount(count)} of ${formatCount(all)}` : formatCount(count));
     this.set("fps", now.fps > 0 ? (now.fps < 9.95 ? now.fps.toFixed(1) : String(Math.round(now.fps))) : "at rest");
     this.set("drawn", formatCount(now.drawn));
     this.set("gaussians", of(now.gaussians, header?.gaussians));

@@ -3,7 +3,7 @@
 import type { Vec3 } from "./vector.ts";
 
 export type Theme = "auto" | "dark" | "light";
-export const THEMES: readonly Theme[] = ["auto", "dark", "light"];
+const THEMES: readonly Theme[] = ["auto", "dark", "light"];
 const KEY = "gsvis-theme";
 
 export class ThemeChoice {

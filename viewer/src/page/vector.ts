@@ -1,4 +1,7 @@
-// Vectors, quaternions (wxyz) and the frame of a scene: which way is up, and two level axes that turns are counted from.
+// Vectors, quaternions (wxyz) and the frame of a scene: which way is up, and two level axes that turns are counted
+// from.
+
+import { quaternionOf } from "../core/index.ts";
 
 export type Vec3 = [number, number, number];
 export type Quat = [number, number, number, number];
@@ -11,6 +14,13 @@ export const length = (a: Vec3): number => Math.hypot(a[0], a[1], a[2]);
 export const distance = (a: Vec3, b: Vec3): number => length(subtract(a, b));
 export const mix = (a: Vec3, b: Vec3, t: number): Vec3 => add(scale(a, 1 - t), scale(b, t));
 export const clamp = (x: number, low: number, high: number): number => Math.min(Math.max(x, low), high);
+
+/** Return the least and the largest value, of any number of values. */
+export function boundsOf(values: readonly number[]): [number, number] {
+  let [low, high] = [Infinity, -Infinity];
+  for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+  return [low, high];
+}
 
 export function cross(a: Vec3, b: Vec3): Vec3 {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -30,16 +40,13 @@ export function rotate(q: Quat, v: Vec3): Vec3 {
   return add(add(v, scale(twice, w)), cross(axis, twice));
 }
 
-/** Return the unit quaternion whose rotation has these columns, which are orthonormal and right-handed. */
+/**
+ * Return the unit quaternion whose rotation has these columns, which are orthonormal and right-handed; its w is not
+ * negative.
+ */
 export function quaternionFromColumns(a: Vec3, b: Vec3, c: Vec3): Quat {
-  const trace = a[0] + b[1] + c[2];
-  let q: Quat;
-  if (trace > 0) q = [1 + trace, b[2] - c[1], c[0] - a[2], a[1] - b[0]];
-  else if (a[0] >= b[1] && a[0] >= c[2]) q = [b[2] - c[1], 1 + a[0] - b[1] - c[2], b[0] + a[1], c[0] + a[2]];
-  else if (b[1] >= c[2]) q = [c[0] - a[2], b[0] + a[1], 1 + b[1] - a[0] - c[2], c[1] + b[2]];
-  else q = [a[1] - b[0], c[0] + a[2], c[1] + b[2], 1 + c[2] - a[0] - b[1]];
-  const size = Math.hypot(...q) * (q[0] < 0 ? -1 : 1);
-  return [q[0] / size, q[1] / size, q[2] / size, q[3] / size];
+  const [w, x, y, z] = quaternionOf([0, 1, 2].flatMap((k) => [a[k], b[k], c[k]]));
+  return w < 0 ? [-w, -x, -y, -z] : [w, x, y, z];
 }
 
 /** Level axes of a scene: turning right leads from `north` to `east`. */

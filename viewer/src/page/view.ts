@@ -81,7 +81,9 @@ export class ViewPage {
     this.token = page.token;
     this.facts = factsOf(scene);
     this.theme = new ThemeChoice(() => this.showBackground());
-    this.notices = new Notices({ retry: () => this.restart(), token: (token) => this.restart((this.token = token)) });
+    this.notices = new Notices(
+      { retry: () => this.restart(), token: (token) => ((this.token = token), this.restart()) },
+    );
     this.drive = new Drive({
       actions: this.actions, moved: () => this.sendCamera(), rested: () => (this.panel.refresh(), this.writeAddress()),
       click: (x, y, withAlt) => void (this.inspector.on || withAlt ? this.inspector.inspect(x, y) : undefined),
@@ -97,12 +99,20 @@ export class ViewPage {
     this.title = new TitleBar(scene.name, scene.root);
     this.dock = new Dock(this.actions, {
       mode: () => this.navigator.mode, setMode: (mode) => this.setMode(mode),
-      views: () => ({ count: this.views.length, label: this.views[this.view]?.name ?? `${this.view + 1} of ${this.views.length}` }),
+      views: () => ({
+        count: this.views.length, label: this.views[this.view]?.name ?? `${this.view + 1} of ${this.views.length}`,
+      }),
     });
     this.panel = new Panel({
       viewer: () => this.viewer, actions: this.actions, theme: this.theme,
-      fov: { degrees: () => this.navigator.shown.fovY / DEGREES, choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.drive.wake()) },
-      cells: { known: () => this.overlay.known, shown: () => !this.overlay.element.hidden, show: (shown) => this.showCells(shown) },
+      fov: {
+        degrees: () => this.navigator.shown.fovY / DEGREES,
+        choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.drive.wake()),
+      },
+      cells: {
+        known: () => this.overlay.known, shown: () => !this.overlay.element.hidden,
+        show: (shown) => this.showCells(shown),
+      },
       pace: { factor: () => this.navigator.pace, choose: (factor) => void (this.navigator.pace = factor) },
     });
     this.help = new Help(this.actions);
@@ -116,9 +126,13 @@ export class ViewPage {
     document.title = `${this.scene.name} · gsvis`;
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.root.replaceChildren(
-      this.canvas, this.overlay.element, this.inspector.mark, this.title.element, toolBar(this.actions), this.figures.element, this.side.element,
+      this.canvas, this.overlay.element, this.inspector.mark, this.title.element, toolBar(this.actions),
+      this.figures.element, this.side.element,
       this.drive.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken,
-      make("p", { id: "keys", class: "hidden" }, "Drag or use the arrow keys to look around, W A S D to move, question mark for help."), this.help.element,
+      make(
+        "p", { id: "keys", class: "hidden" },
+        "Drag or use the arrow keys to look around, W A S D to move, question mark for help.",
+      ), this.help.element,
     );
     this.setMode("orbit");
     this.panel.fill(null);
@@ -147,6 +161,7 @@ export class ViewPage {
 
   /** Open the scene in a fresh canvas. */
   private open(): void {
+    this.header = null;
     this.canvas.replaceWith((this.canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
@@ -166,12 +181,14 @@ export class ViewPage {
     viewer.addEventListener("state", () => this.takeState());
     viewer.addEventListener("contextlost", () => this.notices.say(LOST_CONTEXT, true));
     viewer.addEventListener("contextrestored", () => this.notices.say(""));
-    viewer.addEventListener("problem", (event) => this.notices.say(event instanceof CustomEvent ? String(event.detail) : ""));
+    viewer.addEventListener(
+      "problem", (event) => this.notices.say(event instanceof CustomEvent ? String(event.detail) : ""),
+    );
     this.takeState();
     if (viewer.header) void this.takeHeader(viewer);
   }
 
-  private restart(_token?: string): void {
+  private restart(): void {
     this.viewer?.dispose();
     this.viewer = null;
     this.notices.clear();
@@ -192,7 +209,8 @@ export class ViewPage {
     const header = viewer.header;
     if (!header) return;
     await this.ready;
-    if (this.viewer !== viewer) return;
+    // connected again: all stays as it is
+    if (this.viewer !== viewer || this.header?.identity === header.identity) return;
     this.header = header;
     const { navigator, surroundings } = this;
     navigator.reframe(frameFromUp(header.up));
@@ -238,9 +256,13 @@ export class ViewPage {
     } else {
       this.notices.clear();
     }
-    if (state.kind === "waiting") this.notices.say("The connection is lost. What has arrived stays; the rest comes when the server is back.", true);
+    if (state.kind === "waiting") this.notices.say(
+      "The connection is lost. What has arrived stays; the rest comes when the server is back.", true,
+    );
     else if (this.notices.line.textContent?.startsWith("The connection is lost")) this.notices.say("Connected again.");
-    if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) this.notices.say(String(state.message));
+    if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) {
+      this.notices.say(String(state.message));
+    }
     if (state.kind === "complete") void this.focus();
     if (state.kind === "complete") this.speak("All that can be seen from here has arrived.");
     this.look();
@@ -250,7 +272,9 @@ export class ViewPage {
   private look(): void {
     if (!this.viewer || document.hidden) return;
     const now = this.viewer.statistics;
-    this.showState(now.state.kind, describeState(now.state, now.gaussians), this.header ? now.gaussians / this.header.gaussians : 0);
+    this.showState(
+      now.state.kind, describeState(now.state, now.gaussians), this.header ? now.gaussians / this.header.gaussians : 0,
+    );
     if (!this.figures.element.hidden) this.figures.show(now, this.header);
   }
 

@@ -18,10 +18,17 @@ export interface Place {
 
 /** Return what is known without a server. */
 export function describePick(pick: Pick, header: Header | null): HTMLElement {
-  const levels = header && header.levels.length > 1 ? pick.levels.map((level) => header.levels[level]?.name ?? String(level)) : [];
+  const levels = header &&
+    header.levels.length > 1 ? pick.levels.map((level) => header.levels[level]?.name ?? String(level)) : [];
   return make("section", {},
-    make("p", { class: "headline" }, pick.color ? swatch(pick.color) : null, `Gaussian ${pick.id.toLocaleString("en-US")}`),
-    make("p", {}, pick.count > 1 ? `Of the ${pick.count} Gaussians that reach this pixel, it gives the largest share.` : "It alone makes this pixel."),
+    make(
+      "p", { class: "headline" }, pick.color ? swatch(pick.color) : null, `Gaussian ${pick.id.toLocaleString("en-US")}`,
+    ),
+    make(
+      "p", {},
+      pick.count > 1 ? `Of the ${pick.count} Gaussians that reach this pixel, it gives the largest share.`
+        : "It alone makes this pixel.",
+    ),
     facts([
       ["Share of this pixel", formatShare(pick.weight)],
       ["Opacity", formatShare(pick.opacity)],
@@ -35,7 +42,9 @@ export function describePick(pick: Pick, header: Header | null): HTMLElement {
 
 function swatch(color: readonly number[]): HTMLElement {
   const shown = make("i", { class: "swatch" });
-  shown.style.setProperty("background", `rgb(${color.map((c) => Math.round(255 * Math.min(Math.max(c, 0), 1))).join(" ")})`);
+  shown.style.setProperty(
+    "background", `rgb(${color.map((c) => Math.round(255 * Math.min(Math.max(c, 0), 1))).join(" ")})`,
+  );
   return shown;
 }
 
@@ -48,14 +57,23 @@ export function describeWhy(why: Why, pick: Pick, cells: Cells | null, place: Pl
       : `It is here because ${seeing.length} of ${of} cells see it${nearest(why)}.`;
     parts.push(make("section", {}, make("h3", {}, "Cells that see it"), make("p", {}, text),
       cells ? drawMap(cells, seeing, pick.position, place.rig, place.frame) : null,
-      cells ? make("p", { class: "key" }, key("seeing", "sees it"), key("cell", "does not"), key("gaussian", "the Gaussian"), key("eye", "you")) : null));
+      cells ? make(
+        "p", { class: "key" }, key("seeing", "sees it"), key("cell", "does not"), key("gaussian", "the Gaussian"),
+        key("eye", "you"),
+      ) : null));
   } else {
-    parts.push(make("section", {}, make("p", {}, "This scene has no visible sets: all of it is sent, the nearest first.")));
+    parts.push(
+      make("section", {}, make("p", {}, "This scene has no visible sets: all of it is sent, the nearest first."))
+    );
   }
   if (why.directions) {
     const { of, seen } = why.directions;
     parts.push(make("section", {}, make("h3", {}, "Directions from which it is seen"),
-      make("p", {}, `${seen.length} of ${of} directions, ${formatShare(seen.length / of)} of the sphere around it. The globe faces you.`),
+      make(
+        "p", {},
+        `${seen.length} of ${of} directions, ${formatShare(seen.length / of)} of the sphere around it. ` +
+          "The globe faces you.",
+      ),
       drawGlobe(seen, subtract(place.rig.eye, pick.position), place.frame.up)));
   }
   return parts;

@@ -1,0 +1,266 @@
+"""`gsvis clean`: find what no eye sees, fog, floaters and flyaways; tell, show, select or remove it."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Clean
+from gsvis.cli.source import (
+    check_file,
+    check_folder,
+    check_new,
+    check_report,
+    check_source,
+    evenly,
+    file_cameras,
+    inputs_of,
+    is_levels,
+    load_source,
+    parse_up,
+)
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.where import WORDS, check_where, find_place, space_document, spell
+from gsvis.errors import SceneError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from gsvis.cli.source import Source
+    from gsvis.edit import CleanConfig, Cleaning
+    from gsvis.scene.cameras import Cameras
+    from gsvis.scene.paths import HeadPath
+
+__all__ = ["run_clean"]
+
+_WRITTEN = (".ply", ".spz", ".sog")
+_CAMERAS = 200  # most photographs whose viewpoints are eyes
+_SEARCH = ("report", "select", "cameras", "strength", "eyes", "held_out", "least_db", "most_changed", "up", "seed")
+
+
+def run_clean(command: Clean) -> None:
+    """Clean a scene: read, look, guard, write what was asked for, print the result.
+
+    Raises:
+        GsvisError: If a file cannot be read, the scene cannot be used, or everything would go.
+        ValueError: If an argument is wrong, or something else would be replaced.
+        FileNotFoundError: If a file is missing.
+        OSError: If the result cannot be written.
+    """
+    config = _check_arguments(command)
+    walk = check_where(command)
+    cameras = None if command.cameras is None else evenly(file_cameras(command.cameras, None, None), _CAMERAS)
+    with Status() as status:
+        status("reading", 0, 1)
+        source = load_source(command.scene, command.lod)
+        if len(source.gaussians) == 0:
+            raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to clean")
+        status("reading", 1, 1)
+        if command.apply is not None:
+            _apply(command, config, source, status)
+            return
+        found, remarks = _find(command, config, source, walk, cameras, status)
+        _check_left(command, found.kept)
+        document = _write(command, config, source, found, remarks, status)
+    if command.json:
+        print_json(document)
+        return
+    show(*_tables(document, source), *remarks, *_lines(command, document))
+
+
+def _check_arguments(command: Clean) -> CleanConfig:
+    """Check the arguments before work begins; return the settings."""
+    from gsvis.edit import CLASSES, CleanConfig
+
+    check_source(command.scene, command.lod)
+    if is_levels(command.scene):
+        raise ValueError(
+            f"SCENE: expected a scene, got the folder of levels {command.scene}; clean before gsvis levels, or name the"
+            " PLY of one level"
+        )
+    parse_up(command.up)
+    try:
+        config = CleanConfig(
+            classes=command.classes or CLASSES, strength=command.strength, eyes=command.eyes,
+            held_out=command.held_out, least_db=command.least_db, most_changed=command.most_changed, seed=command.seed,
+        )  # fmt: skip
+    except ValueError as error:
+        raise ValueError(f"--{str(error).replace('_', '-', 1)}") from None
+    if command.apply is not None:
+        _check_apply(command)
+    if command.out is not None:
+        _check_out(command, Path(command.out))
+    if command.select is not None:
+        _check_select(command, Path(command.select))
+    if command.report is not None:
+        check_report(command.report)
+    return config
+
+
+def _check_apply(command: Clean) -> None:
+    assert command.apply is not None
+    if command.out is None:
+        raise ValueError("--apply: expected -o OUT with it, got none; add it")
+    for name in (*_SEARCH, *WORDS):
+        if getattr(command, name) != getattr(Clean, name):
+            spelled = name.replace("_", "-")
+            raise ValueError(f"--{spelled}: expected none with --apply, which looks for nothing; leave it out")
+    if not Path(command.apply).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.apply)
+
+
+def _check_out(command: Clean, target: Path) -> None:
+    if target.suffix.lower() not in _WRITTEN or target.name.lower().endswith(".compressed.ply"):
+        raise ValueError(f"-o: expected a name that ends in {', '.join(_WRITTEN)}, got {command.out!r}")
+    check_file(target)
+    check_folder(target.parent)
+    if target.exists() and any(path.exists() and target.samefile(path) for path in inputs_of(command.scene)):
+        raise ValueError(f"-o: expected another file than SCENE, got {command.out}; name another")
+    check_new(target, command.overwrite)
+
+
+def _check_select(command: Clean, target: Path) -> None:
+    from gsvis.io.selection import note_of
+
+    if target.suffix != ".npy":
+        raise ValueError(f"--select: expected a name that ends in .npy, got {command.select!r}")
+    check_file(target)
+    check_new(target, command.overwrite)
+    check_new(note_of(target), command.overwrite)
+
+
+def _find(
+    command: Clean, config: CleanConfig, source: Source, walk: HeadPath | None, cameras: Cameras | None, status: Status
+) -> tuple[Cleaning, list[str]]:
+    """Find navigable space, without haze and flyaways, and what can go; return remarks too."""
+    from gsvis.edit import clean, core_of
+
+    status("space", 0, 1)
+    surfaces = replace(source, gaussians=core_of(source.gaussians))
+    seeds = None if cameras is None else cameras.viewpoints
+    place = find_place(surfaces, command, command.up, walk, seeds)
+    space = place.required("say where eyes may be with --box, --around or --path")
+    status("space", 1, 1)
+    found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)
+    return found, place.remarks
+
+
+def _check_left(command: Clean, kept: NDArray[np.bool_]) -> None:
+    if not kept.any():
+        raise SceneError(f"{command.scene}: everything would go: nothing written; name fewer --classes")
+
+
+def _write(
+    command: Clean, config: CleanConfig, source: Source, found: Cleaning, remarks: list[str], status: Status
+) -> dict[str, Any]:
+    """Write what was asked for; return the document of the result."""
+    from gsvis.edit import CLASSES
+    from gsvis.io import save_scene
+    from gsvis.io.selection import save_selection
+    from gsvis.report.clean_report import CleanSubject, clean_document, write_clean_report
+
+    g = source.gaussians
+    subject = CleanSubject(
+        title=source.name,
+        gaussians=g,
+        command=_command_line(command),
+        version=version(),
+        parameters={**asdict(config), "classes": list(config.classes), "cameras": command.cameras},
+        facts={
+            "path": command.scene,
+            "lod": source.lod,
+            "space": space_document(found.navigable),
+            "remarks": [each.strip() for each in remarks],
+        },
+        seconds=dict(status.seconds),
+    )
+    if command.report is not None:
+        write_clean_report(command.report, found, subject, progress=status)
+    status("writing", 0, 1)
+    if command.select is not None:
+        save_selection(command.select, found.classes, g, CLASSES)
+    if command.out is not None:
+        save_scene(g[found.kept], command.out)
+    status("writing", 1, 1)
+    return {**clean_document(found, subject), "out": command.out, "select": command.select, "report": command.report}
+
+
+def _apply(command: Clean, config: CleanConfig, source: Source, status: Status) -> None:
+    """Remove what a selection says, and print it."""
+    from gsvis.edit import CLASSES, KEPT, class_of
+    from gsvis.io import save_scene
+    from gsvis.io.selection import load_selection
+
+    assert command.apply is not None
+    assert command.out is not None
+    classes = load_selection(command.apply, source.gaussians)
+    kept = classes == KEPT
+    if command.classes is not None:  # other numbers than those of gsvis are chosen by no name
+        kept = ~np.isin(classes, [class_of(name) for name in config.classes])
+    _check_left(command, kept)
+    status("writing", 0, 1)
+    save_scene(source.gaussians[kept], command.out)
+    status("writing", 1, 1)
+    if command.json:
+        counts = {name: int(np.count_nonzero(~kept & (classes == class_of(name)))) for name in CLASSES}
+        print_json({
+            "format": "gsvis-clean", "version": 1, "in": command.scene, "out": command.out, "apply": command.apply,
+            "gaussians": len(kept), "kept": int(np.count_nonzero(kept)), "removed": counts,
+        })  # fmt: skip
+        return
+    show(_written(command.out, int(np.count_nonzero(kept)), len(kept)))
+
+
+def _written(out: str, kept: int, of: int) -> str:
+    return f"{out}: {kept:,} of {of:,} Gaussians, {size_of(Path(out).stat().st_size)}"
+
+
+def _tables(document: dict[str, Any], source: Source) -> list[Any]:
+    """Return the table of the classes."""
+    rows = []
+    for name, each in document["classes"].items():
+        cost = each["cost"]
+        told = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"] if cost else [""] * 3
+        share = f"{each['removed'] / document['gaussians']:.2%}"
+        rows.append((name, f"{each['removed']:,}", share, f"{each['found'] - each['removed']:,}", *told))
+    cost = document["cost"]
+    gone = document["gaussians"] - document["kept"]
+    told = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"] if cost else [""] * 3
+    rows.append(("all", f"{gone:,}", f"{gone / document['gaussians']:.2%}", "", *told))
+    header = ("class", "goes", "share", "given back", "dB", "worst", "changed")
+    return [facts(f"{source.name}: {document['gaussians']:,} Gaussians", rows, header)]
+
+
+def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
+    """Return lines that say what was written, and what to do next."""
+    lines = []
+    if document["cost"]:
+        lines.append(" dB: held-out views against the whole scene. changed: share of their pixels that end elsewhere.")
+    if command.report is not None:
+        lines.append(f" Report: {Path(command.report) / 'report.html'}")
+    if command.select is not None:
+        lines.append(f" Selection: {command.select}; remove it with --apply {command.select} -o OUT")
+    if command.out is not None:
+        lines.append(_written(command.out, document["kept"], document["gaussians"]))
+    elif command.select is None:
+        lines.append(" Nothing was removed; -o OUT writes the clean scene.")
+    return lines
+
+
+def _command_line(command: Clean) -> str:
+    """Return the command line that gives the same result."""
+    words = ["gsvis", "clean", command.scene]
+    names = ("out", "lod", *WORDS, "report", "select", "strength", "cameras", "eyes", "held_out", "least_db",
+             "most_changed", "up", "seed")  # fmt: skip
+    for name in names:
+        value = getattr(command, name)
+        if value is not None and value != getattr(Clean, name):
+            words += ["--" + name.replace("_", "-"), *spell(value)]
+    if command.classes is not None:
+        words += ["--classes", *command.classes]
+    return shlex.join(words)

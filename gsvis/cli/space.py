@@ -1,0 +1,123 @@
+"""`gsvis space`: write where a visitor can be, and what stops one, as meshes or voxels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis._extras import require
+from gsvis.cli.arguments_space import Space
+from gsvis.cli.source import check_file, check_new, check_source, load_source, parse_up
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.where import WORDS, check_where, find_place, kind_row
+from gsvis.files.atomic import atomic_path
+from gsvis.io.voxels import VOXELS, save_voxels
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["run_space"]
+
+
+def run_space(command: Space) -> None:
+    """Find the navigable space of a scene and write it.
+
+    Raises:
+        GsvisError: If the scene cannot be read, has no navigable space, or a package is missing.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If there is no such scene.
+        OSError: If the result cannot be written.
+    """
+    files = _files(command)
+    walk = check_where(command)
+    check_source(command.scene, command.lod)
+    with Status() as status:
+        status("reading", 0, 1)
+        source = load_source(command.scene, command.lod)
+        status("reading", 1, 1)
+        status("space", 0, 1)
+        if command.resolution is None:
+            place = find_place(source, command, command.up, walk)
+            space, remarks = place.required("say where eyes may be with --box or --around"), place.remarks
+        else:
+            up = parse_up(command.up)
+            space, remarks = NavigableSpace.from_scene(source.gaussians, resolution=command.resolution, up=up), []
+        status("space", 1, 1)
+        status("writing", 0, 1)
+        found = _write_voxels(space, files) if len(files) == 2 else _write_meshes(command, space, files[0])
+        status("writing", 1, 1)
+    nbytes = sum(file.stat().st_size for file in files)
+    low, high = space.origin, space.origin + np.array(space.free.shape) * space.voxel_size
+    said: dict[str, Any] = {
+        "format": "gsvis-space",
+        "version": 1,
+        "in": command.scene,
+        "files": [str(file) for file in files],
+        "bytes": nbytes,
+        "kind": space.kind.as_dict(),
+        "voxel": space.voxel_size,
+        "box": [low.tolist(), high.tolist()],
+        "navigable_volume": float(np.count_nonzero(space.free)) * space.voxel_size**3,
+        **found,
+    }
+    if command.json:
+        print_json(said)
+        return
+    rows = [
+        kind_row(space),
+        ("voxels", f"{' x '.join(map(str, space.free.shape))} of {space.voxel_size:.3g} units"),
+        ("navigable", f"{said['navigable_volume']:.4g} cubic units"),
+        *((name.replace("_", " "), f"{value:,}") for name, value in found.items() if isinstance(value, int)),
+    ]
+    show(facts(source.name, rows), *remarks, f" {' and '.join(map(str, files))}, {size_of(nbytes)}")
+
+
+def _files(command: Space) -> list[Path]:
+    """Return the files to write.
+
+    Raises:
+        ValueError: If an argument is wrong, before the scene is read.
+    """
+    out = Path(command.out)
+    if out.name.endswith(VOXELS):
+        files = [out, out.with_name(out.name.removesuffix(VOXELS) + ".voxel.bin")]
+        for option, value in (("--meters-per-unit", command.meters_per_unit), ("--frame", command.frame)):
+            if value not in (None, "upright"):
+                raise ValueError(f"{option}: expected none with {VOXELS}, whose frame is the viewer's; leave it out")
+    elif out.suffix.lower() == ".glb":
+        files = [out]
+        require("gsvis space", "skimage")
+    else:
+        raise ValueError(f"--out: expected a file that ends in .glb or {VOXELS}, got {command.out}; name one")
+    if command.frame == "scene" and command.meters_per_unit is not None:
+        raise ValueError("--meters-per-unit: expected none with --frame scene, whose unit is that of SCENE")
+    if command.resolution is not None:
+        if not 8 <= command.resolution <= 384:
+            raise ValueError(f"--resolution: expected 8 to 384 voxels, got {command.resolution}")
+        if any(getattr(command, word) not in (None, False) for word in WORDS):
+            raise ValueError("--resolution: expected no --box, --around or --path with it; leave one of them out")
+    for file in files:
+        check_file(file)
+        check_new(file, command.overwrite)
+    return files
+
+
+def _write_voxels(space: NavigableSpace, files: list[Path]) -> dict[str, Any]:
+    from gsvis.edit import solid_voxels
+
+    voxels = solid_voxels(space)
+    save_voxels(voxels, files[0])
+    return {"solid_voxels": int(np.count_nonzero(voxels.solid))}
+
+
+def _write_meshes(command: Space, space: NavigableSpace, file: Path) -> dict[str, Any]:
+    from gsvis.edit import mesh_space
+
+    meshes = mesh_space(space, frame=command.frame, meters_per_unit=command.meters_per_unit or 1.0)
+    with atomic_path(file) as partial:
+        partial.write_bytes(meshes.to_glb())
+    return {
+        "navigable_triangles": len(meshes.navigable.faces),
+        "surface_triangles": len(meshes.surface.faces),
+        "scene_to_mesh": meshes.matrix.tolist(),
+    }

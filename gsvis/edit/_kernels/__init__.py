@@ -1,0 +1,1 @@
+"""Kernels of the room `edit`, one concept per file. They take checked, contiguous arrays."""

@@ -1,0 +1,65 @@
+"""Kernels that find air: voxels through which light gets from eyes, and how much of a Gaussian lies in them.
+
+Arrays are checked and contiguous; positions are in voxels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+
+@njit(cache=True, nogil=True)
+def mark_passed(depth, starts, directions, limit, passed):
+    """Set passed (X, Y, Z) where rays get through from starts (E, 3) along directions (D, 3), each with each.
+
+    A ray ends behind the voxel in which its optical depth reaches `limit`. A step crosses one voxel along the longest
+    axis of the ray. The voxel of the start takes no light.
+    """
+    nx, ny, nz = depth.shape
+    for e in range(len(starts)):
+        for d in range(len(directions)):
+            dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
+            longest = max(abs(dx), abs(dy), abs(dz))
+            dx, dy, dz = dx / longest, dy / longest, dz / longest
+            x, y, z = starts[e, 0], starts[e, 1], starts[e, 2]
+            total = 0.0
+            first = True
+            while True:
+                i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+                if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
+                    break
+                passed[i, j, k] = True
+                if not first:
+                    total += depth[i, j, k]
+                    if total >= limit:
+                        break
+                first = False
+                x, y, z = x + dx, y + dy, z + dz
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def count_places(means, axes, points, labels, counts):
+    """Count in which kinds of voxels the mass of each Gaussian lies.
+
+    Args:
+        means: (N, 3) centers in voxels.
+        axes: (N, 3, 3) principal axes as columns, one standard deviation long, in voxels.
+        points: (P, 3) samples of a normal distribution.
+        labels: (X, Y, Z) uint8, kind of each voxel, 0 to 2.
+        counts: (N, 3) result, number of the points in voxels of each kind; those outside the grid count as kind 0.
+    """
+    nx, ny, nz = labels.shape
+    for n in prange(len(means)):
+        for kind in range(3):
+            counts[n, kind] = 0
+        for p in range(len(points)):
+            x, y, z = means[n, 0], means[n, 1], means[n, 2]
+            for a in range(3):
+                x += axes[n, 0, a] * points[p, a]
+                y += axes[n, 1, a] * points[p, a]
+                z += axes[n, 2, a] * points[p, a]
+            kind = 0
+            if 0.0 <= x < nx and 0.0 <= y < ny and 0.0 <= z < nz:
+                kind = labels[int(x), int(y), int(z)]
+            counts[n, kind] += 1

@@ -1,0 +1,149 @@
+"""Clean a scene: find what no eye sees, fog, floaters and flyaways; give masks. Scene frame. Writes no file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.edit.classes import CLASSES, KEPT, CleanConfig, class_of, classify
+from gsvis.edit.evidence import Evidence, Shape, gather_evidence
+from gsvis.edit.guard import Cost, guard
+from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
+
+__all__ = ["Cleaning", "clean", "core_of", "held_out_cameras"]
+
+_WIDTH, _HEIGHT, _FOV = 320, 240, 75.0  # of held-out views
+_STREAM = 2  # of the seed, for held-out views
+_DRAWN, _MOST = 12_000_000, 256  # Gaussians drawn in further views of the guard, and most of these views
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaning:
+    """What can go from a scene of N Gaussians.
+
+    Attributes:
+        classes: (N,) uint8, 0 for Gaussians that stay, else 1 + the index in `CLASSES`.
+        found: (N,) uint8, the same before the guard gave anything back.
+        costs: What held-out views lose, by class, and "all"; empty without a guard.
+        evidence: What the classes rest on.
+        navigable: Where eyes were.
+        cameras: The held-out cameras; None without a guard.
+    """
+
+    classes: NDArray[np.uint8]
+    found: NDArray[np.uint8]
+    costs: dict[str, Cost]
+    evidence: Evidence
+    navigable: NavigableSpace
+    cameras: Cameras | None
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(N,) the Gaussians that stay."""
+        return np.asarray(self.classes == KEPT)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of Gaussians that go, by class."""
+        return {name: int(np.count_nonzero(self.mask(name))) for name in CLASSES}
+
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """Return (N,) the Gaussians of one class of `CLASSES`.
+
+        Raises:
+            ValueError: If no class has that name.
+        """
+        return np.asarray(self.classes == class_of(name))
+
+
+def clean(
+    g: Gaussians,
+    *,
+    navigable: NavigableSpace | None = None,
+    cameras: Cameras | None = None,
+    config: CleanConfig | None = None,
+    progress: Progress = silent,
+) -> Cleaning:
+    """Find the Gaussians of a scene that can go.
+
+    Args:
+        g: The scene, N Gaussians.
+        navigable: Where eyes may be; None finds it without haze and flyaways.
+        cameras: Cameras of photographs, whose viewpoints are eyes too.
+        config: Which classes, how readily, and the guard; None means `CleanConfig()`.
+        progress: Called with stages "space", "air", "viewpoints", "structure", "directions" and "guard".
+
+    Returns:
+        Masks, costs and evidence; nothing is removed. `g[result.kept]` is the clean scene.
+
+    Raises:
+        SceneError: If the scene has no Gaussian that can be seen, or no navigable space.
+        ValueError: If an argument is out of range.
+
+    Examples:
+        >>> from gsvis.scene.procedural import box_in_room
+        >>> room = box_in_room(2000)
+        >>> found = clean(room.gaussians, navigable=room.navigable, config=CleanConfig(eyes=4, held_out=0))
+        >>> found.counts["fog"], found.counts["floaters"]
+        (0, 0)
+    """
+    config = config or CleanConfig()
+    shape = Shape.from_scene(g)
+    viewpoints = None if cameras is None else cameras.viewpoints
+    if navigable is None:
+        progress("space", 0, 1)
+        navigable = NavigableSpace.from_scene(core_of(g, shape), seeds=viewpoints)
+        progress("space", 1, 1)
+    evidence = gather_evidence(g, shape, navigable, config, viewpoints=viewpoints, progress=progress)
+    found = classes = classify(evidence, config)
+    costs: dict[str, Cost] = {}
+    held_out = None
+    if config.held_out:
+        held_out = held_out_cameras(g, shape, navigable, config.held_out, config.seed)
+        count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # as many as take a few seconds
+        more = held_out_cameras(g, shape, navigable, count, config.seed, stream=_STREAM + 1) if count else None
+        classes, costs = guard(g, found, held_out, config, more=more, progress=progress)
+    return Cleaning(classes, found, costs, evidence, navigable, held_out)
+
+
+def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:
+    """Return the Gaussians that make the surfaces of a scene, in which navigable space is to be found.
+
+    Args:
+        g: The scene.
+        shape: Its shape; None measures it.
+
+    Raises:
+        SceneError: If nothing is left.
+    """
+    core = g[(shape or Shape.from_scene(g)).core]
+    if not len(core):
+        raise SceneError("the scene has nothing but haze and Gaussians far outside: no surface is left to look at")
+    return core
+
+
+def held_out_cameras(
+    g: Gaussians, shape: Shape, navigable: NavigableSpace, count: int, seed: int, *, stream: int = _STREAM
+) -> Cameras:
+    """Return random cameras in navigable space that are no part of the evidence.
+
+    Args:
+        g: The scene.
+        shape: Its shape; haze does not bury an eye.
+        navigable: Where eyes may be.
+        count: Number of cameras.
+        seed: Seed of the cameras.
+        stream: Index of one of the seed's independent random streams.
+
+    Raises:
+        SceneError: If all viewpoints drawn lie inside something solid.
+    """
+    sampling = ViewSampling(count, _WIDTH, _HEIGHT, _FOV, seed, stream)
+    return sampling.cameras(core_of(g, shape), navigable)

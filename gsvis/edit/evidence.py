@@ -1,0 +1,306 @@
+"""Gather what rays say about each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
+
+Scene frame and units; lengths that decide are voxels of a grid over the scene. Eyes are viewpoints of navigable space
+and, where there are some, of photographs. Light goes through the grid from the eyes: a voxel is *air* where it gets
+through and no surface is near. Groups of few Gaussians that hang alone are no surface. This module knows no class.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.edit._kernels import air as kernels
+from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
+from gsvis.scene.density import Density
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.icosphere import face_directions
+from gsvis.scene.inspection import FLOATER_EXTENT, MIN_ALPHA
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.solid import Solid
+
+if TYPE_CHECKING:
+    from gsvis.edit.classes import CleanConfig
+
+__all__ = ["Evidence", "Shape", "gather_evidence"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SURFACE = 0.1  # optical depth of a voxel, at strength 1, from which it belongs to a surface
+STOPS = float(np.log(2.0))  # optical depth behind which a ray counts no more
+CLOSED = 0.29  # optical depth of a voxel that closes a wall: a quarter of the light
+FEW = 24  # Gaussians, at strength 1, of a group that is no surface
+SMALL = 1000  # voxels of such a group, at strength 1
+LARGE = 0.01  # middle standard deviation of a large Gaussian, as a share of the longest side
+ROUND = 0.3  # least over middle standard deviation of a large Gaussian that is no disc
+DOUBT = 0.5  # share of tau from which a Gaussian counts as seen: another eye may see it better
+FAINT = 0.3  # opacity below which a large Gaussian does not count as part of a surface
+BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
+_EYES = 512  # that find air
+_RAYS = 4_000_000  # outward, at most, to look again at what the first found hidden
+_SAMPLES = 32  # points of a Gaussian that say where its mass lies
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What the Gaussians alone say, before any eye is known.
+
+    Attributes:
+        far: (N,) the center lies outside 5 times the robust box.
+        hazy: (N,) large in all directions and faint.
+        large: (N,) the middle standard deviation is at least 1% of the longest side of the robust box.
+        low: (3,) lowest corner of the robust box.
+        high: (3,) highest corner.
+    """
+
+    far: Mask
+    hazy: Mask
+    large: Mask
+    low: F64
+    high: F64
+
+    @classmethod
+    def from_scene(cls, g: Gaussians) -> Shape:
+        """Measure a scene.
+
+        Raises:
+            SceneError: If no Gaussian has an opacity of at least 1/255.
+        """
+        can_be_seen = g.opacities >= MIN_ALPHA
+        if not can_be_seen.any():
+            raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
+        low, high = g[can_be_seen].bounds(0.98)
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        far = np.any(np.abs(g.means - middle) > FLOATER_EXTENT * np.maximum(half, 0.02 * half.max()), axis=1)
+        far &= bool(half.max() > 0.0)
+        least, mid, _ = np.sort(g.scales, axis=1).T
+        large = mid >= LARGE * 2.0 * half.max()
+        hazy = large & (least >= ROUND * mid) & (g.opacities <= FAINT)
+        return cls(np.asarray(far), np.asarray(hazy), np.asarray(large), low, high)
+
+    @property
+    def core(self) -> Mask:
+        """(N,) Gaussians that make the surfaces: neither far outside nor hazy."""
+        return ~(self.far | self.hazy)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known about each of N Gaussians.
+
+    Attributes:
+        seen: (N,) an eye sees it: in a look around, or on a ray outward to navigable space.
+        faces: (N,) uint8, of the 80 directions those from which looks saw it.
+        air: (N,) float32 in [0, 1], share of its mass in air, of the mass in air and at surfaces.
+        large: (N,) wide, compared with the scene.
+        far: (N,) far outside of the scene.
+        backdrop: (N,) far outside, and part of what fills that direction.
+        enclosed: (N,) no open air reaches the voxels around it.
+        opacities: (N,) in [0, 1].
+        voxel_size: Side of a voxel of the grid, scene units.
+        eyes: Number of viewpoints that looked around.
+    """
+
+    seen: Mask
+    faces: NDArray[np.uint8]
+    air: F32
+    large: Mask
+    far: Mask
+    backdrop: Mask
+    enclosed: Mask
+    opacities: F32
+    voxel_size: float
+    eyes: int
+
+
+def gather_evidence(
+    g: Gaussians,
+    shape: Shape,
+    navigable: NavigableSpace,
+    config: CleanConfig,
+    *,
+    viewpoints: F64 | None = None,
+    progress: Progress = silent,
+) -> Evidence:
+    """Gather the evidence on each Gaussian.
+
+    Haze, and what is far outside, hides nothing here: it may go, and then what is behind it is seen.
+
+    Args:
+        g: The scene, N Gaussians.
+        shape: Its shape.
+        navigable: Where eyes may be.
+        config: Number of eyes, size of their faces, strength.
+        viewpoints: (V, 3) further eyes, such as those of photographs.
+        progress: Called with stages "air", "viewpoints", "structure" and "directions".
+    """
+    given = np.zeros((0, 3)) if viewpoints is None else viewpoints
+    ids = np.flatnonzero(shape.core & (g.opacities >= MIN_ALPHA))
+    core = g[ids]
+    if len(core) == 0:
+        raise SceneError("the scene has nothing but haze and Gaussians far outside: no surface is left to look at")
+    progress("air", 0, 1)
+    rng = np.random.default_rng([config.seed, 1])
+    density, passed = _find_passed(core, shape, navigable, given, config, rng)
+    air, near = _find_air(core, density, passed, config.strength)
+    shares, met = _shares_in_air(g, density, air, near)
+    enclosed = ~density.look_up(_open_air(density, passed), g.means)
+    enclosed &= density.voxels_of(g.means)[1]
+    progress("air", 1, 1)
+    solid = Solid.from_scene(core)
+    drawn = navigable.sample_viewpoints(4 * config.eyes, rng)
+    drawn = drawn[~solid.buries(drawn)][: config.eyes]
+    looked = np.concatenate([drawn, given])
+    if len(looked) == 0:
+        raise SceneError("all viewpoints drawn in navigable space lie inside something solid; say where eyes belong")
+    seen, faces = np.zeros(len(g), bool), np.zeros(len(g), np.uint8)
+    seen[ids], faces[ids] = _look(core, looked, config, progress)
+    rest = np.flatnonzero(~seen[ids])
+    seen[ids[rest]] = _look_outward(core, navigable, rest, config.tau, progress)
+    hazy = ~shape.core & ~shape.far & (g.opacities >= MIN_ALPHA)
+    seen[hazy] = met[hazy]  # light gets to where it is
+    far = np.flatnonzero(shape.far)
+    backdrop = np.zeros(len(g), bool)
+    backdrop[far] = _part_of_backdrop(g[far], 0.5 * (shape.low + shape.high))
+    return Evidence(
+        seen=seen,
+        faces=faces,
+        air=shares,
+        large=shape.large,
+        far=shape.far,
+        backdrop=backdrop,
+        enclosed=enclosed,
+        opacities=g.opacities,
+        voxel_size=density.voxel_size,
+        eyes=len(looked),
+    )
+
+
+def _find_passed(
+    core: Gaussians, shape: Shape, navigable: NavigableSpace, given: F64, config: CleanConfig, rng: np.random.Generator
+) -> tuple[Density, Mask]:
+    """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels that light gets into from eyes."""
+    voxels = np.argwhere(navigable.free)
+    corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
+    low, high = np.minimum(shape.low, corners[0]), np.maximum(shape.high, corners[1])
+    margin = 2.0 * float((high - low).max()) / config.resolution
+    density = Density.from_scene(core, low - margin, high + margin, config.resolution)
+    eyes = np.concatenate([navigable.sample_viewpoints(_EYES, rng), given])
+    directions = np.ascontiguousarray(face_directions(16).reshape(-1, 3))
+    passed = np.zeros(density.depth.shape, bool)
+    starts = np.ascontiguousarray((eyes - density.origin) / density.voxel_size)
+    kernels.mark_passed(density.depth, starts, directions, STOPS, passed)
+    return density, passed
+
+
+def _find_air(core: Gaussians, density: Density, passed: Mask, strength: float) -> tuple[Mask, Mask]:
+    """Return (X, Y, Z) voxels of air, and those at a surface."""
+    from scipy import ndimage
+
+    around = np.ones((3, 3, 3), bool)
+    solid = density.depth >= SURFACE * strength
+    labels, count = ndimage.label(solid, around)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    voxels, within = density.voxels_of(core.means)
+    members = labels[tuple(voxels[within].T)]
+    held = np.bincount(members, minlength=count + 1)
+    lonely = (held <= FEW * strength) & (sizes <= SMALL * strength)
+    lonely[0] = False
+    near = ndimage.binary_dilation(solid & ~lonely[labels], around)
+    return np.asarray(ndimage.binary_dilation(passed, around) & ~near), np.asarray(near)
+
+
+def _shares_in_air(g: Gaussians, density: Density, air: Mask, near: Mask) -> tuple[F32, Mask]:
+    """Return (N,) shares of the mass in air, and (N,) whether any of it is in air or at a surface."""
+    labels = np.where(near, np.uint8(2), air.astype(np.uint8))
+    points = np.random.default_rng(0).normal(size=(_SAMPLES, 3))
+    points[0] = 0.0
+    counts = np.empty((len(g), 3), np.int32)
+    step = 1 << 17
+    for start in range(0, len(g), step):
+        part = g[start : start + step]
+        axes = part.rotations() * np.minimum(part.scales / density.voxel_size, 1e6)[:, None, :]
+        means = (part.means.astype(np.float64) - density.origin) / density.voxel_size
+        kernels.count_places(means, np.ascontiguousarray(axes), points, labels, counts[start : start + step])
+    known = counts[:, 1] + counts[:, 2]
+    return (counts[:, 1] / np.maximum(known, 1)).astype(np.float32), known > 0
+
+
+def _open_air(density: Density, passed: Mask) -> Mask:
+    """Return (X, Y, Z) voxels that open air touches: what connects with the outside, or with light from eyes."""
+    from scipy import ndimage
+
+    labels, count = ndimage.label(density.depth < CLOSED)
+    is_open = np.zeros(count + 1, bool)
+    for axis in range(3):
+        for end in (0, -1):
+            is_open[np.take(labels, end, axis=axis)] = True
+    is_open[labels[passed]] = True
+    is_open[0] = False
+    return np.asarray(ndimage.binary_dilation(is_open[labels] | passed, np.ones((3, 3, 3), bool)))
+
+
+def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -> tuple[Mask, NDArray[np.uint8]]:
+    """Return (M,) what eyes (E, 3) see, and from how many of the 80 directions."""
+    from gsvis.pvs.look import Look
+    from gsvis.raycast.directions import face_of
+
+    floor = DOUBT * config.tau
+    look = Look(core, "hybrid", config.size, floor)
+    sets = np.zeros((len(core), 10), np.uint8)
+    progress("viewpoints", 0, len(eyes))
+    for done, eye in enumerate(eyes, 1):
+        ids, weights = look(eye)
+        ids = ids[weights > np.float32(floor)]  # the look gives just this weight to what it doubts; rays decide that
+        toward = eye - core.means[ids].astype(np.float64)
+        toward[~toward.any(axis=1)] = (1.0, 0.0, 0.0)
+        faces = face_of(toward)
+        sets[ids, faces >> 3] |= (1 << (faces & 7)).astype(np.uint8)
+        progress("viewpoints", done, len(eyes))
+    return np.asarray(sets.any(axis=1)), np.unpackbits(sets, axis=1).sum(axis=1, dtype=np.uint8)
+
+
+def _look_outward(
+    core: Gaussians, navigable: NavigableSpace, ids: NDArray[np.int64], tau: float, progress: Progress
+) -> Mask:
+    """Return (M,) which Gaussians ids (M,) an eye in navigable space sees, by rays outward."""
+    from gsvis.raycast import EllipsoidProxies, Tracer
+    from gsvis.raycast.directions import seen_from_space
+
+    if len(ids) == 0:
+        return np.zeros(0, bool)
+    progress("structure", 0, 1)
+    tracer = Tracer(EllipsoidProxies.from_scene(core))
+    _ = tracer.hierarchy
+    progress("structure", 1, 1)
+    seen = np.zeros(len(ids), bool)
+    for fineness in (1, 4):
+        rest = np.flatnonzero(~seen)
+        if fineness > 1 and 80 * fineness * len(rest) > _RAYS:
+            break
+        least = tau if fineness > 1 else DOUBT * tau
+        told = progress if fineness == 1 else silent
+        seen[rest] = seen_from_space(tracer, navigable, ids=ids[rest], rays_per_face=fineness, tau=least, progress=told)
+    return seen
+
+
+def _part_of_backdrop(far: Gaussians, middle: F64) -> Mask:
+    """Return (F,) which Gaussians far outside fill, together, enough of the direction in which they lie."""
+    from gsvis.raycast.directions import NUM_FACES, face_of
+
+    if len(far) == 0:
+        return np.zeros(0, bool)
+    toward = far.means.astype(np.float64) - middle
+    squared = np.einsum("ij,ij->i", toward, toward)
+    _, mid, most = np.sort(far.scales.astype(np.float64), axis=1).T
+    whole = 4.0 * np.pi / NUM_FACES
+    angle = np.minimum(far.opacities * 2.0 * np.pi * mid * most / squared, 0.5 * BACKDROP * whole)  # none is one alone
+    faces = face_of(toward)
+    covered = np.bincount(faces, weights=angle, minlength=NUM_FACES)
+    return np.asarray(covered[faces] >= BACKDROP * whole)

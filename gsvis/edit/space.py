@@ -1,0 +1,118 @@
+"""Turn navigable space into meshes and voxels, for collision and walking in other programs.
+
+A visitor can be wherever light passes and navigable space is reached through free voxels. Everything else is solid: so
+neither rooms that nobody can enter nor floaters inside walls leave a surface. Meshes follow the boundary of voxels by
+marching cubes (Lorensen and Cline, 1987): watertight, and at most half a voxel from the voxels' faces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis._extras import require
+from gsvis.io.voxels import Voxels
+from gsvis.scene.navigable import NavigableSpace
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["Frame", "SpaceMeshes", "mesh_space", "solid_voxels", "upright_matrix"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Frame = Literal["upright", "scene"]
+
+
+def solid_voxels(space: NavigableSpace) -> Voxels:
+    """Return the voxels that a visitor of a navigable space cannot reach.
+
+    Args:
+        space: The navigable space. Voxels that keep a distance from walls are free as well, if they can be reached.
+    """
+    from scipy import ndimage  # here: it takes long to import
+
+    labels, _ = ndimage.label(~space.occupied | space.free)
+    reached = np.isin(labels, np.unique(labels[space.free]))
+    return Voxels(space.origin, space.voxel_size, ~reached)
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceMeshes:
+    """Meshes of a navigable space.
+
+    Attributes:
+        navigable: Boundary of the voxels where an eye can be; normals point outwards.
+        surface: Boundary of what stops a visitor; normals point to where the visitor is.
+        matrix: (4, 4) from the scene frame to that of the meshes.
+    """
+
+    navigable: trimesh.Trimesh
+    surface: trimesh.Trimesh
+    matrix: F64
+
+    def to_glb(self) -> bytes:
+        """Return both meshes as binary glTF, named `navigable` and `surface`; `matrix` is in the scene's extras."""
+        import trimesh
+
+        scene = trimesh.Scene(metadata={"scene_to_mesh": self.matrix.ravel().tolist()})
+        for name, mesh in (("navigable", self.navigable), ("surface", self.surface)):
+            scene.add_geometry(mesh, node_name=name, geom_name=name)
+        return bytes(scene.export(file_type="glb"))  # type: ignore[no-untyped-call]
+
+
+def mesh_space(space: NavigableSpace, *, frame: Frame = "upright", meters_per_unit: float = 1.0) -> SpaceMeshes:
+    """Return the boundary of a navigable space, and that of what stops a visitor, as triangles.
+
+    Args:
+        space: The navigable space.
+        frame: "upright" turns the scene so that +y points upwards, as glTF has it; "scene" keeps the scene frame.
+        meters_per_unit: Length of a scene unit in the result; only for "upright".
+
+    Raises:
+        ValueError: If an argument is out of range, or the frame is "scene" and a length is given.
+        MissingExtraError: If scikit-image is not installed.
+    """
+    require("gsvis.edit.mesh_space", "skimage")
+    _check.one_of("frame", frame, ("upright", "scene"))
+    if not (np.isfinite(meters_per_unit) and meters_per_unit > 0.0):
+        raise ValueError(f"meters_per_unit: expected a finite number > 0, got {meters_per_unit!r}")
+    if frame == "scene" and meters_per_unit != 1.0:
+        raise ValueError("meters_per_unit: expected none with frame='scene', whose unit is that of the scene")
+    matrix = np.eye(4) if frame == "scene" else upright_matrix(space.up, meters_per_unit)
+    solid = solid_voxels(space).solid
+    # Outside of the grid nobody can be: navigable space ends there, and the surface has no skin around the grid.
+    navigable = _boundary(np.pad(space.free, 1), space)
+    surface = _boundary(np.pad(solid, 1, mode="edge"), space)
+    for mesh in (navigable, surface):
+        mesh.apply_transform(matrix)
+    return SpaceMeshes(navigable, surface, matrix)
+
+
+def upright_matrix(up: F64, meters_per_unit: float = 1.0) -> F64:
+    """Return the (4, 4) matrix that turns an up axis (3,) to +y by the shortest way and scales."""
+    a, b = np.asarray(up, np.float64) / np.linalg.norm(up), np.array([0.0, 1.0, 0.0])
+    turn = np.diag([1.0, -1.0, -1.0])  # half a turn about x, if the axis is -y
+    if a @ b > -1.0 + 1e-12:
+        v = np.cross(a, b)
+        cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+        turn = np.eye(3) + cross + cross @ cross / (1.0 + a @ b)
+    matrix = np.eye(4)
+    matrix[:3, :3] = meters_per_unit * turn
+    return matrix
+
+
+def _boundary(inside: Mask, space: NavigableSpace) -> trimesh.Trimesh:
+    """Return the boundary of voxels of a grid with one more voxel on each side."""
+    import trimesh
+    from skimage import measure
+
+    if inside.all() or not inside.any():
+        return trimesh.Trimesh()
+    vertices, faces, _, _ = measure.marching_cubes(inside.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]
+    places = space.origin + (vertices - 0.5) * space.voxel_size  # vertex k lies at the center of voxel k - 1
+    return trimesh.Trimesh(places, faces[:, ::-1], process=False)

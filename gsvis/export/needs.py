@@ -1,0 +1,171 @@
+"""Which leaves of a streamed scene each cell needs, and in which order: the sidecar, a header and bits.
+
+docs/streamed.md describes the file to the byte. A row belongs to one or more cells: a bitmap of leaves, lowest bit
+first, and a byte for the light of each leaf in it. Row 0 is for eyes outside of all cells, and has every leaf. This
+module knows no file format of scenes.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.abr.index import extents
+from gsvis.errors import SceneError
+from gsvis.export.blocks import GAIN_STEPS, quantize_gains
+from gsvis.export.leaves import Leaves
+from gsvis.progress import Progress, silent
+from gsvis.pvs.store import VisibilityStore
+from gsvis.stream.scene import class_weights
+
+__all__ = ["FORMAT", "LOST", "VERSION", "LeafNeeds", "find_needs"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+FORMAT, VERSION = "gsvis-leaves", 1
+
+LOST = 1e-4
+"""Most light of a cell that the leaves left out may have, as a share of all its light."""
+
+CELL_ROW = np.dtype([("box", "<u2", 3), ("row", "<u2")])
+_MOST = 0xFFFF
+_SPHERE = 4.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class LeafNeeds:
+    """What K cells need of B leaves.
+
+    Attributes:
+        origin: (3,) lowest corner of box (0, 0, 0), scene frame.
+        size: Side of a cell, scene units; 0 without cells.
+        boxes: (K, 3) int64 box of each cell.
+        lights: (K, B) light of each leaf in each cell: weight times solid angle, summed over Gaussians; 0 where the
+            cell does not need the leaf.
+        everywhere: (B,) light of each leaf for eyes outside of all cells.
+    """
+
+    origin: F64
+    size: float
+    boxes: I64
+    lights: F64
+    everywhere: F64
+
+    @property
+    def needed(self) -> Mask:
+        """(K, B) whether each cell needs each leaf."""
+        return self.lights > 0.0
+
+    def coarsen(self) -> LeafNeeds:
+        """Return the needs of cells twice as wide; a leaf counts as in the cell where it counts most."""
+        boxes, owner = np.unique(self.boxes // 2, axis=0, return_inverse=True)
+        lights = np.zeros((len(boxes), self.lights.shape[1]))
+        np.maximum.at(lights, owner.reshape(-1), self.lights)
+        return LeafNeeds(self.origin, 2.0 * self.size, boxes, lights, self.everywhere)
+
+    def encode(self, facts: dict[str, Any]) -> bytes:
+        """Return the file; `facts` go into its header.
+
+        Raises:
+            ValueError: If there are more than 65,535 rows.
+        """
+        bitmaps = np.packbits(self.needed, axis=1, bitorder="little")
+        distinct, row_of = np.unique(bitmaps, axis=0, return_inverse=True)
+        top = int(np.ceil(GAIN_STEPS * np.log2(max(self.lights.max(initial=0.0), self.everywhere.max(), 1e-300))))
+        rows = [_row(np.ones(len(self.everywhere), np.bool_), self.everywhere, top)]
+        for k in range(len(distinct)):
+            mine = np.flatnonzero(row_of.reshape(-1) == k)
+            rows.append(_row(self.needed[mine[0]], self.lights[mine].max(axis=0), top))
+        if len(rows) > _MOST or self.boxes.max(initial=0) > _MOST:
+            raise ValueError(f"needs: expected at most {_MOST:,} rows and boxes along an axis, got more")
+        cells = np.zeros(len(self.boxes), CELL_ROW)
+        cells["box"], cells["row"] = self.boxes, row_of.reshape(-1) + 1
+        header = {
+            "format": FORMAT,
+            "version": VERSION,
+            **facts,
+            "leaves": len(self.everywhere),
+            "cells": len(cells),
+            "rows": len(rows),
+            "origin": [float(v) for v in self.origin],
+            "size": float(self.size),
+            "top": top,
+        }
+        text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-(len(text) + 4) % 4)
+        return struct.pack("<I", len(text)) + text + cells.tobytes() + b"".join(rows)
+
+    def encode_within(self, facts: dict[str, Any], most: int) -> bytes:
+        """Return the file; cells are merged until it has at most so many bytes, or one cell is left."""
+        needs = self
+        data = needs.encode(facts)
+        while len(data) > most and len(needs.boxes) > 1:
+            needs = needs.coarsen()
+            data = needs.encode(facts)
+        return data
+
+
+def find_needs(
+    leaves: Leaves, store: VisibilityStore | None, *, lost: float = LOST, progress: Progress = silent
+) -> LeafNeeds:
+    """Return what each cell needs: the leaves with most light, until at most a share `lost` of it is missing.
+
+    Args:
+        leaves: The leaves.
+        store: Visible sets of the union of their levels; None gives no cells, and orders leaves by opacity times area.
+        lost: Share of the light of a cell in [0, 1) that the leaves left out may have; 0 keeps every leaf of which
+            the cell sees a Gaussian.
+        progress: Called with stage "sets", in cells.
+
+    Raises:
+        ValueError: If `lost` is out of range.
+        SceneError: If no cell sees a Gaussian that is in a leaf.
+    """
+    if not 0.0 <= lost < 1.0:
+        raise ValueError(f"lost: expected a share in [0, 1), got {lost!r}")
+    g, count = leaves.levels.union, len(leaves)
+    areas = np.minimum(extents(g)[1].astype(np.float64), 1e30)
+    inside = leaves.of_ids >= 0
+    if store is None:
+        everywhere = _sums(leaves.of_ids[inside], (areas * g.opacities)[inside], count)
+        return LeafNeeds(np.zeros(3), 0.0, np.zeros((0, 3), np.int64), np.zeros((0, count)), everywhere)
+    weights, centers, near = class_weights(store), store.grid.centers, store.grid.cell_size / 2.0
+    lights = np.zeros((len(store), count))
+    progress("sets", 0, len(store))
+    for cell in range(len(store)):
+        ids, classes = store.classes(cell)
+        use = inside[ids]
+        ids, classes = ids[use], classes[use]
+        squared = np.square(g.means[ids] - centers[cell]).sum(axis=1)
+        light = weights[classes] * np.minimum(areas[ids] / np.maximum(squared, near * near), _SPHERE)
+        lights[cell] = _largest(_sums(leaves.of_ids[ids], light, count), lost)
+        progress("sets", cell + 1, len(store))
+    everywhere = lights.max(axis=0)
+    if not everywhere.any():
+        raise SceneError("leaves: no cell sees a Gaussian of the scene; build its visible sets again")
+    grid = store.grid
+    return LeafNeeds(grid.origin, grid.cell_size, grid.coords.astype(np.int64), lights, everywhere)
+
+
+def _sums(owners: NDArray[np.int32], values: NDArray[np.floating], count: int) -> F64:
+    return np.asarray(np.bincount(owners, values, minlength=count), np.float64)
+
+
+def _largest(lights: F64, lost: float) -> F64:
+    """Return lights (B,) without the smallest ones, whose sum is at most a share of all."""
+    order = np.argsort(lights, kind="stable")
+    out: F64 = lights.copy()
+    out[order[np.cumsum(lights[order]) <= lost * lights.sum()]] = 0.0
+    return out
+
+
+def _row(needed: Mask, lights: F64, top: int) -> bytes:
+    bits: NDArray[np.uint8] = np.packbits(needed, bitorder="little")
+    return bits.tobytes() + quantize_gains(lights[needed], top).tobytes()

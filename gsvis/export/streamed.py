@@ -1,0 +1,207 @@
+"""Write a scene as streamed SOG with a sidecar that knows what can be seen, for viewers that people already have.
+
+PlayCanvas' engine, its viewers and splat-transform read the scene unchanged; docs/streamed.md describes the sidecar,
+and a loader in `examples/streamed` uses it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.export.leaves import LEAF, cut_leaves
+from gsvis.export.needs import LOST, find_needs
+from gsvis.export.start import Start, rich_poses, start_poses
+from gsvis.io.streamed_sog_writer import check_streamed_target, save_streamed_sog
+from gsvis.package.package import Package
+from gsvis.package.unpack import unpack_levels
+from gsvis.progress import Progress, silent
+from gsvis.pvs.store import VisibilityStore
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels, as_levels
+
+__all__ = ["StreamedOptions", "StreamedReport", "write_streamed_sog"]
+
+_SHARE = 0.01  # most bytes of the sidecar, as a share of the scene's
+
+
+@dataclass(frozen=True)
+class StreamedOptions:
+    """How a streamed SOG is cut, and what its sidecar says.
+
+    Attributes:
+        leaf: Most Gaussians of a leaf at one level.
+        lost: Most light of a cell, as a share, in the leaves that its row leaves out.
+        never_seen: "keep" writes Gaussians that no cell sees; "drop" leaves them out. From outside their absence shows.
+        name: Name for people.
+        up: (3,) axis that points upwards; None means that of the package or the visible sets, or +z.
+        poses: Views to begin with; None takes those of the package, or finds some.
+
+    Raises:
+        ValueError: If a value is out of its range.
+    """
+
+    leaf: int = LEAF
+    lost: float = LOST
+    never_seen: Literal["keep", "drop"] = "keep"
+    name: str = "scene"
+    up: tuple[float, float, float] | None = None
+    poses: tuple[Start, ...] | None = None
+
+    def __post_init__(self) -> None:
+        _check.positive_int("leaf", self.leaf, at_least=64)
+        _check.one_of("never_seen", self.never_seen, ("keep", "drop"))
+        if not 0.0 <= self.lost < 1.0:
+            raise ValueError(f"lost: expected a share in [0, 1), got {self.lost!r}")
+        if self.up is not None:
+            _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))
+
+
+@dataclass(frozen=True)
+class StreamedReport:
+    """What `write_streamed_sog` wrote.
+
+    Attributes:
+        path: The folder.
+        counts: Gaussians of each level of detail, finest first, without the environment.
+        environment: Gaussians of the environment.
+        leaves: B, the number of leaves.
+        cells: Cells of the visible sets; 0 without visible sets.
+        needed: Mean share of the Gaussians of level 0 in the leaves that a cell needs; 1 without visible sets.
+        never_seen: Gaussians that no cell sees; None without visible sets.
+        dropped: Whether these were left out.
+        sidecar: Name of the sidecar.
+        sidecar_nbytes: Its bytes.
+        nbytes: Bytes of everything.
+    """
+
+    path: Path
+    counts: tuple[int, ...]
+    environment: int
+    leaves: int
+    cells: int
+    needed: float
+    never_seen: int | None
+    dropped: bool
+    sidecar: str
+    sidecar_nbytes: int
+    nbytes: int
+
+
+def write_streamed_sog(
+    folder: str | PathLike[str],
+    scene: Package | Levels | Gaussians,
+    options: StreamedOptions | None = None,
+    *,
+    visibility: VisibilityStore | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> StreamedReport:
+    """Write streamed SOG: `lod-meta.json`, a folder for each leaf and level, and the sidecar.
+
+    Args:
+        folder: Folder of the scene; new, empty, or with `overwrite` one that gsvis wrote before.
+        scene: A package; levels, whose highest becomes level of detail 0; or Gaussians.
+        options: How it is cut; None means `StreamedOptions()`.
+        visibility: Visible sets of the scene; None means those of the package, or none.
+        overwrite: Replace an earlier scene.
+        progress: Called with stages "sets" and "export", and by the fit of SH colors for a package with terms.
+
+    Raises:
+        ValueError: If the folder holds something else; or never seen Gaussians are to be dropped without visible sets.
+        SceneError: If the scene is empty, or nothing would be left.
+        FormatError: If the visible sets belong to another scene, or the package is damaged.
+        OSError: If the folder cannot be written.
+    """
+    target, said = _check.path("folder", folder), options or StreamedOptions()
+    check_streamed_target(target, overwrite)
+    levels, store, known = _open(scene, visibility, progress)
+    seen = None if store is None else _ever_seen(store, len(levels.union))
+    if seen is None and said.never_seen == "drop":
+        raise ValueError(
+            "never_seen: expected visible sets to know what is never seen, got none; give some, or keep it"
+        )
+    if seen is not None and said.never_seen == "drop" and not seen.any():
+        raise SceneError("everything would go: no cell sees a Gaussian; nothing written")
+    leaves = cut_leaves(levels, most=said.leaf, kept=seen if said.never_seen == "drop" else None)
+    needs = find_needs(leaves, store, lost=said.lost, progress=progress)
+    grid = None if store is None else store.grid
+    up = said.up or known.up or ((0.0, 0.0, 1.0) if grid is None else tuple(grid.up.tolist()))
+    poses = said.poses or known.poses or _poses(levels, store, up)
+    facts: dict[str, Any] = {
+        "name": said.name,
+        "up": [float(v) for v in up],
+        "poses": [pose.as_dict() for pose in poses],
+        "never_seen": {"gaussians": None if seen is None else int((~seen).sum()), "kept": said.never_seen == "keep"},
+    }
+    beside: dict[str, bytes] = {}
+
+    def sidecar(sizes: NDArray[np.int64]) -> dict[str, bytes]:
+        data = needs.encode_within(facts, int(_SHARE * sizes.sum()))
+        beside[f"leaves-{hashlib.sha256(data).hexdigest()[:16]}.bin"] = data
+        return beside
+
+    written = save_streamed_sog(leaves.as_scene(), target, beside=sidecar, progress=progress)
+    ((name, data),) = beside.items()
+    share = needs.needed @ leaves.counts[0] / max(1, leaves.counts[0].sum())
+    return StreamedReport(
+        path=target,
+        counts=tuple(int(n) for n in leaves.counts.sum(axis=1)),
+        environment=len(leaves.environment),
+        leaves=len(leaves),
+        cells=0 if store is None else len(store),
+        needed=float(share.mean()) if len(share) else 1.0,
+        never_seen=None if seen is None else int((~seen).sum()),
+        dropped=said.never_seen == "drop",
+        sidecar=name,
+        sidecar_nbytes=len(data),
+        nbytes=written.nbytes,
+    )
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What a package says of itself; none of it for a bare scene."""
+
+    up: tuple[float, float, float] | None = None
+    poses: tuple[Start, ...] = ()
+
+
+def _open(
+    scene: Package | Levels | Gaussians, visibility: VisibilityStore | None, progress: Progress
+) -> tuple[Levels, VisibilityStore | None, _Known]:
+    """Return the levels of a scene with SH colors, its visible sets, and what is known of it."""
+    if isinstance(scene, Package):
+        if visibility is not None:
+            raise ValueError("visibility: expected none with a package, which has its own, got some; leave it out")
+        manifest = scene.manifest
+        known = _Known(manifest.info.up, tuple(Start.from_dict(view) for view in manifest.views))
+        store = None if manifest.visibility is None else scene.visibility
+        return unpack_levels(scene, progress=progress), store, known
+    if len(scene.union if isinstance(scene, Levels) else scene) == 0:
+        raise SceneError("scene: expected at least one Gaussian, got none; name another scene")
+    if visibility is not None:
+        visibility.check_scene(scene)
+    return as_levels(scene), visibility, _Known()
+
+
+def _poses(levels: Levels, store: VisibilityStore | None, up: tuple[float, float, float]) -> tuple[Start, ...]:
+    """Return views to begin with: from cells, or from outside where there are none."""
+    if store is None:
+        return start_poses(levels.union.bounds(0.9), None, up)
+    return rich_poses(levels.level(len(levels) - 1), store.grid, up)
+
+
+def _ever_seen(store: VisibilityStore, count: int) -> NDArray[np.bool_]:
+    """Return (N,) whether any cell sees each Gaussian."""
+    seen = np.zeros(count, np.bool_)
+    seen[np.asarray(store.ever_visible().to_array(), np.int64)] = True
+    return seen

@@ -1,0 +1,105 @@
+"""Selections: the class of each Gaussian of a scene as `.npy`, with a `.json` beside it that names the scene.
+
+`NAME.npy` holds (N,) uint8, 0 for Gaussians that stay. `NAME.json` holds the hash of the scene and the names of the
+classes 1, 2 and on. Other programs may write the `.npy` alone; then only its length is checked.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import open_regular
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["load_selection", "note_of", "save_selection"]
+
+_FORMAT = "gsvis-selection"
+_NOTE_BYTES = 1 << 20
+
+
+def note_of(path: str | os.PathLike[str]) -> Path:
+    """Return the path of the `.json` beside a selection."""
+    return Path(path).with_suffix(".json")
+
+
+def save_selection(
+    path: str | os.PathLike[str], classes: NDArray[np.uint8], g: Gaussians, names: tuple[str, ...]
+) -> None:
+    """Write a selection and the note on its scene, each atomically.
+
+    Args:
+        path: The `.npy` file.
+        classes: (N,) uint8, 0 for Gaussians that stay.
+        g: The scene, N Gaussians.
+        names: Names of the classes 1, 2 and on.
+
+    Raises:
+        ValueError: If the path does not end in .npy, or the length is not that of the scene.
+        OutputError: If a file cannot be written.
+    """
+    target = _check.path("path", path)
+    if target.suffix != ".npy":
+        raise ValueError(f"path: expected a name that ends in .npy, got {os.fspath(path)!r}")
+    values = _check.integers("classes", classes, (len(g),), np.uint8)
+    note = {"format": _FORMAT, "version": 1, "scene": scene_hash(g), "gaussians": len(g), "classes": list(names)}
+    with atomic_path(target) as partial, open(partial, "wb") as file:
+        np.save(file, values)
+    with atomic_path(note_of(target)) as partial:
+        partial.write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
+
+
+def load_selection(path: str | os.PathLike[str], g: Gaussians) -> NDArray[np.uint8]:
+    """Return the classes (N,) of a selection for a scene of N Gaussians.
+
+    Args:
+        path: A `.npy` file of N numbers of 0 to 255, or N truth values: True for what goes.
+        g: The scene.
+
+    Raises:
+        FormatError: If the file is no such array, or is a selection of another scene.
+        FileNotFoundError: If there is no file.
+    """
+    target = _check.path("path", path)
+    try:
+        with open_regular(target) as file:
+            array = np.load(file, allow_pickle=False)
+    except (ValueError, EOFError, MemoryError):
+        raise FormatError(path, "", "an .npy file of numbers", "something else") from None
+    if not isinstance(array, np.ndarray) or array.ndim != 1 or array.dtype.kind not in "bui":
+        raise FormatError(path, "", "one whole number for each Gaussian", _describe(array))
+    if len(array) != len(g):
+        numbers = f"{len(array):,}: it is a selection of another scene"
+        raise FormatError(path, "", f"{len(g):,} numbers, one for each Gaussian", numbers)
+    if len(array) and not 0 <= int(array.min()) <= int(array.max()) <= 255:
+        raise FormatError(path, "", "numbers of 0 to 255", f"{array.min()} to {array.max()}")
+    _check_note(note_of(target), g)
+    return array.astype(np.uint8)
+
+
+def _check_note(path: Path, g: Gaussians) -> None:
+    """Raise if the note of a selection names another scene; a selection may come without."""
+    if not path.is_file():
+        return
+    try:
+        with open_regular(path) as file:
+            note: Any = json.loads(file.read(_NOTE_BYTES))
+    except ValueError:
+        return  # something else has that name
+    if not isinstance(note, dict) or note.get("format") != _FORMAT:
+        return
+    if note.get("scene") != scene_hash(g):
+        raise FormatError(path, "scene", "a selection of this scene", "one of another, or of this one before a change")
+
+
+def _describe(array: Any) -> str:
+    return f"shape {array.shape} of {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__

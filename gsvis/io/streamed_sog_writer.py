@@ -1,0 +1,204 @@
+"""Write streamed SOG: a binary tree of leaves, each with one SOG folder for each level of detail, and `lod-meta.json`.
+
+Every file of a leaf holds the Gaussians of that leaf and level alone, so a viewer can load leaves one by one. Names of
+folders hold a hash of their content. Level 0 is the finest. This module knows no visibility.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_folder
+from gsvis.files.fields import parse_object
+from gsvis.files.limits import read_whole
+from gsvis.io.sog_writer import encode_sog
+from gsvis.progress import Progress, silent
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["GENERATOR", "META", "LeafScene", "Tree", "WrittenLeaves", "check_streamed_target", "save_streamed_sog"]
+
+META = "lod-meta.json"
+GENERATOR = "gsvis"
+"""What `lod-meta.json` says wrote it."""
+
+Tree = int | tuple["Tree", "Tree"]
+"""A leaf, or two subtrees."""
+
+_DIGITS = 7  # significant digits of numbers, as the format has them
+_PALETTE_SHARE = 4  # Gaussians of a leaf for each set of higher coefficients
+_LEAST_PALETTE = 256
+_OURS = re.compile(r"(?:\d+_\d+|env)-[0-9a-f]{8}|leaves-[0-9a-f]{16}\.bin")
+
+
+@dataclass(frozen=True, eq=False)
+class LeafScene:
+    """A scene cut into B leaves with L levels of detail.
+
+    Attributes:
+        tree: Leaves 0 to B - 1, each once, from left to right.
+        bounds: (B, 2, 3) lowest and highest corner of the Gaussians of a leaf, extents included, scene frame.
+        counts: (L, B) Gaussians of each leaf at each level, finest level first.
+        piece: Returns the Gaussians of a (level, leaf) in the order to write.
+        environment: Gaussians to draw always, at every level; None for none.
+    """
+
+    tree: Tree
+    bounds: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    piece: Callable[[int, int], Gaussians]
+    environment: Gaussians | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenLeaves:
+    """What `save_streamed_sog` wrote.
+
+    Attributes:
+        path: The folder.
+        sizes: (L, B) bytes of the files of each leaf at each level.
+        nbytes: Bytes of everything.
+    """
+
+    path: Path
+    sizes: NDArray[np.int64]
+    nbytes: int
+
+
+def save_streamed_sog(
+    scene: LeafScene,
+    folder: str | os.PathLike[str],
+    *,
+    beside: Callable[[NDArray[np.int64]], Mapping[str, bytes]] | None = None,
+    progress: Progress = silent,
+) -> WrittenLeaves:
+    """Write a scene as streamed SOG. The same scene gives the same bytes.
+
+    `lod-meta.json` moves into the folder last, and files of an earlier scene are removed after that: a reader finds
+    the old scene or the new one.
+
+    Args:
+        scene: The leaves.
+        folder: The folder; made if missing.
+        beside: Takes the (L, B) bytes of all leaves; returns the names and contents of further files. Their names go
+            into `lod-meta.json` as well, which readers of the format ignore.
+        progress: Called with stage "export", in pieces.
+
+    Raises:
+        ValueError: If a leaf is empty at every level.
+        OSError: If the folder cannot be written.
+    """
+    target, counts = _check.path("folder", folder), scene.counts
+    if (counts.sum(axis=0) == 0).any():
+        raise ValueError("counts: expected a Gaussian in every leaf, got an empty leaf")
+    pieces = np.argwhere(counts > 0).tolist()
+    sizes, names = np.zeros(counts.shape, np.int64), {}
+    progress("export", 0, len(pieces))
+    with atomic_folder(target, last=(META,)) as partial:
+        for k, (lod, leaf) in enumerate(pieces):
+            found = scene.piece(lod, leaf)
+            names[lod, leaf], sizes[lod, leaf] = _write_sog(partial, f"{lod}_{leaf}", found)
+            progress("export", k + 1, len(pieces))
+        document: dict[str, Any] = {
+            "version": 1,
+            "asset": {"generator": GENERATOR},
+            "count": int(counts.sum()),
+            "counts": [int(n) for n in counts.sum(axis=1)],
+            "lodLevels": len(counts),
+        }
+        total = int(sizes.sum())
+        if scene.environment is not None and len(scene.environment):
+            document["environment"], size = _write_sog(partial, "env", scene.environment)
+            total += size
+        extra = {} if beside is None else beside(sizes)
+        for name, data in extra.items():
+            (partial / name).write_bytes(data)
+        if extra:
+            document["gsvis"] = {"files": list(extra)}
+        files = {place: k for k, place in enumerate(names)}
+        document["filenames"] = list(names.values())
+        document["tree"] = _node(scene, scene.tree, files)
+        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+        (partial / META).write_bytes(text)
+    kept = {name.split("/")[0] for name in names.values()} | set(extra)
+    kept |= {str(document.get("environment", "")).split("/")[0]}
+    _remove_others(target, kept)
+    return WrittenLeaves(target, sizes, total + len(text) + sum(len(data) for data in extra.values()))
+
+
+def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> None:
+    """Raise unless a streamed SOG may be written to a folder: a new one, an empty one, or one of gsvis to replace.
+
+    Raises:
+        ValueError: If it holds something else, or an earlier scene and `overwrite` is false.
+    """
+    target = _check.path("folder", folder)
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise ValueError(f"--out: expected a folder, got the file {target}; name another")
+    others = sorted(p.name for p in target.iterdir() if p.name[:1] != "." and not _OURS.fullmatch(p.name))
+    if others and not (others == [META] and _is_ours(target)):
+        raise ValueError(
+            f"--out: expected a new or an empty folder, got {target}, which has {others[0]} of something else; name"
+            " another"
+        )
+    if others and not overwrite:
+        raise ValueError(
+            f"--out: expected a new or an empty folder, got {target} with an earlier scene; name another, or say"
+            " --overwrite"
+        )
+
+
+def _is_ours(target: Path) -> bool:
+    """Return whether the folder holds a streamed SOG that gsvis wrote."""
+    with suppress(OSError, FormatError):
+        return bool(parse_object(target / META, read_whole(target / META)).child("asset").raw("generator") == GENERATOR)
+    return False
+
+
+def _write_sog(folder: Path, name: str, g: Gaussians) -> tuple[str, int]:
+    """Write the folder of one SOG scene; return the name of its meta.json, and its bytes."""
+    files = encode_sog(g, palette=max(_LEAST_PALETTE, len(g) // _PALETTE_SHARE), digits=_DIGITS)
+    digest = hashlib.sha256()
+    for each, data in files.items():
+        digest.update(f"{each} {len(data)}\n".encode() + data)
+    place = f"{name}-{digest.hexdigest()[:8]}"
+    (folder / place).mkdir()
+    for each, data in files.items():
+        (folder / place / each).write_bytes(data)
+    return f"{place}/meta.json", sum(len(data) for data in files.values())
+
+
+def _node(scene: LeafScene, tree: Tree, files: dict[tuple[int, int], int]) -> dict[str, Any]:
+    """Return a node of the tree, ready for JSON."""
+    if isinstance(tree, tuple):
+        children = [_node(scene, part, files) for part in tree]
+        low = np.min([child["bound"]["min"] for child in children], axis=0)
+        high = np.max([child["bound"]["max"] for child in children], axis=0)
+        return {"bound": {"min": low.tolist(), "max": high.tolist()}, "children": children}
+    low, high = ([float(f"{v:.{_DIGITS}g}") for v in end.tolist()] for end in scene.bounds[tree])
+    counts = scene.counts[:, tree].tolist()
+    lods = {str(k): {"file": files[k, tree], "offset": 0, "count": n} for k, n in enumerate(counts) if n}
+    return {"bound": {"min": low, "max": high}, "lods": lods}
+
+
+def _remove_others(target: Path, kept: set[str]) -> None:
+    """Remove files of an earlier scene."""
+    for path in target.iterdir():
+        if _OURS.fullmatch(path.name) and path.name not in kept:
+            with suppress(OSError):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -1,0 +1,89 @@
+"""Measure how much light the Gaussians of a scene take in each voxel of a grid. Scene frame and units.
+
+The same measure as under navigable space, on a grid of any box. Gaussians that are thick, compared with a voxel, are
+entered into coarser grids, so that the time does not grow with their volume.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.scene._occupancy import MIN_ALPHA, optical_depth
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["Density"]
+
+F64 = NDArray[np.float64]
+Depth = NDArray[np.float32]
+
+_MOST = 512
+_THICK = 2.0  # voxels: thinnest standard deviation from which a Gaussian is entered into a coarser grid
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """Store a grid of optical depths.
+
+    Attributes:
+        origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
+        voxel_size: Side of a voxel, scene units.
+        depth: (X, Y, Z) float32, the sum of -log(1 - alpha) over the Gaussians at the middle of each voxel.
+    """
+
+    origin: F64
+    voxel_size: float
+    depth: Depth
+
+    @classmethod
+    def from_scene(cls, g: Gaussians, low: ArrayLike, high: ArrayLike, resolution: int = 192) -> Density:
+        """Measure a scene over a box.
+
+        Args:
+            g: The scene; Gaussians with an opacity below 1/255 are left out.
+            low: (3,) lowest corner.
+            high: (3,) highest corner.
+            resolution: Voxels along the longest side, 8 to 512.
+
+        Raises:
+            ValueError: If the box is empty, or `resolution` is out of range.
+        """
+        corner = _check.floats("low", low, (3,), np.float64)
+        side = _check.floats("high", high, (3,), np.float64) - corner
+        if not (side.min() >= 0.0 and side.max() > 0.0):
+            raise ValueError(f"high: expected a corner above low, got sides {side.tolist()}")
+        if not 8 <= _check.positive_int("resolution", resolution) <= _MOST:
+            raise ValueError(f"resolution: expected a value in [8, {_MOST}], got {resolution}")
+        size = float(side.max()) / resolution
+        counts = np.clip(np.ceil(side / size - 1e-6), 1, resolution).astype(int)
+        shape = int(counts[0]), int(counts[1]), int(counts[2])
+        origin = corner + 0.5 * (side - counts * size)
+        seen = g[g.opacities >= MIN_ALPHA]
+        thickness = seen.scales.min(axis=1).astype(np.float64) / size if len(seen) else np.zeros(0)
+        level = np.floor(np.log2(np.maximum(thickness / _THICK, 0.5))).astype(int) + 1
+        level = np.minimum(level, int(np.log2(resolution)))
+        depth = optical_depth(seen[level == 0], origin, size, shape)
+        for k in np.unique(level[level > 0]).tolist():
+            step = 1 << k
+            few = -(-shape[0] // step), -(-shape[1] // step), -(-shape[2] // step)
+            coarse = optical_depth(seen[level == k], origin, size * step, few)
+            for axis in range(3):
+                coarse = np.repeat(coarse, step, axis=axis)
+            depth += coarse[: shape[0], : shape[1], : shape[2]]
+        return cls(origin, size, depth)
+
+    def voxels_of(self, points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return (P, 3) the voxel of each of the points (P, 3), and (P,) whether it lies on the grid; 0 elsewhere."""
+        array = _check.floats("points", points, ("P", 3), np.float64)
+        with np.errstate(over="ignore"):
+            places = (array - self.origin) / self.voxel_size
+        within = np.all((places >= 0.0) & (places < self.depth.shape), axis=1)
+        return np.where(within[:, None], places, 0.0).astype(np.int64), within
+
+    def look_up(self, grid: NDArray[np.bool_], points: ArrayLike) -> NDArray[np.bool_]:
+        """Return (P,) the values of a mask (X, Y, Z) at points (P, 3); False outside the grid."""
+        voxels, within = self.voxels_of(points)
+        return np.asarray(within & grid[voxels[:, 0], voxels[:, 1], voxels[:, 2]])
