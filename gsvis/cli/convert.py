@@ -24,7 +24,7 @@ def run_convert(command: Convert) -> None:
     """
     check_source(command.scene, command.lod)
     up = _axes(command.up)
-    target = check_scene_out(command.output, command.scene, command.overwrite, name="OUT")
+    target = check_scene_out(command.output, command.scene, command.overwrite, name="OUT", source="IN")
     if command.compact and target.suffix.lower() != ".spz":
         raise ValueError(f"--compact: expected an OUT that ends in .spz with it, got {command.output!r}; leave it out")
     crop = None if command.crop is None else (command.crop[:3], command.crop[3:])

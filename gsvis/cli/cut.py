@@ -56,7 +56,7 @@ def run_cut(command: Cut) -> None:
     target = check_scene_out(command.out, command.scene, command.overwrite)
     if command.select is not None:
         outputs = {"--out": target, "--select": Path(command.select)}
-        check_outputs(outputs, [command.scene], command.overwrite)
+        check_outputs(outputs, {"SCENE": command.scene}, command.overwrite)
     config = _config(command)
     with Status() as status:
         status("reading", 0, 1)

@@ -96,7 +96,8 @@ def _check_files(command: Paint) -> _Files:
     outputs = {"--out": target, "--out (its legend)": files.legend}
     if files.values is not None:
         outputs["--values"] = files.values
-    check_outputs(outputs, [command.scene, *([] if command.pvs is None else [command.pvs])], command.overwrite)
+    inputs = {"SCENE": command.scene, **({} if command.pvs is None else {"--pvs": command.pvs})}
+    check_outputs(outputs, inputs, command.overwrite)
     return files
 
 

@@ -17,7 +17,7 @@ __all__ = ["check_one_level", "check_outputs", "check_scene_out", "write_array"]
 _WRITTEN = (".ply", ".spz", ".sog")
 
 
-def check_scene_out(out: str, scene: str, overwrite: bool, *, name: str = "--out") -> Path:
+def check_scene_out(out: str, scene: str, overwrite: bool, *, name: str = "--out", source: str = "SCENE") -> Path:
     """Raise unless a scene can be written to a file; return the file.
 
     Args:
@@ -25,6 +25,7 @@ def check_scene_out(out: str, scene: str, overwrite: bool, *, name: str = "--out
         scene: The scene that is read, which must not be replaced.
         overwrite: Whether an existing file may be replaced.
         name: The option, for messages.
+        source: The argument that names the scene, for messages.
 
     Raises:
         ValueError: If the suffix is of no format that gsvis writes, the path is a folder, the file exists, or it is
@@ -40,27 +41,28 @@ def check_scene_out(out: str, scene: str, overwrite: bool, *, name: str = "--out
         )
     if target.is_dir():
         raise ValueError(f"{name}: expected the name of a file, got the folder {out!r}")
-    check_outputs({name: target}, [scene], overwrite)
+    check_outputs({name: target}, {source: scene}, overwrite)
     return target
 
 
-def check_outputs(outputs: dict[str, Path], inputs: list[str], overwrite: bool) -> None:
+def check_outputs(outputs: dict[str, Path], inputs: dict[str, str], overwrite: bool) -> None:
     """Raise unless files can be written that are not read, and are not each other.
 
     Args:
         outputs: Each file, by the option that names it.
-        inputs: Scenes and files that are read.
+        inputs: Scenes and files that are read, by the argument that names each.
         overwrite: Whether existing files may be replaced.
 
     Raises:
         ValueError: If a file exists, is read, is a folder, or is named twice.
         OutputError: If nothing can be written there.
     """
-    read = [path for each in inputs for path in inputs_of(each)]
+    read = [(word, path) for word, each in inputs.items() for path in inputs_of(each)]
     known: dict[Path, str] = {}
     for name, target in outputs.items():
-        if any(path.exists() and target.exists() and target.samefile(path) for path in read):
-            raise ValueError(f"{name}: expected another file than the one that is read, got {target}; name another")
+        for word, path in read:
+            if path.exists() and target.exists() and target.samefile(path):
+                raise ValueError(f"{name}: expected another file than {word}, got {target}; name another")
         if target.is_dir():
             raise ValueError(f"{name}: expected the name of a file, got the folder {target}")
         place = target.absolute()

@@ -169,7 +169,7 @@ def _near_corners(viewpoints: CellViewpoints, cell: int) -> F64:
     for k, corner in enumerate(corners):
         near = np.clip(corner, voxels + _INSIDE, voxels + 1.0 - _INSIDE)
         apart = np.sum((near - corner) ** 2, axis=1)
-        first = np.lexsort((*voxels.T[::-1], np.round(apart, 6)))[0]  # ties by voxel
+        first = int(np.round(apart, 6).argmin())  # of equal ones the first: voxels are in lexicographic order
         found[k] = near[first]
     return found
 

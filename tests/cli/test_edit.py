@@ -94,7 +94,7 @@ def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(
     [
         (["SCENE", "-o", "OUT"], "--path, --cameras, --box and --around, got none"),
         (["none.ply", "-o", "OUT", *BOX], "no such file"),
-        (["SCENE", "-o", "SCENE", *BOX, "--overwrite"], "another file than the one that is read"),
+        (["SCENE", "-o", "SCENE", *BOX, "--overwrite"], "another file than SCENE"),
         (["SCENE", "-o", "MADE", *BOX], "--overwrite"),
         (["SCENE", "-o", "OUT.glb", *BOX], ".ply, .spz, .sog"),
         (["SCENE", "-o", "OUT", *BOX, "--select", "OUT"], "a file of its own"),
@@ -158,8 +158,9 @@ def test_paint_writes_a_scene_its_legend_and_values(folder: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
-        (["SCENE", "-o", "SCENE", "--overwrite"], "another file than the one that is read"),
+        (["SCENE", "-o", "SCENE", "--overwrite"], "another file than SCENE"),
         (["SCENE", "-o", "MADE"], "--overwrite"),
+        (["SCENE", "-o", "MADE", "--pvs", "MADE", "--overwrite"], "another file than --pvs"),
         (["SCENE", "-o", "OUT", "--by", "cell", "--pvs", "none.pvs"], "no such file"),
         (["SCENE", "-o", "OUT", "--by", "importance", "--pvs", "MADE"], "importance"),
         (["SCENE", "-o", "OUT", "--eyes", "3", "--pvs", "MADE"], "--eyes: expected none with --pvs"),
