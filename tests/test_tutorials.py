@@ -46,6 +46,8 @@ def words_of(line: str) -> list[str]:
 def quicker(words: list[str]) -> list[str]:
     """Return a command with the options of QUICK in place of, or beside, its own."""
     words = list(words)
+    if "--apply" in words:  # `clean` then looks for nothing
+        return words
     for option, value in QUICK.get(words[0], {}).items():
         if option not in words:
             words += [option, value]
