@@ -25,15 +25,13 @@ QUICK = {
     "analyze": {"--views": "2", "--width": "128", "--height": "96", "--traced-sample": "10", "--rays-per-face": "1"},
     "clean": {"--eyes": "2", "--held-out": "2"},
     "color": {"--views": "2"},
-    "cut": {"--size": "24", "--views": "1", "--limit": "0.05"},
     "levels": {"--iterations": "2", "--views": "2", "--held-out": "1", "--size": "24x20"},
-    "paint": {"--size": "24", "--eyes": "2"},
     "prepare": {**SETS, "--face-size": "16", "--max-terms": "0", "--steps": "2", "--views": "2", "--size": "24x20"},
     "pvs": {**SETS, "--size": "16", "--rays": "256"},
     "render": {},
     "simulate": {"--seconds": "1", "--every": "0.5", "--width": "32", "--height": "24"},
 }
-SHORTENED = {"--views", "--seconds", "--eyes"}  # given by a page, shortened here
+SHORTENED = {"--views", "--seconds"}  # given by a page, shortened here
 PARSED = {"serve", "color"}  # `serve` never ends; tests/serve and tests/cli run both
 
 
@@ -48,6 +46,8 @@ def words_of(line: str) -> list[str]:
 def quicker(words: list[str]) -> list[str]:
     """Return a command with the options of QUICK in place of, or beside, its own."""
     words = list(words)
+    if "--apply" in words:  # `clean` then looks for nothing
+        return words
     for option, value in QUICK.get(words[0], {}).items():
         if option not in words:
             words += [option, value]

@@ -42,9 +42,9 @@ class Clean(Where):
     """Level of detail of a streamed scene; 0 is the finest."""
     report: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: no report)")] = None
     """Folder for report.html (all in one file), report.json and pictures of what goes, by class; made if missing."""
-    select: Annotated[str | None, arg(metavar="FILE.npy", help_behavior_hint="(default: no file)")] = None
+    select: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no file)")] = None
     """Write the class of each Gaussian: 0 stays, 1 flyaways, 2 interior, 3 unseen, 4 fog, 5 floaters."""
-    apply: Annotated[str | None, arg(metavar="FILE.npy", help_behavior_hint="(default: look for what can go)")] = None
+    apply: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: look for what can go)")] = None
     """Remove what an earlier --select, perhaps edited since, says; nothing is looked for."""
     classes: Annotated[tuple[str, ...] | None, NAMES, hint("all")] = None
     """Classes that go: flyaways, interior, unseen, fog, floaters."""
@@ -58,14 +58,14 @@ class Clean(Where):
     """Views that the guard draws before and after; 0 for no guard."""
     least_db: Annotated[float, DECIBELS] = 45.0
     """PSNR that each of them keeps when flyaways, interior and unseen go; else a class is given back."""
-    most_changed: Annotated[float, SHARE] = 0.1
+    most_changed: Annotated[float, SHARE] = 0.3
     """Share of their pixels that may end elsewhere when fog or floaters go; else the class is given back."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of eyes and views: the same seed gives the same result."""
     overwrite: Flag = False
-    """Replace OUT and FILE.npy if they exist."""
+    """Replace OUT and the file of --select if they exist."""
     json: Flag = False
     """Print one JSON document instead of a table."""
     debug: Flag = False

@@ -15,7 +15,7 @@ __all__ = ["Space"]
 
 @dataclass(frozen=True)
 class Space(Where):
-    """Write where a visitor can be, and what stops one, for collision and walking in other programs."""
+    """Write where a visitor can be, and what stops one, for other programs."""
 
     scene: Scene
     """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""

@@ -64,7 +64,7 @@ class CleanConfig:
     resolution: int = 192
     held_out: int = 8
     least_db: float = 45.0
-    most_changed: float = 0.1
+    most_changed: float = 0.3
     tau: float = 1.0 / 255.0
     seed: int = 0
 
