@@ -8,7 +8,7 @@ Given: a scene, its LOD, a recording; the number of frames. Each run uses the de
 Measured: share of the Gaussians kept; PSNR of every frame drawn against the scene, 640 x 480 at 90 degrees; seconds.
 Defaults chosen on: limits, rays and size of looks are those of `gsvis pvs`. Two things were changed after trials on
     user101 in showroom: a reserve of 5 dB for held-out views, and looks from the walk itself, not only around it: a
-    frame of 37 dB showed a slit beside a door that no look had seen. Other walks were not looked at.
+    frame of 37 dB showed a slit beside a door that no look had seen. user107 was not looked at before.
 """
 
 from __future__ import annotations
