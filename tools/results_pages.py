@@ -127,5 +127,6 @@ PAGES = {
             "scaling",
         ),
     ),
+    "edit": Page("Editing scenes", ("clean",)),
     "viewer": Page("The viewer", ("viewer_load", "viewer_draw")),
 }
