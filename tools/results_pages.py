@@ -129,5 +129,6 @@ PAGES = {
             "scaling",
         ),
     ),
+    "edit": Page("Editing scenes", ("clean",)),
     "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "streamed_sog", "streamed_sog_nika")),
 }

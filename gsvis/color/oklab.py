@@ -75,7 +75,7 @@ def ramp(parts: ArrayLike) -> F64:
 
     Examples:
         >>> ramp([0.0, 1.0]).round(2).tolist()
-        [[0.19, 0.04, 0.35], [0.99, 0.93, 0.59]]
+        [[0.22, 0.04, 0.35], [0.99, 0.92, 0.5]]
     """
     values = _check.floats("parts", parts, ("N",), np.float64)
     _check.in_range("parts", values, 0.0, 1.0)
