@@ -11,16 +11,12 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
+from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out
 from gsvis.cli.source import (
-    check_file,
-    check_folder,
-    check_new,
     check_report,
     check_source,
     evenly,
     file_cameras,
-    inputs_of,
-    is_levels,
     load_source,
     parse_up,
 )
@@ -38,7 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = ["run_clean"]
 
-_WRITTEN = (".ply", ".spz", ".sog")
 _CAMERAS = 200  # most photographs whose viewpoints are eyes
 _SEARCH = ("report", "select", "cameras", "strength", "eyes", "held_out", "least_db", "most_changed", "up", "seed")
 
@@ -78,11 +73,7 @@ def _check_arguments(command: Clean) -> CleanConfig:
     from gsvis.edit import CLASSES, CleanConfig
 
     check_source(command.scene, command.lod)
-    if is_levels(command.scene):
-        raise ValueError(
-            f"SCENE: expected a scene, got the folder of levels {command.scene}; clean before gsvis levels, or name the"
-            " PLY of one level"
-        )
+    check_one_level(command.scene)
     parse_up(command.up)
     try:
         config = CleanConfig(
@@ -93,10 +84,7 @@ def _check_arguments(command: Clean) -> CleanConfig:
         raise ValueError(f"--{str(error).replace('_', '-', 1)}") from None
     if command.apply is not None:
         _check_apply(command)
-    if command.out is not None:
-        _check_out(command, Path(command.out))
-    if command.select is not None:
-        _check_select(command, Path(command.select))
+    _check_outputs(command)
     if command.report is not None:
         check_report(command.report)
     return config
@@ -114,24 +102,18 @@ def _check_apply(command: Clean) -> None:
         raise FileNotFoundError(2, "no such file or folder", command.apply)
 
 
-def _check_out(command: Clean, target: Path) -> None:
-    if target.suffix.lower() not in _WRITTEN or target.name.lower().endswith(".compressed.ply"):
-        raise ValueError(f"-o: expected a name that ends in {', '.join(_WRITTEN)}, got {command.out!r}")
-    check_file(target)
-    check_folder(target.parent)
-    if target.exists() and any(path.exists() and target.samefile(path) for path in inputs_of(command.scene)):
-        raise ValueError(f"-o: expected another file than SCENE, got {command.out}; name another")
-    check_new(target, command.overwrite)
-
-
-def _check_select(command: Clean, target: Path) -> None:
+def _check_outputs(command: Clean) -> None:
     from gsvis.io.selection import note_of
 
-    if target.suffix != ".npy":
-        raise ValueError(f"--select: expected a name that ends in .npy, got {command.select!r}")
-    check_file(target)
-    check_new(target, command.overwrite)
-    check_new(note_of(target), command.overwrite)
+    outputs: dict[str, Path] = {}
+    if command.out is not None:
+        outputs["-o"] = check_scene_out(command.out, command.scene, command.overwrite, name="-o")
+    if command.select is not None:
+        target = Path(command.select)
+        if target.suffix != ".npy":
+            raise ValueError(f"--select: expected a name that ends in .npy, got {command.select!r}")
+        outputs |= {"--select": target, "the note of --select": note_of(target)}
+    check_outputs(outputs, {"SCENE": command.scene}, command.overwrite)
 
 
 def _find(
