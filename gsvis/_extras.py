@@ -9,7 +9,7 @@ from importlib.util import find_spec
 
 from gsvis.errors import MissingExtraError
 
-__all__ = ["EXTRAS", "has", "missing", "remedy_of", "require"]
+__all__ = ["EXTRAS", "has", "missing", "project_of", "remedy_of", "require"]
 
 EXTRAS = {
     "dask": "cluster",
@@ -25,6 +25,19 @@ EXTRAS = {
     "torchvision": "metrics",
 }
 """The extra of pyproject.toml that installs each optional package."""
+
+
+_PROJECTS = {"skimage": "scikit-image"}
+
+
+def project_of(package: str) -> str:
+    """Return the name under which an optional package is installed.
+
+    Examples:
+        >>> project_of("skimage"), project_of("flip_evaluator")
+        ('scikit-image', 'flip-evaluator')
+    """
+    return _PROJECTS.get(package, package.replace("_", "-"))
 
 
 def remedy_of(package: str) -> str:
@@ -52,7 +65,7 @@ def missing(what: str, package: str) -> MissingExtraError:
         what: What needs the package.
         package: One of `EXTRAS`.
     """
-    return MissingExtraError(what, package.replace("_", "-"), EXTRAS[package])
+    return MissingExtraError(what, project_of(package), EXTRAS[package])
 
 
 def require(what: str, *packages: str) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from gsvis._extras import EXTRAS, has, remedy_of, require
+from gsvis._extras import EXTRAS, has, project_of, remedy_of, require
 from gsvis.errors import MissingExtraError
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
@@ -56,6 +56,9 @@ COMMANDS = {
     "train": ["train", "IN/photos", "-o", "OUT/t.ply", "--iterations", "2", "--sh-degree", "0"],
     "levels": ["levels", "IN/rooms.ply", "-o", "OUT/levels"],
     "convert": ["convert", "IN/rooms.ply", "OUT/a.spz"],
+    "clean": ["clean", "IN/rooms.ply", "-o", "OUT/clean.ply", "--report", "OUT/clean", "--eyes", "1", "--held-out", "1",
+              *BOX],
+    "space": ["space", "IN/rooms.ply", "-o", "OUT/space.glb", *BOX],
     "cut": ["cut", "IN/rooms.ply", "-o", "OUT/cut.ply", "--size", "16", "--views", "1", "--min-psnr", "0", *BOX],
     "paint": ["paint", "IN/rooms.ply", "-o", "OUT/painted.ply", "--size", "16", "--eyes", "2", *BOX],
     "prepare": ["prepare", "IN/rooms.ply", "-o", "OUT/a.gsvis", *TINY],
@@ -77,6 +80,7 @@ NEEDS = {
     "pvs --scheduler": "dask",
     "pvs-report": "matplotlib",
     "render --depth": "matplotlib",
+    "space": "skimage",
     "train": "torch",
 }
 SLOW = {"color --report", "levels", "pvs-report", "prepare", "train"}
@@ -122,7 +126,7 @@ def test_each_command_works_or_names_the_extra(blocked: tuple[str, ...], inputs:
             assert code == 2, (name, err)
             (line,) = err.splitlines()
             assert line.startswith("gsvis: error: "), name
-            assert line.endswith(f"expected the package {package}, got none; {remedy_of(package)}"), name
+            assert line.endswith(f"expected the package {project_of(package)}, got none; {remedy_of(package)}"), name
     made = {path.name for path in tmp_path.iterdir()}
     assert {"a.spz", "b.gsvis", "c.arrow", "sim", "site", "unpacked", "view.png"} <= made
     assert "t.ply" not in made
@@ -133,7 +137,7 @@ def test_each_command_works_or_names_the_extra(blocked: tuple[str, ...], inputs:
 
 
 def test_every_command_is_tried() -> None:
-    assert set(commands()) == {"gsvis", *(f"gsvis {name.split()[0]}" for name in COMMANDS)}
+    assert set(commands()) == {"gsvis", *(f"gsvis {name.replace(',', '').split()[0]}" for name in COMMANDS)}
     assert set(NEEDS) <= set(COMMANDS)
     assert set(NEEDS.values()) <= {package for blocked in BLOCKED.values() for package in blocked}
 
@@ -144,10 +148,10 @@ def test_extras_are_those_of_the_project() -> None:
     groups = dict(re.findall(r"^(\w+) = \[(.*?)\]$", table, flags=re.DOTALL | re.MULTILINE))
     lines = {extra: [Requirement(line) for line in re.findall(r'"(.*?)"', block)] for extra, block in groups.items()}
     for package, extra in EXTRAS.items():
-        names = {line.name.replace("-", "_").removesuffix("_cpu") for line in lines[extra]}
-        assert package in names | {each for line in lines[extra] for each in line.extras}, package
+        names = {line.name.removesuffix("-cpu") for line in lines[extra]}
+        assert project_of(package) in names | {each for line in lines[extra] for each in line.extras}, package
     (joined,) = lines["all"]
-    assert joined.extras == {"cluster", "open3d", "report", "torch", "train"}
+    assert joined.extras == {"cluster", "mesh", "open3d", "report", "torch", "train"}
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
