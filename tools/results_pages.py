@@ -130,5 +130,5 @@ PAGES = {
         ),
     ),
     "edit": Page("Editing scenes", ("clean",)),
-    "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "streamed_sog", "streamed_sog_nika")),
+    "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "static_site", "streamed_sog", "streamed_sog_nika")),
 }

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gsvis.cli.source import Source, navigable_space
-from gsvis.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
     from gsvis.export.start import Start
 
-__all__ = ["find_starts"]
+__all__ = ["find_starts", "thin"]
 
 _PART = 100_000
 """Number of Gaussians that are looked at. What place a scene is, and where it is free, shows in few."""
@@ -35,18 +34,19 @@ def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
     from gsvis.prepare.start_views import choose_start_views
     from gsvis.scene.poses import describe_poses
 
-    some = _thin(source.gaussians)
-    space, _ = navigable_space(replace(source, gaussians=some, levels=None), up=up)
+    some = thin(source)
+    space, _ = navigable_space(some, up=up)
     if space is None:
         return None
     mode: Mode = "orbit" if space.kind.kind == "object" else "fly"
-    found = describe_poses(choose_start_views(some, space, drawn=_DRAWN))
+    found = describe_poses(choose_start_views(some.gaussians, space, drawn=_DRAWN))
     return tuple(Start.from_dict(view, mode) for view in found) or None
 
 
-def _thin(g: Gaussians) -> Gaussians:
-    """Return Gaussians drawn at random, larger by as much as keeps the area of all together."""
-    if len(g) <= _PART:
-        return g
-    some = np.sort(np.random.default_rng(0).choice(len(g), _PART, replace=False))
-    return replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / _PART)))
+def thin(source: Source) -> Source:
+    """Return a scene with Gaussians drawn at random, larger by as much as keeps the area of all together."""
+    g = source.gaussians
+    if len(g) > _PART:
+        some = np.sort(np.random.default_rng(0).choice(len(g), _PART, replace=False))
+        g = replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / _PART)))
+    return replace(source, gaussians=g, levels=None)

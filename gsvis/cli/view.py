@@ -77,7 +77,7 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
                 raise ValueError(f"{option}: expected none for a package or a static scene, got {value}; leave it out")
         return given, ""
     from gsvis.cli.source import check_folder, load_source, parse_up, title_of, up_of
-    from gsvis.cli.starts import find_starts
+    from gsvis.cli.starts import find_starts, thin
     from gsvis.export.static import StaticOptions, write_static
 
     up = parse_up(command.up)
@@ -90,7 +90,7 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
         source = load_source(command.scene, command.lod)
         status("reading", 1, 1)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-view-")))
-        x, y, z = (float(value) for value in (up_of(source) if up is None else up))
+        x, y, z = (float(value) for value in (up_of(thin(source)) if up is None else up))
         status("start", 0, 1)
         poses = find_starts(source, (x, y, z))
         status("start", 1, 1)

@@ -9,7 +9,7 @@ import pytest
 
 from gsvis.cli import starts
 from gsvis.cli.source import Source, load_source
-from gsvis.cli.starts import find_starts
+from gsvis.cli.starts import find_starts, thin
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -50,9 +50,10 @@ def test_a_scene_without_room_for_an_eye_has_no_such_view() -> None:
 
 
 def test_a_part_of_a_scene_covers_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    g = load_source("builtin:two_rooms", None).gaussians
+    source = load_source("builtin:two_rooms", None)
     monkeypatch.setattr(starts, "_PART", 10_000)
-    some = starts._thin(g)
-    assert len(some) == 10_000
-    area = [float(np.sort(each.scales, axis=1)[:, 1:].prod(axis=1).sum()) for each in (g, some)]
+    some = thin(source)
+    assert len(some.gaussians) == 10_000
+    scales = [each.gaussians.scales for each in (source, some)]
+    area = [float(np.sort(each, axis=1)[:, 1:].prod(axis=1).sum()) for each in scales]
     assert area[1] == pytest.approx(area[0], rel=0.05)
