@@ -68,8 +68,6 @@ PAGES = {
         (
             "visibility_cdf",
             "visibility_walk",
-            "cut",
-            "cut_unseen",
             "analyze_time",
             "raycast_build",
             "raycast_contributions",
@@ -129,6 +127,6 @@ PAGES = {
             "scaling",
         ),
     ),
-    "edit": Page("Editing scenes", ("clean",)),
+    "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
     "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "static_site", "streamed_sog", "streamed_sog_nika")),
 }

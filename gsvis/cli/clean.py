@@ -206,16 +206,20 @@ def _tables(document: dict[str, Any], source: Source) -> list[Any]:
     """Return the table of the classes."""
     rows = []
     for name, each in document["classes"].items():
-        cost = each["cost"]
-        told = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"] if cost else [""] * 3
-        share = f"{each['removed'] / document['gaussians']:.2%}"
-        rows.append((name, f"{each['removed']:,}", share, f"{each['found'] - each['removed']:,}", *told))
-    cost = document["cost"]
+        goes, back = each["removed"], each["found"] - each["removed"]
+        share = f"{goes / document['gaussians']:.2%}"
+        rows.append((name, f"{goes:,}", share, f"{back:,}", *_cost_cells(each["cost"])))
     gone = document["gaussians"] - document["kept"]
-    told = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"] if cost else [""] * 3
-    rows.append(("all", f"{gone:,}", f"{gone / document['gaussians']:.2%}", "", *told))
+    rows.append(("all", f"{gone:,}", f"{gone / document['gaussians']:.2%}", "", *_cost_cells(document["cost"])))
     header = ("class", "goes", "share", "given back", "dB", "worst", "changed")
     return [facts(f"{source.name}: {document['gaussians']:,} Gaussians", rows, header)]
+
+
+def _cost_cells(cost: dict[str, float] | None) -> tuple[str, str, str]:
+    """Return the cells of a row for what it costs to remove something; empty ones without a guard."""
+    if not cost:
+        return "", "", ""
+    return f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"
 
 
 def _lines(command: Clean, document: dict[str, Any]) -> list[str]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from gsvis._extras import require
 from gsvis.cli.arguments_space import Space
-from gsvis.cli.source import check_file, check_new, check_source, load_source, parse_up
+from gsvis.cli.scene_out import check_outputs
+from gsvis.cli.source import check_source, load_source, parse_up
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import WORDS, check_where, find_place, kind_row
 from gsvis.files.atomic import atomic_path
@@ -96,9 +97,7 @@ def _files(command: Space) -> list[Path]:
             raise ValueError(f"--resolution: expected 8 to 384 voxels, got {command.resolution}")
         if any(getattr(command, word) not in (None, False) for word in WORDS):
             raise ValueError("--resolution: expected no --box, --around or --path with it; leave one of them out")
-    for file in files:
-        check_file(file)
-        check_new(file, command.overwrite)
+    check_outputs({f"--out ({file.name})": file for file in files}, {"SCENE": command.scene}, command.overwrite)
     return files
 
 

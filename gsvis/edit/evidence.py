@@ -285,8 +285,8 @@ def _look_outward(
         if fineness > 1 and 80 * fineness * len(rest) > _RAYS:
             break
         least = tau if fineness > 1 else DOUBT * tau
-        told = progress if fineness == 1 else silent
-        seen[rest] = seen_from_space(tracer, navigable, ids=ids[rest], rays_per_face=fineness, tau=least, progress=told)
+        show = progress if fineness == 1 else silent
+        seen[rest] = seen_from_space(tracer, navigable, ids=ids[rest], rays_per_face=fineness, tau=least, progress=show)
     return seen
 
 

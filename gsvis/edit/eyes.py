@@ -172,25 +172,25 @@ class EyesOfCameras:
     @property
     def repeats(self) -> bool:
         """Whether all cameras are looked from, and eyes are nowhere else."""
-        return not self.margin and len(self._looked) == len(self.cameras)
+        return not self.margin and len(self._sample) == len(self.cameras)
 
     @cached_property
-    def _looked(self) -> I64:
+    def _sample(self) -> I64:
         """Numbers of the cameras to look from."""
         count = len(self.cameras) if self.looks is None else min(self.looks, len(self.cameras))
         return np.floor(np.arange(count) * len(self.cameras) / count).astype(np.int64)
 
     def count_looks(self) -> int:
         """Return the number of cameras to look from; with a margin each looks twice."""
-        return len(self._looked) * (2 if self.margin else 1)
+        return len(self._sample) * (2 if self.margin else 1)
 
     def iter_looks(self, look: Look, seed: int) -> Iterator[Sight | None]:
         """Yield what each camera shows, then from places at its margin; None for one inside something solid."""
         solid = Solid.from_scene(look.gaussians)
-        for c in self._looked.tolist():
+        for c in self._sample.tolist():
             yield self._show(look, self.cameras[c])
         rng = np.random.default_rng([seed, _RIM])
-        for c in self._looked.tolist() if self.margin else ():
+        for c in self._sample.tolist() if self.margin else ():
             camera = self.cameras[c]
             place = camera.viewpoints + self.margin * _on_sphere(1, rng)
             yield None if solid.buries(place)[0] else self._show(look, _move(camera, place))
@@ -221,7 +221,7 @@ class EyesOfCameras:
         With a margin they are moved beside their places, unless that is inside something solid.
         """
         rng = np.random.default_rng([sampling.seed, sampling.stream, _CHOSEN])
-        others = np.setdiff1d(np.arange(len(self.cameras)), () if self.margin else self._looked)
+        others = np.setdiff1d(np.arange(len(self.cameras)), () if self.margin else self._sample)
         pool = others if len(others) else np.arange(len(self.cameras))
         views = self.cameras[np.sort(rng.choice(pool, min(sampling.count, len(pool)), replace=False))]
         if views.width > sampling.width:

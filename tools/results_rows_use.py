@@ -1,0 +1,148 @@
+"""The rows of docs/results.md about what people do with a scene: stream, edit, look at it; see results_rows.py."""
+
+from __future__ import annotations
+
+from results_pages import Row, Section
+
+__all__ = ["USE"]
+
+USE = (
+    Section(
+        "Does streaming help a viewer?",
+        "streaming",
+        (
+            Row(
+                "Showroom at 10 Mbit/s: when is an image of 20 and of 35 dB there?",
+                (
+                    "streaming: first image of 20 dB, median, 10 Mbit/s, gsvis, showroom",
+                    "streaming: image of 35 dB, median, 10 Mbit/s, gsvis, showroom",
+                ),
+                ours="{0:.2g} and {1:.2g} s",
+                peer="whole file: 8 s; Morton order: 9 s",
+                target="≤ 0.5, 2 s",
+            ),
+            Row(
+                "QoE of a step at 10 Mbit/s, showroom and nika?",
+                (
+                    "streaming: QoE of a step, 10 Mbit/s, gsvis, showroom",
+                    "streaming: QoE of a step, 10 Mbit/s, gsvis, nika",
+                ),
+                ours="{0:.2f}, {1:.2f}",
+                peer="whole file: -0.47, 0.03",
+            ),
+            Row(
+                "How many records are sent twice?",
+                ("streaming: records sent twice, all scenes",),
+                ours="{0:g}",
+                target="0",
+            ),
+            Row(
+                "How long do a cold plan, at worst, and a tick for each of 50 viewers on showroom take?",
+                (
+                    "abr_planning: cells see 100%, fov-first: cold, median",
+                    "abr_planning: showroom: 50 clients, a tick of one, mean",
+                ),
+                ours="{0:.0f} ms (5 ms on showroom); {1:.1f} ms",
+                target="≤ 10, 1 ms",
+            ),
+            Row(
+                "How many viewers at full 10 Mbit/s does a core serve?",
+                ("server_load: 25 viewers: viewers by CPU",),
+                ours="{0:.0f}",
+            ),
+            Row(
+                "Bytes of a Gaussian on disk, one level, base colors?",
+                (
+                    "package_codec_showroom: on disk, with rows of chunks, showroom, rgb",
+                    "package_codec_nika: on disk, with rows of chunks, nika, rgb",
+                ),
+                ours="{0:.1f}, {1:.1f}",
+                peer="SOG: 12.0, 11.4; SPZ: 16.9, 13.3",
+                verdict="behind SOG",
+            ),
+            Row(
+                "How far is a simulation from a real exchange?",
+                ("shaped_link: cooked_3gp/norway_bus_1: largest difference in bytes, from 2 s on",),
+                ours="{0:.1%} of the bytes at most",
+                target="≤ 10%",
+            ),
+        ),
+    ),
+    Section(
+        "Does editing keep what matters?",
+        "edit",
+        (
+            Row(
+                "How much of showroom does a walk need that was not looked at before, and how good is its worst frame?",
+                ("cut_unseen: around: share of the Gaussians kept", "cut_unseen: around: worst frame"),
+                ours="{0:.1%}, {1:.1f} dB",
+                peer="as many nearest to the walk: 13.0 dB",
+                target="≤ 40%, ≥ 45 dB",
+            ),
+            Row(
+                "What of floaters, fog and interior put in does `clean` find: built-in scenes at least, nika?",
+                (
+                    "clean: built-in scenes: least recall of floaters",
+                    "clean: built-in scenes: least recall of fog",
+                    "clean: built-in scenes: least recall of interior",
+                    "clean: nika LOD 1: least recall of floaters",
+                    "clean: nika LOD 1: least recall of fog",
+                    "clean: nika LOD 1: least recall of interior",
+                ),
+                ours="{0:.2f}, {1:.2f}, {2:.2f}; nika {3:.2f}, {4:.2f}, {5:.2f}",
+                target="≥ 0.95",
+            ),
+            Row(
+                "How long does `clean` take for 1 M Gaussians, quiet and beside other work, and how much memory?",
+                (
+                    "clean: 1,000,000 Gaussians: time at a load of 3 on two cores",
+                    "clean: 1,000,000 Gaussians: time at a load of 15 on two cores",
+                    "clean: 1,000,000 Gaussians: peak memory",
+                ),
+                ours="{0:.0f}, {1:.0f} s, {2:.2f} GB",
+                target="≤ 60 s, ≤ 2 GB",
+            ),
+        ),
+    ),
+    Section(
+        "Can it be looked at in a browser?",
+        "viewer",
+        (
+            Row(
+                "How soon does the page show showroom, on loopback, without a GPU?",
+                ("viewer_load: first picture", "viewer_load: complete"),
+                ours="first picture {0:.2f} s, all of 9.8 MB {1:.1f} s",
+                target="≤ 1 s, 1.5 s",
+            ),
+            Row(
+                "How true and how fast is its picture of 747k Gaussians, beside PlayCanvas'?",
+                ("viewer_draw: showroom: PSNR", "viewer_draw: showroom: frames a second over PlayCanvas'"),
+                ours="{0:.1f} dB against `gsvis render`, {1:.1f} times the frames",
+                peer="PlayCanvas 2.23: 33.4 dB",
+                target="≥ 50 dB, 2 times",
+            ),
+            Row(
+                "How many bytes does a static site need until 35 dB, all eyes together and in the median?",
+                (
+                    "static_site: bytes until 35 dB over those of the server, 5 eyes, all bytes together",
+                    "static_site: bytes until 35 dB over those of the server, 5 eyes, median",
+                ),
+                ours="{0:.1f}, {1:.1f} times",
+                peer="streaming server: 1",
+                target="≤ 1.5 times",
+            ),
+            Row(
+                "Streamed SOG with its sidecar, showroom and nika: fewer bytes until 35 dB, fewer splats drawn?",
+                (
+                    "streamed_sog: showroom: bytes until 35 dB, fewer than in the engine's order",
+                    "streamed_sog_nika: nika: bytes until 35 dB, fewer than in the engine's order",
+                    "streamed_sog: showroom: splats drawn, fewer than without the sidecar",
+                    "streamed_sog_nika: nika: splats drawn, fewer than without the sidecar",
+                ),
+                ours="{0:.0%}, {1:.0%}; {2:.0%}, {3:.0%}",
+                peer="PlayCanvas 2.23's order: 0",
+                target="≥ 40%",
+            ),
+        ),
+    ),
+)
