@@ -125,10 +125,8 @@ def _without_options(commands: Any) -> Any:
     from operator import or_
     from typing import get_args
 
-    return reduce(
-        or_,
-        (make_dataclass(c.__name__, [], namespace={"__doc__": c.__doc__.split("\n")[0]}) for c in get_args(commands)),
-    )
+    bare = (make_dataclass(c.__name__, [], namespace={"__doc__": c.__doc__.split("\n")[0]}) for c in get_args(commands))
+    return reduce(or_, bare)
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:

@@ -87,6 +87,11 @@ class _Input:
 def _split_paths(command: Convert) -> tuple[tuple[str, ...], str]:
     """Return the scenes to read and the file to write."""
     paths = command.paths
+    for path in paths:
+        if _is_number(path) and not Path(path).exists():
+            raise ValueError(
+                f"IN: expected a scene, got {path}; --translate and --rotate take three numbers, --scale one"
+            )
     if command.out is not None:
         if not paths:
             raise ValueError("IN: expected a scene to read, got none; gsvis convert IN -o OUT")
@@ -104,10 +109,6 @@ def _check_inputs(scenes: tuple[str, ...], lods: tuple[int, ...] | None) -> list
     found: list[int | None] = [None] * len(scenes)
     streamed = []
     for k, scene in enumerate(scenes):
-        if _is_number(scene) and not Path(scene).exists():
-            raise ValueError(
-                f"IN: expected a scene, got {scene}; --translate and --rotate take three numbers, --scale one"
-            )
         check_source(scene, None)
         if not is_builtin(scene) and not is_levels(scene) and check_scene(scene):
             streamed.append(k)
@@ -118,7 +119,7 @@ def _check_inputs(scenes: tuple[str, ...], lods: tuple[int, ...] | None) -> list
         raise ValueError(f"--lod: expected none for a scene with one level of detail, got {lods[0]}; leave it out")
     if len(lods) not in (1, len(streamed)):
         raise ValueError(
-            f"--lod: expected one number, or one for each of {len(streamed)} streamed scenes, got {len(lods)}"
+            f"--lod: expected one number, or one for each streamed scene, which are {len(streamed)}, got {len(lods)}"
         )
     for place, k in enumerate(streamed):
         found[k] = lods[place if len(lods) > 1 else 0]
