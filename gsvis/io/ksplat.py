@@ -236,8 +236,8 @@ class _Buckets(NamedTuple):
 
 
 def _sort_into_buckets(scene: Gaussians) -> _Buckets:
-    low, high = scene.bounds(1.0)
-    side = max(float(np.subtract(*scene.bounds()[::-1]).max()), 1e-9 * float((high - low).max())) or _BLOCKS
+    low, high = scene.bounds()  # a grid from the corner of all centers would be as coarse as its floaters are far
+    side = float((high - low).max()) or _BLOCKS
     block = float(max(np.float32(side / _BLOCKS), np.finfo(np.float32).tiny))
     cells = np.floor((scene.means.astype(np.float64) - low) / block)
     order = np.lexsort(cells.T[::-1])

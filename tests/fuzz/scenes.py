@@ -20,6 +20,7 @@ from gsvis.scene.gaussians import Gaussians
 from tests.fuzz.targets import Case, Target
 from tests.io.scene_files import (
     compressed_ply_bytes,
+    ksplat_bytes,
     ply_bytes,
     random_scene,
     raw_columns,
@@ -96,6 +97,12 @@ def packed_plys() -> list[Case]:
 
 def splats() -> list[Case]:
     return [{"a.splat": splat_bytes(scene)} for scene in (SMALL, FLAT)]
+
+
+def ksplats() -> list[Case]:
+    degree2 = random_scene(9, 2, 5)
+    made = [ksplat_bytes([scene], level) for level in (0, 1, 2) for scene in (SMALL, FLAT, degree2)]
+    return [{"a.ksplat": data} for data in [*made, ksplat_bytes([FLAT, degree2], 2)]]
 
 
 def old_spz() -> list[Case]:
@@ -197,6 +204,7 @@ TARGETS = [
     Target("ply", plain_plys, in_one_file, modules=_PLY),
     Target("compressed-ply", packed_plys, in_one_file, modules=(IO + "compressed_ply", *_PLY)),
     Target("splat", splats, by_other_names, modules=(IO + "splat",), weight=0.5),
+    Target("ksplat", ksplats, in_one_file, modules=(IO + "ksplat",)),
     Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),
     Target("spz-zstd", new_spz, in_one_file, kinds={"a.spz": "spz4"}, modules=(IO + "spz",)),
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
