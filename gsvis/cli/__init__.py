@@ -37,7 +37,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
   gsvis clean scene.ply -o clean.ply         without floaters and the unseen
   gsvis convert scene.ply small.spz --min-opacity 0.02
-  gsvis convert house.ply garden.ply -o both.html --rotate 0 90 0
+  gsvis convert house.ply garden.ply -o both.html
   gsvis cut scene.ply -o walk.ply --path walk.csv   keep what a walk can see
   gsvis paint scene.ply -o seen.ply --by visibility
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served

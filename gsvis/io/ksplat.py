@@ -282,4 +282,6 @@ def _encode(scene: Gaussians, level: int, buckets: _Buckets | None, limits: tupl
 
 
 def _to_bytes(values: F32, low: float, high: float) -> F32:
-    return np.clip(np.rint((values - np.float32(low)) * np.float32(255.0 / (high - low))), 0, 255)
+    return np.asarray(
+        np.clip(np.rint((values - np.float32(low)) * np.float32(255.0 / (high - low))), 0, 255), np.float32
+    )

@@ -416,28 +416,6 @@ def change_spz_head(rng: Random, data: bytes) -> bytes:
     return struct.pack("<4sIIBBBB", *fields) + data[16:]
 
 
-def change_ksplat(rng: Random, data: bytes) -> bytes:
-    """One change of a .ksplat: mostly of a field of its head or of a section's, else of what follows them."""
-    sections = min(3, int.from_bytes(data[4:8], "little"))
-    start = 4096 + 1024 * sections
-    if len(data) < start or not sections or rng.random() < 0.1:
-        return change_bytes(rng, data)
-    if rng.random() < 0.4:
-        return data[:start] + change_bytes(rng, data[start:])
-    if rng.random() < 0.4:
-        at, form = rng.choice(((0, "B"), (1, "B"), (4, "I"), (16, "I"), (20, "H"), (36, "f"), (40, "f")))
-    else:
-        whole = ((at, "I") for at in (0, 4, 8, 12, 24, 32, 36))
-        fields = (*whole, (16, "f"), (20, "H"), (40, "H"))
-        at, form = rng.choice(fields)
-        at += 4096 + 1024 * rng.randrange(sections)
-    if form == "f":
-        return _overwrite(data, at, struct.pack("<f", rng.choice((0.0, -1.0, 1e-30, 3e38, math.inf, math.nan, 2.0))))
-    size = struct.calcsize(form)
-    value = rng.choice((0, 1, 2, 3, 255, 1 << 31, int.from_bytes(data[at : at + size], "little") + rng.choice((-1, 1))))
-    return _overwrite(data, at, (value & (1 << 8 * size) - 1).to_bytes(size, "little"))
-
-
 def change_zstd(rng: Random, data: bytes, change: Mutator = change_bytes) -> bytes:
     """One change of what is in a zstd frame; sometimes of the frame."""
     if rng.random() < 0.2:
@@ -496,7 +474,6 @@ KINDS: dict[str, Mutator] = {
     "zip": change_zip,
     "archive": change_archive,
     "npy": change_npy,
-    "ksplat": change_ksplat,
     "gzip": change_gzip("bytes"),
     "gzip-spz": change_gzip("spz-head"),
     "gzip-text": change_gzip("text"),
