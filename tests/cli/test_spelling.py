@@ -39,7 +39,7 @@ def commands() -> list[tuple[str, type]]:
         (["inspect", "builtin:two_room"], "builtin:nested_shells, or a path, .* did you mean builtin:two_rooms?"),
         (
             ["convert", "builtin:two_rooms", "/tmp/x.sgo"],
-            "ends in .ply, .spz, .sog, .ksplat, .html, got .*; did you mean .sog?",
+            "ends in .ply, .spz, .sog, .* got .*; did you mean .sog?",
         ),
         (["inspect", "builtin:attic"], "expected one of builtin:.* got 'builtin:attic'"),
     ],
