@@ -158,6 +158,9 @@ def test_a_page_holds_the_converted_scene_upright(monkeypatch: pytest.MonkeyPatc
     assert capsys.readouterr().out.startswith("c.html: ")
     assert main(["convert", "builtin:two_rooms", "d.html", "--rotate", "0", "90", "0", "--max-sh-degree", "0"]) == 0
     assert found["up"] == (1.0, 0.0, 0.0)  # the rooms have a known up axis, +z
+    monkeypatch.setattr("gsvis.cli.source.guess_up", lambda g: ("+y", 1.0) if len(g) > 30_000 else ("-y", 1.0))
+    assert main(["convert", "builtin:two_rooms", "a.ply", "-o", "e.html", "--rotate", "0", "0", "90"]) == 0
+    assert found["up"] == (-1.0, 0.0, 0.0)  # guessed of all together
 
 
 def test_a_page_is_the_one_of_export(monkeypatch: pytest.MonkeyPatch, here: Path) -> None:

@@ -265,6 +265,14 @@ def test_a_file_of_many_promises_takes_no_memory(tmp_path: Path) -> None:
         assert peak < 4 << 20
 
 
+@pytest.mark.parametrize(("level", "at", "form"), [(0, 12, "f"), (1, 6, "e"), (2, 6, "e")])
+def test_a_scale_that_underflowed_is_the_smallest_one(tmp_path: Path, level: int, at: int, form: str) -> None:
+    data = ksplat_bytes([random_scene(1, 0)], level)
+    row = len(data) - (44 if level == 0 else 24)
+    (tmp_path / "a.ksplat").write_bytes(changed(data, row + at, form, 0.0))
+    assert load_scene(tmp_path / "a.ksplat").scales[0, 0] == np.finfo(np.float32).tiny
+
+
 def test_header_zeros_stand_for_the_usual_limits_of_sh(tmp_path: Path) -> None:
     (tmp_path / "a.ksplat").write_bytes(changed(changed(FILE, 36, "ff", 0.0, 0.0), 24, "3f", 9.0, 9.0, 9.0))
     got = load_scene(tmp_path / "a.ksplat").shN

@@ -23,7 +23,7 @@ def scene(means: object, scales: object, opacities: object) -> Gaussians:
 
 
 def test_known_values_lie_in_the_bins_that_name_them() -> None:
-    scales = [[1, 1, 1], [10, 1, 1], [100, 1, 1], [1000, 1, 1]]
+    scales = [[1, 1, 1], [1, 10, 3], [100, 50, 1], [1, 2, 1000]]
     found = measure_histograms(scene(np.eye(4)[:, :3], scales, [0.0, 0.05, 0.95, 1.0]))
     assert found["opacity"].edges == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
     assert found["opacity"].counts == [2, 0, 0, 0, 0, 0, 0, 0, 0, 2]
