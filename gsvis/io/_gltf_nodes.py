@@ -74,7 +74,7 @@ def _numbers(fields: Fields, key: str, count: int) -> list[int]:
 def _matrix(node: Fields) -> F64:
     """Return the (4, 4) matrix of a node to its parent."""
     if "matrix" in node:
-        return node.numbers("matrix", 16).reshape(4, 4).T
+        return np.asarray(node.numbers("matrix", 16).reshape(4, 4).T)
     matrix = np.eye(4)
     if "rotation" in node:
         xyzw = node.numbers("rotation", 4)

@@ -28,7 +28,7 @@ from gsvis.io._gltf_nodes import place_meshes
 from gsvis.io.spz import decode_spz
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["MAGIC", "load_gltf_splats"]
+__all__ = ["MAGIC", "SPLATS", "SPZ", "load_gltf_splats"]
 
 F32 = NDArray[np.float32]
 MAGIC = b"glTF"

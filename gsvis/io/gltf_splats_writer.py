@@ -22,17 +22,17 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.files.atomic import atomic_path
+from gsvis.files.made import GENERATOR
 from gsvis.io._gltf import SPLATS, SPZ, SRGB, sh_names
 from gsvis.io.gltf_splats import MAGIC
 from gsvis.io.spz import encode_old_spz
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["GENERATOR", "MOST_BYTES", "Compression", "encode_glb", "plain_glb_bytes", "save_glb"]
+__all__ = ["MOST_BYTES", "Compression", "check_size", "encode_glb", "save_glb"]
 
 Compression = Literal["none", "spz"]
 
-GENERATOR = "gsvis"
 MOST_BYTES = 2**32 - 1
 """Most bytes of a GLB, which has 32 bits for its length."""
 
@@ -41,9 +41,18 @@ _TURN = np.diag([1.0, -1.0, -1.0])  # SPZ streams are turned by it: half a turn 
 _JSON_ROOM = 16384  # more than the JSON of any scene
 
 
-def plain_glb_bytes(count: int, sh_degree: int) -> int:
-    """Return an upper bound of the bytes of a plain GLB."""
-    return _JSON_ROOM + count * (48 + 12 * (sh_degree + 1) ** 2)
+def check_size(count: int, sh_degree: int) -> None:
+    """Raise unless so many Gaussians fit into a plain GLB.
+
+    Raises:
+        ValueError: If they have more than 4 GB.
+    """
+    size = _JSON_ROOM + count * (48 + 12 * (sh_degree + 1) ** 2)
+    if size > MOST_BYTES:
+        raise ValueError(
+            f"scene: expected at most {MOST_BYTES:,} bytes as GLB, got {size:,} for {count:,} Gaussians; compress it,"
+            " or write 3D Tiles"
+        )
 
 
 def save_glb(
@@ -93,12 +102,8 @@ def _check_scene(scene: Gaussians, compression: Compression) -> None:
     _check.one_of("compression", compression, ("none", "spz"))
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got none")
-    size = plain_glb_bytes(len(scene), scene.sh_degree)
-    if compression == "none" and size > MOST_BYTES:
-        raise ValueError(
-            f"scene: expected at most {MOST_BYTES:,} bytes as GLB, got {size:,} for {len(scene):,} Gaussians;"
-            " compress it, or write 3D Tiles"
-        )
+    if compression == "none":
+        check_size(len(scene), scene.sh_degree)
 
 
 def _write(scene: Gaussians, out: BinaryIO, upright: NDArray[np.float64] | None, compression: Compression) -> None:
@@ -154,9 +159,17 @@ def _fallback(scene: Gaussians) -> NDArray[np.uint8]:
 
 def _describe_plain(document: dict[str, Any], scene: Gaussians) -> int:
     """Fill in accessors, views and the mesh of plain data; return their bytes."""
-    views, accessors, attributes, at = [], [], {}, 0
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    attributes: dict[str, int] = {}
+    at = 0
     for name, kind, component, column in _columns(scene):
-        accessor = {"bufferView": len(views), "componentType": component, "count": len(scene), "type": kind}
+        accessor: dict[str, Any] = {
+            "bufferView": len(views),
+            "componentType": component,
+            "count": len(scene),
+            "type": kind,
+        }
         if component == _BYTE:
             accessor["normalized"] = True
         if name == "POSITION":
