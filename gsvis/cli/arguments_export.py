@@ -47,8 +47,8 @@ class Export:
     )
     """Axis that points upwards in the scene, such as -y."""
     overwrite: Flag = False
-    """Replace a file that exists, an earlier streamed SOG or tileset, or a page of something else; an earlier site is replaced
-    without it."""
+    """Replace a file that exists, an earlier streamed SOG or tileset, or a page of something else; an earlier site is
+    replaced without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     debug: Flag = False

@@ -63,7 +63,7 @@ def find_volumes(needs: LeafNeeds) -> Volumes:
     needed = needs.needed
     lows = np.where(needed[:, :, None], low[:, None], np.inf).min(axis=0)
     highs = np.where(needed[:, :, None], high[:, None], -np.inf).max(axis=0)
-    some = needed.any(axis=0)
+    some: Mask = np.asarray(needed.any(axis=0))
     close = 1e-6 * needs.size
     bounded = np.asarray(some & ((lows > low.min(axis=0) + close) | (highs < high.max(axis=0) - close)).any(axis=1))
     middles = ((low + high) / 2.0)[:, None]

@@ -19,6 +19,7 @@ Placed = tuple[F64, F64, float]
 
 _STRAIGHT = 1e-4  # how far a matrix of float32 may be from a rotation
 _SNAP = 1e-6
+_MOST = 1e30
 
 
 def place_meshes(root: Fields) -> Iterator[tuple[Fields, Placed | None]]:
@@ -90,10 +91,11 @@ def _matrix(node: Fields) -> F64:
 
 def _decompose(node: Fields, matrix: F64) -> Placed | None:
     """Return the parts of a matrix, None for none; a rotation that is nearly one of whole numbers becomes one."""
-    linear, shift = matrix[:3, :3], matrix[:3, 3]
+    good = bool((np.abs(matrix) < _MOST).all())  # false for NaN as well
+    linear, shift = (matrix[:3, :3], matrix[:3, 3]) if good else (np.zeros((3, 3)), np.zeros(3))
     lengths = np.linalg.norm(linear, axis=0)
     scale = float(lengths.mean())
-    good = bool(np.isfinite(matrix).all()) and 1e-30 < scale < 1e30
+    good = scale > 1.0 / _MOST
     rotation = linear / scale if good else np.eye(3)
     straight = np.allclose(rotation @ rotation.T, np.eye(3), atol=_STRAIGHT) and np.linalg.det(rotation) > 0.0
     last = np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0])
