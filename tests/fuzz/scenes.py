@@ -15,11 +15,14 @@ import torch
 from gsvis.errors import FormatError
 from gsvis.io import load_scene
 from gsvis.io.checkpoint import load_checkpoint
+from gsvis.io.gltf_splats_writer import encode_glb
 from gsvis.io.points import load_points
 from gsvis.scene.gaussians import Gaussians
 from tests.fuzz.targets import Case, Target
 from tests.io.scene_files import (
     compressed_ply_bytes,
+    glb_bytes,
+    glb_parts,
     ply_bytes,
     random_scene,
     raw_columns,
@@ -107,6 +110,16 @@ def old_spz() -> list[Case]:
 def new_spz() -> list[Case]:
     made = [spz_bytes(SMALL, 4), spz_bytes(DEEP, 4), spz_bytes(FLAT, 4)]
     return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 4, extensions=FRAME)]]
+
+
+def gltfs() -> list[Case]:
+    """Plain and compressed, turned or not, and one with two nodes and a scene."""
+    turn = np.eye(4)[[0, 2, 1, 3]] * np.array([1.0, 1.0, -1.0, 1.0])
+    made = [encode_glb(SMALL), encode_glb(DEEP, upright=turn), encode_glb(FLAT, compression="spz")]
+    document, binary = glb_parts(encode_glb(FLAT, upright=turn))
+    document["nodes"].append({"children": [0], "rotation": [0, 0, 1, 0], "translation": [1, 2, 3], "scale": [2, 2, 2]})
+    document["scenes"] = [{"nodes": [1]}]
+    return [{"a.glb": data} for data in [*made, glb_bytes(document, binary)]]
 
 
 def zipped_sogs() -> list[Case]:
@@ -199,6 +212,13 @@ TARGETS = [
     Target("splat", splats, by_other_names, modules=(IO + "splat",), weight=0.5),
     Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),
     Target("spz-zstd", new_spz, in_one_file, kinds={"a.spz": "spz4"}, modules=(IO + "spz",)),
+    Target(
+        "glb",
+        gltfs,
+        in_one_file,
+        kinds={"a.glb": "glb"},
+        modules=(IO + "gltf_splats", IO + "_gltf", IO + "_gltf_nodes"),
+    ),
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
     Target("sog-folder", sog_folders, in_sog_folder, modules=_SOG),
     Target("streamed-sog", streams, in_streams, (FormatError, FileNotFoundError), modules=(IO + "streamed_sog", *_SOG)),
