@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, read_whole
-from gsvis.io._build import LEAST_SCALE, bytes_of_scene, gaussians_from
+from gsvis.io._build import LEAST_SCALE, bytes_of_scene, format_error, gaussians_from
 from gsvis.io._gltf import LINEAR, SPLATS, SPZ, Accessors, sh_names
-from gsvis.io._gltf_nodes import place_meshes
+from gsvis.io._gltf_nodes import Placed, place_meshes
 from gsvis.io.spz import decode_spz
 from gsvis.scene.gaussians import Gaussians
 
@@ -57,7 +57,7 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
     budget = Budget(path, len(data))
     root = parse_object(path, document, budget)
     required = root.items("extensionsRequired") if "extensionsRequired" in root else []
-    strange = [str(name)[:60] for name in required if name not in _KNOWN]
+    strange = [str(name)[:60] for name in required if not isinstance(name, str) or name not in _KNOWN]
     if strange:
         raise FormatError(path, "extensionsRequired", f"none but {', '.join(sorted(_KNOWN))}", ", ".join(strange[:3]))
     accessors = Accessors(root, binary, budget)
@@ -67,11 +67,20 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
             fields = Fields(path, f"{mesh.trail}.primitives[{k}]", primitive)
             if "extensions" in fields and SPLATS in fields.child("extensions"):
                 part = _primitive(fields, accessors, budget)
-                parts.append(part if placed is None else part.transform(*placed))
+                parts.append(part if placed is None else _put(path, part, placed))
     if not parts:
         remedy = "meshes and point clouds are no scene of Gaussians"
         raise FormatError(path, "", f"a mesh with the extension {SPLATS}", "none", remedy)
     return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+
+
+def _put(path: str | os.PathLike[str], part: Gaussians, placed: Placed) -> Gaussians:
+    """Return the Gaussians of a node where it stands."""
+    try:
+        with np.errstate(all="ignore"):  # what becomes infinite is refused
+            return part.transform(*placed)
+    except ValueError as error:
+        raise format_error(path, error) from error
 
 
 def _chunks(path: str | os.PathLike[str], data: bytes) -> tuple[bytes, memoryview]:
