@@ -404,21 +404,6 @@ def change_spz4(rng: Random, data: bytes) -> bytes:
     return data[:contents] + table + b"".join(packed for packed, _ in pieces)
 
 
-def change_glb(rng: Random, data: bytes) -> bytes:
-    """One change of a binary glTF: of its JSON or its binary chunk, with right lengths; sometimes of its bytes."""
-    if len(data) < 28 or rng.random() < 0.2:
-        return change_bytes(rng, data)
-    (length,) = struct.unpack_from("<I", data, 12)
-    text, binary = data[20 : 20 + length], data[28 + length :]
-    if rng.random() < 0.7:
-        text = change_json_file(rng, text.rstrip(b" "))
-    else:
-        binary = change_bytes(rng, binary)
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
 def change_spz_head(rng: Random, data: bytes) -> bytes:
     """One change of what is in an SPZ of version 1 to 3: mostly of a field of its head, or of what follows it."""
     if len(data) < 16 or rng.random() < 0.4:
@@ -494,7 +479,6 @@ KINDS: dict[str, Mutator] = {
     "gzip-text": change_gzip("text"),
     "spz-head": change_spz_head,
     "spz4": change_spz4,
-    "glb": change_glb,
     "zstd": change_zstd,
     "webp": change_webp,
 }

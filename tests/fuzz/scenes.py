@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from contextlib import suppress
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -18,6 +19,7 @@ from gsvis.io.checkpoint import load_checkpoint
 from gsvis.io.gltf_splats_writer import encode_glb
 from gsvis.io.points import load_points
 from gsvis.scene.gaussians import Gaussians
+from tests.fuzz.mutators import KINDS, change_bytes, mutate
 from tests.fuzz.targets import Case, Target
 from tests.io.scene_files import (
     compressed_ply_bytes,
@@ -201,6 +203,23 @@ def in_points(folder: Path, case: Case) -> None:
     assert np.isfinite(cloud.means).all()
     assert ((cloud.colors >= 0) & (cloud.colors <= 1)).all()
 
+
+def change_glb(rng: Random, data: bytes) -> bytes:
+    """One change of a binary glTF: of its JSON or its binary chunk, with right lengths; sometimes of its bytes."""
+    if len(data) < 28 or rng.random() < 0.2:
+        return change_bytes(rng, data)
+    (length,) = struct.unpack_from("<I", data, 12)
+    text, binary = data[20 : 20 + length], data[28 + length :]
+    if rng.random() < 0.7:
+        text = mutate(rng, "json", text.rstrip(b" "))
+    else:
+        binary = change_bytes(rng, binary)
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+KINDS["glb"] = change_glb
 
 FILES, IO = "gsvis.files.", "gsvis.io."
 _PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", FILES + "limits", IO + "scenes")
