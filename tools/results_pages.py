@@ -128,5 +128,8 @@ PAGES = {
         ),
     ),
     "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
-    "viewer": Page("The viewer", ("viewer_load", "viewer_draw", "static_site", "streamed_sog", "streamed_sog_nika")),
+    "viewer": Page(
+        "The viewer",
+        ("viewer_load", "viewer_draw", "static_site", "streamed_sog", "streamed_sog_nika", "tiles", "tiles_valid"),
+    ),
 }

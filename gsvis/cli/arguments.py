@@ -84,7 +84,7 @@ class Inspect:
     """Report what a scene holds and what looks wrong with it."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     histograms: Flag = False
@@ -100,7 +100,7 @@ class Analyze(Where):
     """Trace what views need and from where each Gaussian is visible; write a report."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     lod: Lod = None
@@ -135,7 +135,7 @@ class Render(Where):
     """Draw a scene as cameras see it; list who contributes to a pixel."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[
         str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(required without --contributors)")
     ] = None
@@ -201,7 +201,7 @@ class Pvs(Where):
     """Find what is visible from each cell of a scene; write it as a store."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
@@ -281,7 +281,7 @@ class Color(Where):
     """Replace SH colors with a base color and a few terms that can be sent in pieces."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The Arrow file to write, such as scene.arrow: geometry, base colors and terms; replaced if it exists."""
     lod: Lod = None
@@ -373,7 +373,7 @@ class Levels(Where):
     """Make lower levels of a scene that share most of their Gaussians with it."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for low.ply, medium.ply, high.ply and levels.arrow, which lists what they share; made if missing."""
     lod: Lod = None

@@ -34,8 +34,8 @@ class Convert:
     """
 
     paths: Annotated[Positional[tuple[str, ...]], PATHS, arg(help_behavior_hint="")]
-    """Files or folders (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME. Several scenes
-    become one, in their order. Without -o there is one scene, and OUT stands behind it."""
+    """Files or folders (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME. Several
+    scenes become one, in their order. Without -o there is one scene, and OUT stands behind it."""
     out: Annotated[str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(default: the last path)")] = None
     """File to write: .ply, .spz, .sog, .ksplat, or a page, .html. An existing one needs --overwrite."""
     lod: Annotated[tuple[int, ...] | None, LODS, hint("the finest that is there")] = None

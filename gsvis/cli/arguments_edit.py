@@ -33,7 +33,7 @@ class Clean(Where):
     """Remove what no eye sees, fog, floaters and flyaways; without -o only tell."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(default: none; only tell)")] = (
         None
     )
@@ -77,7 +77,7 @@ class Cut(Where):
     """Keep only what eyes along a path, of cameras or in a box can see."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The scene to write, .ply, .spz, .sog or .ksplat. An existing file needs --overwrite."""
     lod: Lod = None
@@ -116,7 +116,7 @@ class Paint(Where):
     """Color a scene by how its Gaussians are seen, for any viewer."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The scene to write, .ply, .spz, .sog or .ksplat. Its legend goes beside it: scene.legend.png. Existing files need
     --overwrite."""

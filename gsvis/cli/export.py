@@ -46,8 +46,6 @@ def run_export(command: Export) -> None:
         FileNotFoundError: If there is no such scene.
         OSError: If the result cannot be written.
     """
-    from gsvis.export import StaticOptions, write_html, write_site
-
     _check_options(command)
     _check_target(command)
     _check_apart(command)
@@ -56,6 +54,13 @@ def run_export(command: Export) -> None:
 
         export_streamed(command)
         return
+    if command.format in ("3dtiles", "glb"):
+        from gsvis.cli.export_tiles import export_tiles
+
+        export_tiles(command)
+        return
+    from gsvis.export import StaticOptions, write_html, write_site
+
     writers = {"static": write_site, "html": write_html}
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = open_scene(command, stack, status)
@@ -84,11 +89,24 @@ def run_export(command: Export) -> None:
 
 
 def _check_options(command: Export) -> None:
-    """Raise if an option is given that the format does not know."""
-    given = {"--pvs": command.pvs, "--leaf": command.leaf, "--never-seen": command.never_seen != "keep" or None}
-    for option, value in given.items():
-        if value is not None and command.format != "streamed-sog":
-            raise ValueError(f"{option}: expected --format streamed-sog with it, got {command.format}; leave it out")
+    """Raise if an option is given that the format does not know, or that needs another."""
+    leaves, gltf, pages = ("streamed-sog", "3dtiles"), ("3dtiles", "glb"), ("static", "html", "streamed-sog")
+    given = {
+        "--pvs": (command.pvs, leaves),
+        "--leaf": (command.leaf, leaves),
+        "--never-seen": (command.never_seen != "keep" or None, leaves),
+        "--compression": (None if command.compression == "auto" else command.compression, gltf),
+        "--meters-per-unit": (command.meters_per_unit, gltf),
+        "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
+        "--name": (command.name, pages),
+    }
+    for option, (value, formats) in given.items():
+        if value is not None and command.format not in formats:
+            known = " or ".join(formats)
+            raise ValueError(f"{option}: expected --format {known} with it, got {command.format}; leave it out")
+    sets = command.pvs is not None or (Path(command.scene) / MANIFEST).is_file()
+    if command.request_volumes and not sets:
+        raise ValueError("--request-volumes: expected a package or --pvs FILE with it, got neither; see gsvis pvs")
     if command.pvs is not None and not Path(command.pvs).exists():
         raise FileNotFoundError(2, "no such file or folder", command.pvs)
 
@@ -110,13 +128,20 @@ def _check_target(command: Export) -> None:
         check_streamed_target(out, command.overwrite)
         check_folder(out)
         return
+    if command.format == "3dtiles":
+        from gsvis.export.tiles import check_tiles_target
+
+        check_tiles_target(out, command.overwrite)
+        check_folder(out)
+        return
     if command.format == "static":
         check_folder(out)
         check_site(out, command.overwrite)
         check_target(out / "scene")
         return
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"--out: expected a file that ends in .html, got {command.out}; name one")
+    suffixes = (".glb",) if command.format == "glb" else (".html", ".htm")
+    if out.suffix.lower() not in suffixes:
+        raise ValueError(f"--out: expected a file that ends in {suffixes[0]}, got {command.out}; name one")
     check_file(out)
     check_new(out, command.overwrite)
 
@@ -125,6 +150,7 @@ def _check_apart(command: Export) -> None:
     """Raise if the result would be SCENE itself, or lie in the folder of SCENE."""
     scene, out = Path(command.scene).resolve(), Path(command.out).resolve()
     inner = command.format == "streamed-sog" and scene.name == "lod-meta.json" and scene.parent == out
+    inner = inner or (command.format == "3dtiles" and out in scene.parents)
     if not is_builtin(command.scene) and (out == scene or inner or (scene.is_dir() and scene in out.parents)):
         raise ValueError(f"--out: expected a place outside of SCENE, got {command.out}; name another")
 

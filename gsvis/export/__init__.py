@@ -1,26 +1,33 @@
-"""Write scenes for players that need no server of gsvis: a static site, one page that holds everything, streamed SOG.
+"""Write scenes for players that need no server of gsvis: a site, one page, streamed SOG, glTF, 3D Tiles.
 
 write_static("site/scene", Package.open("scene.gsvis"))
 write_site("site", Package.open("scene.gsvis"))
 write_html("scene.html", Package.open("scene.gsvis"))
 
-`write_streamed_sog` writes streamed SOG for PlayCanvas, with a sidecar of what each cell needs.
+`write_streamed_sog` writes streamed SOG for PlayCanvas, with a sidecar of what each cell needs, `write_tiles` 3D Tiles
+for CesiumJS, and `write_glb` one glTF file.
 """
 
 from gsvis.export.page import write_html, write_site
 from gsvis.export.static import StaticFile, StaticOptions, StaticScene, write_static
 from gsvis.export.streamed import StreamedOptions, StreamedReport, write_streamed_sog
+from gsvis.export.tiles import GlbReport, TilesOptions, TilesReport, write_glb, write_tiles
 
 __all__ = [
+    "GlbReport",
     "StaticFile",
     "StaticOptions",
     "StaticScene",
     "StreamedOptions",
     "StreamedReport",
+    "TilesOptions",
+    "TilesReport",
+    "write_glb",
     "write_html",
     "write_site",
     "write_static",
     "write_streamed_sog",
+    "write_tiles",
 ]
 
 

@@ -88,11 +88,21 @@ class Leaves:
     @cached_property
     def bounds(self) -> F64:
         """(B, 2, 3) boxes of the leaves: centers and the boxes of standard deviations about them."""
-        reach = _reach(self.levels.union)[self.order]
+        return self.boxes(1.0)
+
+    def boxes(self, deviations: float) -> F64:
+        """Return (B, 2, 3) boxes of the leaves: centers and the boxes of so many standard deviations about them."""
+        reach = deviations * _reach(self.levels.union)[self.order]
         means = self.levels.union.means[self.order].astype(np.float64)
         low = np.minimum.reduceat(means - reach, self.starts[:-1], axis=0)
         high = np.maximum.reduceat(means + reach, self.starts[:-1], axis=0)
         return np.stack([low, high], axis=1)
+
+    def environment_box(self, deviations: float) -> F64:
+        """Return the (2, 3) box of the environment, as `boxes`; it must have a Gaussian."""
+        far = self.levels.union[self.environment]
+        reach, means = deviations * _reach(far), far.means.astype(np.float64)
+        return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
 
     def as_scene(self) -> LeafScene:
         """Return the leaves as the writer of streamed SOG takes them."""

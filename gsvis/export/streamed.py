@@ -19,14 +19,14 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.export.leaves import LEAF, cut_leaves
 from gsvis.export.needs import LOST, find_needs
+from gsvis.export.opened import ever_seen, open_levels
 from gsvis.export.start import Start, rich_poses, start_poses
 from gsvis.io.streamed_sog_writer import check_streamed_target, save_streamed_sog
 from gsvis.package.package import Package
-from gsvis.package.unpack import unpack_levels
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.levels import Levels, as_levels
+from gsvis.scene.levels import Levels
 
 __all__ = ["StreamedOptions", "StreamedReport", "write_streamed_sog"]
 
@@ -123,8 +123,8 @@ def write_streamed_sog(
     """
     target, said = _check.path("folder", folder), options or StreamedOptions()
     check_streamed_target(target, overwrite)
-    levels, store, known = _open(scene, visibility, progress)
-    seen = None if store is None else _ever_seen(store, len(levels.union))
+    levels, store, known = open_levels(scene, visibility, progress)
+    seen = None if store is None else ever_seen(store, len(levels.union))
     if seen is None and said.never_seen == "drop":
         raise ValueError(
             "never_seen: expected visible sets to know what is never seen, got none; give some, or keep it"
@@ -167,41 +167,8 @@ def write_streamed_sog(
     )
 
 
-@dataclass(frozen=True)
-class _Known:
-    """What a package says of itself; none of it for a bare scene."""
-
-    up: tuple[float, float, float] | None = None
-    poses: tuple[Start, ...] = ()
-
-
-def _open(
-    scene: Package | Levels | Gaussians, visibility: VisibilityStore | None, progress: Progress
-) -> tuple[Levels, VisibilityStore | None, _Known]:
-    """Return the levels of a scene with SH colors, its visible sets, and what is known of it."""
-    if isinstance(scene, Package):
-        if visibility is not None:
-            raise ValueError("visibility: expected none with a package, which has its own, got some; leave it out")
-        manifest = scene.manifest
-        known = _Known(manifest.info.up, tuple(Start.from_dict(view) for view in manifest.views))
-        store = None if manifest.visibility is None else scene.visibility
-        return unpack_levels(scene, progress=progress), store, known
-    if len(scene.union if isinstance(scene, Levels) else scene) == 0:
-        raise SceneError("scene: expected at least one Gaussian, got none; name another scene")
-    if visibility is not None:
-        visibility.check_scene(scene)
-    return as_levels(scene), visibility, _Known()
-
-
 def _poses(levels: Levels, store: VisibilityStore | None, up: tuple[float, float, float]) -> tuple[Start, ...]:
     """Return views to begin with: from cells, or from outside where there are none."""
     if store is None:
         return start_poses(levels.union.bounds(0.9), None, up)
     return rich_poses(levels.level(len(levels) - 1), store.grid, up)
-
-
-def _ever_seen(store: VisibilityStore, count: int) -> NDArray[np.bool_]:
-    """Return (N,) whether any cell sees each Gaussian."""
-    seen = np.zeros(count, np.bool_)
-    seen[np.asarray(store.ever_visible().to_array(), np.int64)] = True
-    return seen

@@ -18,6 +18,7 @@ from gsvis.files.limits import open_regular, read_whole
 from gsvis.io._table import join_names
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy
+from gsvis.io.gltf_splats import load_gltf_splats
 from gsvis.io.ksplat import load_ksplat, save_ksplat
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.sog import load_sog
@@ -31,7 +32,8 @@ __all__ = ["WRITTEN", "check_scene", "load_scene", "save_scene"]
 
 _KNOWN = (
     "a scene: PLY (.ply, .compressed.ply), .splat, .ksplat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
-    "streamed SOG (lod-meta.json or its folder) or a checkpoint of gsplat or nerfstudio (.pt, .ckpt)"
+    "streamed SOG (lod-meta.json or its folder), glTF with Gaussians (.glb) "
+    "or a checkpoint of gsplat or nerfstudio (.pt, .ckpt)"
 )
 _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".ply": load_ply,
@@ -39,6 +41,7 @@ _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".ksplat": load_ksplat,
     ".spz": load_spz,
     ".sog": load_sog,
+    ".glb": load_gltf_splats,
 }
 _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
     ".ply": save_ply,
@@ -49,7 +52,7 @@ _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
 WRITTEN = tuple(_WRITERS)
 """Suffixes of the formats that `save_scene` writes."""
 
-_MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK": ".sog"}
+_MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK": ".sog", b"glTF": ".glb"}
 
 
 def check_scene(path: str | os.PathLike[str], lod: int | None = None) -> bool:
@@ -74,13 +77,14 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
 
     Args:
         path: An INRIA or compressed PLY, a `.splat`, a `.ksplat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json`
-            or its folder), a streamed SOG (`lod-meta.json` or its folder), or a checkpoint of gsplat or of nerfstudio's
-            splatfacto (`.pt`, `.ckpt`).
+            or its folder), a streamed SOG (`lod-meta.json` or its folder), binary glTF with Gaussians (`.glb`), or a
+            checkpoint of gsplat or of nerfstudio's splatfacto (`.pt`, `.ckpt`).
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest present. Other formats have one
             level and need None.
 
     Returns:
-        The scene, in the file's order and frame, activated. SPZ is rotated to the frame of the same scene's PLY.
+        The scene, in the file's order and frame, activated. SPZ is rotated to the frame of the same scene's PLY; glTF
+        has +y up.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.

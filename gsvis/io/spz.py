@@ -25,7 +25,7 @@ from gsvis.io._kernels.spz import look_up, unpack_fixed_points, unpack_higher, u
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import rotation_of_sh
 
-__all__ = ["load_spz", "save_spz"]
+__all__ = ["decode_spz", "encode_old_spz", "load_spz", "save_spz"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -86,7 +86,19 @@ def load_spz(path: str | os.PathLike[str]) -> Gaussians:
     References:
         The format's README and reference implementation, nianticlabs/spz.
     """
-    data = read_whole(path)
+    return decode_spz(path, read_whole(path))
+
+
+def decode_spz(path: str | os.PathLike[str], data: bytes) -> Gaussians:
+    """Return the scene of the bytes of an SPZ file, which may lie in another file.
+
+    Args:
+        path: The file that holds them, for error messages.
+        data: The bytes.
+
+    Raises:
+        FormatError: As `load_spz`.
+    """
     budget = Budget(path, len(data))
     if data[:4] == _MAGIC:
         header, streams = _read_zstd(path, data, budget)
@@ -264,13 +276,7 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
         ValueError: If the scene is empty or extends beyond 2^23 units, which 24 bits cannot hold.
         OSError: If it cannot be written.
     """
-    if len(scene) == 0:
-        raise ValueError("scene: expected at least one Gaussian, got none")
-    reach = float(np.abs(scene.means).max())
-    if reach >= 2.0**23 - 1:
-        raise ValueError(f"scene: expected coordinates within 2^23 for SPZ, got {reach:g}; crop it or write a PLY")
-    most = _COMPACT_FRACTION_BITS if compact else 16
-    fraction_bits = next(bits for bits in range(most, -1, -1) if reach * 2**bits < 2.0**23 - 1)
+    fraction_bits = _fraction_bits(scene, _COMPACT_FRACTION_BITS if compact else 16)
     streams = [_byte_stream(stream) for stream in _pack_streams(scene, fraction_bits, compact)]
     packed = [zstandard.ZstdCompressor(level=12).compress(stream) for stream in streams]
     contents = _HEADER.size + _V4_REST.size
@@ -280,6 +286,33 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
         for stream, data in zip(streams, packed, strict=True):
             out.write(struct.pack("<QQ", len(data), len(stream)))
         out.writelines(packed)
+
+
+def encode_old_spz(scene: Gaussians) -> bytes:
+    """Return an SPZ file of version 3, one gzip stream, for readers that know no version 4. Rounds as `save_spz`.
+
+    Args:
+        scene: The scene, in the frame of a PLY (right-down-front); its order is kept.
+
+    Raises:
+        ValueError: If the scene is empty or extends beyond 2^23 units.
+    """
+    fraction_bits = _fraction_bits(scene, 16)
+    packer = zlib.compressobj(9, wbits=31)
+    head = _HEADER.pack(_MAGIC, 3, len(scene), scene.sh_degree, fraction_bits, 0, 0)
+    parts = [packer.compress(head)]
+    parts += [packer.compress(_byte_stream(stream)) for stream in _pack_streams(scene, fraction_bits, compact=False)]
+    return b"".join([*parts, packer.flush()])
+
+
+def _fraction_bits(scene: Gaussians, most: int) -> int:
+    """Return how many of 24 bits of a coordinate lie behind the point; raise if the scene is empty or too large."""
+    if len(scene) == 0:
+        raise ValueError("scene: expected at least one Gaussian, got none")
+    reach = float(np.abs(scene.means).max())
+    if reach >= 2.0**23 - 1:
+        raise ValueError(f"scene: expected coordinates within 2^23 for SPZ, got {reach:g}; crop it or write a PLY")
+    return next(bits for bits in range(most, -1, -1) if reach * 2**bits < 2.0**23 - 1)
 
 
 def _pack_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[NDArray[np.generic]]:

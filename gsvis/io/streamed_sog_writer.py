@@ -10,9 +10,7 @@ import hashlib
 import json
 import os
 import re
-import shutil
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,20 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_folder
-from gsvis.files.fields import parse_object
-from gsvis.files.limits import read_whole
+from gsvis.files.made import GENERATOR, check_made, remove_made
 from gsvis.io.sog_writer import encode_sog
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["GENERATOR", "META", "LeafScene", "Tree", "WrittenLeaves", "check_streamed_target", "save_streamed_sog"]
+__all__ = ["META", "LeafScene", "Tree", "WrittenLeaves", "check_streamed_target", "save_streamed_sog"]
 
 META = "lod-meta.json"
-GENERATOR = "gsvis"
-"""What `lod-meta.json` says wrote it."""
-
 Tree = int | tuple["Tree", "Tree"]
 """A leaf, or two subtrees."""
 
@@ -135,7 +128,7 @@ def save_streamed_sog(
         (partial / META).write_bytes(text)
     kept = {name.split("/")[0] for name in names.values()} | set(extra)
     kept |= {str(document.get("environment", "")).split("/")[0]}
-    _remove_others(target, kept)
+    remove_made(target, _OURS, kept)
     return WrittenLeaves(target, sizes, total + len(text) + sum(len(data) for data in extra.values()))
 
 
@@ -145,29 +138,7 @@ def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> No
     Raises:
         ValueError: If it holds something else, or an earlier scene and `overwrite` is false.
     """
-    target = _check.path("folder", folder)
-    if not target.exists():
-        return
-    if not target.is_dir():
-        raise ValueError(f"--out: expected a folder, got the file {target}; name another")
-    others = sorted(p.name for p in target.iterdir() if p.name[:1] != "." and not _OURS.fullmatch(p.name))
-    if others and not (others == [META] and _is_ours(target)):
-        raise ValueError(
-            f"--out: expected a new or an empty folder, got {target}, which has {others[0]} of something else; name"
-            " another"
-        )
-    if others and not overwrite:
-        raise ValueError(
-            f"--out: expected a new or an empty folder, got {target} with an earlier scene; name another, or say"
-            " --overwrite"
-        )
-
-
-def _is_ours(target: Path) -> bool:
-    """Return whether the folder holds a streamed SOG that gsvis wrote."""
-    with suppress(OSError, FormatError):
-        return bool(parse_object(target / META, read_whole(target / META)).child("asset").raw("generator") == GENERATOR)
-    return False
+    check_made(_check.path("folder", folder), META, _OURS, overwrite)
 
 
 def _write_sog(folder: Path, name: str, g: Gaussians) -> tuple[str, int]:
@@ -194,11 +165,3 @@ def _node(scene: LeafScene, tree: Tree, files: dict[tuple[int, int], int]) -> di
     counts = scene.counts[:, tree].tolist()
     lods = {str(k): {"file": files[k, tree], "offset": 0, "count": n} for k, n in enumerate(counts) if n}
     return {"bound": {"min": low, "max": high}, "lods": lods}
-
-
-def _remove_others(target: Path, kept: set[str]) -> None:
-    """Remove files of an earlier scene."""
-    for path in target.iterdir():
-        if _OURS.fullmatch(path.name) and path.name not in kept:
-            with suppress(OSError):
-                shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -17,12 +17,15 @@ import torch
 from gsvis.errors import FormatError
 from gsvis.io import load_scene
 from gsvis.io.checkpoint import load_checkpoint
+from gsvis.io.gltf_splats_writer import encode_glb
 from gsvis.io.points import load_points
 from gsvis.scene.gaussians import Gaussians
-from tests.fuzz.mutators import KINDS, change_bytes
+from tests.fuzz.mutators import KINDS, change_bytes, mutate
 from tests.fuzz.targets import Case, Target
 from tests.io.scene_files import (
     compressed_ply_bytes,
+    glb_bytes,
+    glb_parts,
     ksplat_bytes,
     ply_bytes,
     random_scene,
@@ -145,6 +148,16 @@ def new_spz() -> list[Case]:
     return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 4, extensions=FRAME)]]
 
 
+def gltfs() -> list[Case]:
+    """Plain and compressed, turned or not, and one with two nodes and a scene."""
+    turn = np.eye(4)[[0, 2, 1, 3]] * np.array([1.0, 1.0, -1.0, 1.0])
+    made = [encode_glb(SMALL), encode_glb(DEEP, upright=turn), encode_glb(FLAT, compression="spz")]
+    document, binary = glb_parts(encode_glb(FLAT, upright=turn))
+    document["nodes"].append({"children": [0], "rotation": [0, 0, 1, 0], "translation": [1, 2, 3], "scale": [2, 2, 2]})
+    document["scenes"] = [{"nodes": [1]}]
+    return [{"a.glb": data} for data in [*made, glb_bytes(document, binary)]]
+
+
 def zipped_sogs() -> list[Case]:
     return [{"a.sog": zip_bytes(sog_files(scene, version))} for version in (1, 2) for scene in (SMALL, DEEP, FLAT)]
 
@@ -225,6 +238,23 @@ def in_points(folder: Path, case: Case) -> None:
     assert ((cloud.colors >= 0) & (cloud.colors <= 1)).all()
 
 
+def change_glb(rng: Random, data: bytes) -> bytes:
+    """One change of a binary glTF: of its JSON or its binary chunk, with right lengths; sometimes of its bytes."""
+    if len(data) < 28 or rng.random() < 0.2:
+        return change_bytes(rng, data)
+    (length,) = struct.unpack_from("<I", data, 12)
+    text, binary = data[20 : 20 + length], data[28 + length :]
+    if rng.random() < 0.7:
+        text = mutate(rng, "json", text.rstrip(b" "))
+    else:
+        binary = change_bytes(rng, binary)
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+KINDS["glb"] = change_glb
+
 FILES, IO = "gsvis.files.", "gsvis.io."
 _PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", FILES + "limits", IO + "scenes")
 _SOG = (IO + "sog", IO + "_sog_files", IO + "_webp", FILES + "fields", FILES + "limits")
@@ -236,6 +266,13 @@ TARGETS = [
     Target("ksplat", ksplats, in_one_file, modules=(IO + "ksplat",)),
     Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),
     Target("spz-zstd", new_spz, in_one_file, kinds={"a.spz": "spz4"}, modules=(IO + "spz",)),
+    Target(
+        "glb",
+        gltfs,
+        in_one_file,
+        kinds={"a.glb": "glb"},
+        modules=(IO + "gltf_splats", IO + "_gltf", IO + "_gltf_nodes"),
+    ),
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),
     Target("sog-folder", sog_folders, in_sog_folder, modules=_SOG),
     Target("streamed-sog", streams, in_streams, (FormatError, FileNotFoundError), modules=(IO + "streamed_sog", *_SOG)),

@@ -20,6 +20,7 @@ FILES = {
     "spz-gzip": (0, 3, 6),
     "spz-zstd": (0,),
     "sog-zip": (0, 3),
+    "glb": (0, 2, 3),
 }
 """Numbers of the cases: every encoding and every version once."""
 

@@ -313,3 +313,18 @@ def streamed_files(levels: dict[int, Gaussians], *, present: set[int] | None = N
     names = [f"{level}_0/meta.json" for level in numbers]
     meta = {"lodLevels": len(numbers), "environment": None, "filenames": names, "tree": {"children": leaves}}
     return files | {"lod-meta.json": json.dumps(meta).encode()}
+
+
+def glb_bytes(document: dict[str, Any], binary: bytes) -> bytes:
+    """A GLB of its JSON and its binary chunk."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary += bytes(-len(binary) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary))
+    return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
+def glb_parts(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """JSON and binary chunk of a GLB."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[28 + length :]

@@ -69,6 +69,7 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "ksplat": ("a.ksplat", load_scene),
     "spz": ("a.spz", load_scene),
     "sog": ("a.sog", load_scene),
+    "glb": ("a.glb", load_scene),
     "meta": ("meta.json", load_scene),
     "streamed": ("lod-meta.json", load_scene),
     "transforms": ("transforms.json", load_cameras),

@@ -1,0 +1,179 @@
+"""Lay out leaves as a tileset of 3D Tiles 1.1: boxes, errors of levels, and the boxes of the cells that need a leaf.
+
+Tiles stand in the frame of 3D Tiles, +z up, in scene units; the transform of the root brings meters. Contents are glTF,
++y up: viewers turn them. This module writes no file.
+
+References:
+    https://docs.ogc.org/cs/22-025r4/22-025r4.html, sections 6.7 (tiles) and 7 (JSON).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gsvis.export.leaves import Leaves
+from gsvis.export.needs import LeafNeeds
+from gsvis.files.made import GENERATOR
+from gsvis.io.gltf_splats import SPLATS, SPZ
+from gsvis.io.streamed_sog_writer import Tree
+
+__all__ = ["DOCUMENT", "Volumes", "find_volumes", "level_errors", "tileset_document"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DOCUMENT = "tileset.json"
+DEVIATIONS = 3.0
+"""Standard deviations that boxes hold: the kernel of the extension ends there."""
+
+ERROR_PIXELS = 16.0
+"""Pixels of error that CesiumJS and 3d-tiles-renderer allow unless told otherwise."""
+
+_DIGITS = 7
+_FROM_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # +y up to +z up, as viewers do
+
+
+@dataclass(frozen=True, eq=False)
+class Volumes:
+    """Boxes of the cells that need each of B leaves.
+
+    Attributes:
+        boxes: (B, 2, 3) box of the cells that need a leaf, scene frame.
+        needed: (B,) whether any cell needs it.
+        bounded: (B,) whether the box is smaller than that of all cells, and so tells a viewer something.
+        inside: (K, B) whether the middle of each cell lies in the box of each leaf, or the leaf has none.
+    """
+
+    boxes: F64
+    needed: Mask
+    bounded: Mask
+    inside: Mask
+
+
+def find_volumes(needs: LeafNeeds) -> Volumes:
+    """Return the boxes of the cells that need each leaf."""
+    low = needs.origin + needs.size * needs.boxes
+    high = low + needs.size
+    needed = needs.needed
+    lows = np.where(needed[:, :, None], low[:, None], np.inf).min(axis=0)
+    highs = np.where(needed[:, :, None], high[:, None], -np.inf).max(axis=0)
+    some: Mask = np.asarray(needed.any(axis=0))
+    close = 1e-6 * needs.size
+    bounded = np.asarray(some & ((lows > low.min(axis=0) + close) | (highs < high.max(axis=0) - close)).any(axis=1))
+    middles = ((low + high) / 2.0)[:, None]
+    inside = ((middles > lows) & (middles < highs)).all(axis=2)
+    return Volumes(np.stack([lows, highs], axis=1), some, bounded, inside)
+
+
+def level_errors(leaves: Leaves) -> F64:
+    """Return (L, B) geometric errors of leaves, finest level first, scene units.
+
+    The error of a level in a leaf is the root mean square distance from a Gaussian of the finest level to the nearest
+    one of that level, times 16. So a viewer that allows 16 pixels refines where that distance has one pixel. No level
+    has a smaller error than the next finer one; the finest has 0.
+    """
+    means = leaves.levels.union.means.astype(np.float64)
+    errors = np.zeros(leaves.counts.shape)
+    for leaf in range(len(leaves)):
+        finest = means[leaves.ids(0, leaf)]
+        for lod in range(1, len(errors)):
+            some = means[leaves.ids(lod, leaf)]
+            away = cKDTree(some).query(finest)[0] if len(some) and len(finest) else np.zeros(1)
+            errors[lod, leaf] = ERROR_PIXELS * float(np.sqrt(np.square(away).mean()))
+    return np.maximum.accumulate(errors, axis=0)
+
+
+def tileset_document(
+    leaves: Leaves,
+    contents: Mapping[tuple[int, int], str],
+    upright: F64,
+    *,
+    environment: str | None = None,
+    volumes: Volumes | None = None,
+    meters: float = 1.0,
+    packed: bool = False,
+) -> dict[str, Any]:
+    """Return the content of `tileset.json`.
+
+    Inner tiles have no content. A leaf is a chain of tiles, its coarsest level first, each replaced by the next.
+
+    Args:
+        leaves: The leaves.
+        contents: File of each (level, leaf) that has one.
+        upright: (3, 3) rotation from the frame of the scene to that of glTF.
+        environment: File of the Gaussians far outside; None for none.
+        volumes: Where leaves are needed; leaves that no cell needs are left out. None requests all from anywhere.
+        meters: Length of a scene unit.
+        packed: Whether contents are SPZ-compressed.
+    """
+    turn = _FROM_GLTF @ upright
+    boxes = leaves.boxes(DEVIATIONS)
+    whole = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    widest = float(np.linalg.norm(whole[1] - whole[0]))
+    errors = np.minimum(level_errors(leaves), widest)
+
+    def leaf_tile(leaf: int) -> dict[str, Any] | None:
+        if volumes is not None and not volumes.needed[leaf]:
+            return None
+        made: dict[str, Any] | None = None
+        for lod in range(len(errors)):  # finest first, so that each is the child of the next
+            if (lod, leaf) not in contents:
+                continue
+            error = 0.0 if made is None else float(errors[lod, leaf])
+            tile = _tile(turn, boxes[leaf], error)
+            tile["content"] = {"uri": contents[lod, leaf]}
+            if made is not None:
+                tile["children"] = [made]
+            made = tile
+        if made is not None and volumes is not None and volumes.bounded[leaf]:
+            made["viewerRequestVolume"] = {"box": _box(turn, volumes.boxes[leaf])}
+        return made
+
+    def node(tree: Tree) -> tuple[dict[str, Any] | None, F64]:
+        if not isinstance(tree, tuple):
+            return leaf_tile(tree), boxes[tree]
+        found = [(tile, box) for tile, box in map(node, tree) if tile is not None]
+        if len(found) < 2:
+            return found[0] if found else (None, whole)
+        box = np.stack([np.min([b[0] for _, b in found], axis=0), np.max([b[1] for _, b in found], axis=0)])
+        return _tile(turn, box, widest) | {"children": [tile for tile, _ in found]}, box
+
+    top, box = node(leaves.tree)
+    children = [] if top is None else [top]
+    if environment is not None:
+        far = leaves.environment_box(DEVIATIONS)
+        children.append(_tile(turn, far, 0.0) | {"content": {"uri": environment}})
+        box = np.stack([np.minimum(box[0], far[0]), np.maximum(box[1], far[1])])
+    root = _tile(turn, box, widest) | {"refine": "REPLACE", "children": children}
+    if meters != 1.0:
+        root["transform"] = np.diag([meters, meters, meters, 1.0]).ravel().tolist()
+    extensions = [SPLATS, SPZ] if packed else [SPLATS]
+    used = {"extensionsUsed": extensions} | ({"extensionsRequired": extensions} if packed else {})
+    return {
+        "asset": {"version": "1.1", "generator": GENERATOR},
+        "extensionsUsed": ["3DTILES_content_gltf"],
+        "extensions": {"3DTILES_content_gltf": used},
+        "geometricError": _rounded(widest * meters),
+        "root": root,
+    }
+
+
+def _tile(turn: F64, box: F64, error: float) -> dict[str, Any]:
+    return {"boundingVolume": {"box": _box(turn, box)}, "geometricError": _rounded(error)}
+
+
+def _box(turn: F64, box: F64) -> list[float]:
+    """Return the 12 numbers of a box of the scene, turned: its middle, then half of each side."""
+    low, high = box
+    half = np.maximum((high - low) / 2.0, 1e-9)
+    return [_rounded(v) for v in np.concatenate([turn @ ((low + high) / 2.0), (turn * half).T.ravel()]).tolist()]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}") + 0.0

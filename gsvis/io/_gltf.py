@@ -1,0 +1,100 @@
+"""Names of KHR_gaussian_splatting, and the values of glTF accessors in a binary chunk."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.files.fields import Fields
+from gsvis.files.limits import Budget
+
+__all__ = ["LINEAR", "SPLATS", "SPZ", "SRGB", "Accessors", "sh_names"]
+
+F32 = NDArray[np.float32]
+
+SPLATS = "KHR_gaussian_splatting"
+SPZ = "KHR_gaussian_splatting_compression_spz_2"
+SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
+
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+_MOST = 1 << 40
+
+
+def sh_names(degree: int) -> tuple[str, ...]:
+    """Return the attributes of the coefficients of one degree, lowest order first."""
+    return tuple(f"{SPLATS}:SH_DEGREE_{degree}_COEF_{n}" for n in range(2 * degree + 1))
+
+
+class Accessors:
+    """The accessors of a glTF document, whose only buffer is a binary chunk.
+
+    Args:
+        root: The document.
+        binary: The chunk.
+        budget: Memory that values may claim.
+    """
+
+    def __init__(self, root: Fields, binary: memoryview, budget: Budget) -> None:
+        self._root, self._binary, self._budget = root, binary, budget
+
+    def read(self, attributes: Fields, name: str, kind: str) -> F32:
+        """Return the (N, K) values of an attribute, float32; normalized integers become numbers up to 1.
+
+        Raises:
+            FormatError: If it is missing, of another type, sparse, or reaches beyond the chunk.
+        """
+        accessor = self._at("accessors", attributes, name)
+        width = _WIDTHS[accessor.text("type", (kind,))]
+        code = accessor.integer("componentType", 0, 1 << 16)
+        if code not in _KINDS:
+            raise FormatError(accessor.path, accessor.where("componentType"), "8 or 16 bits, or a float", f"{code}")
+        if "sparse" in accessor:
+            raise FormatError(accessor.path, accessor.where("sparse"), "none", "a sparse accessor", "write it in full")
+        count, dtype = accessor.integer("count", 1, _MOST), np.dtype(_KINDS[code])
+        view, stride = self._slice(accessor, "bufferView")
+        start = accessor.integer("byteOffset", 0, _MOST) if "byteOffset" in accessor else 0
+        packed = width * dtype.itemsize
+        stride = stride or packed
+        if stride < packed or start + (count - 1) * stride + packed > len(view):
+            got = f"{len(view) - start:,} from byte {start:,}, {stride} apart"
+            raise FormatError(accessor.path, accessor.trail, f"bytes for {count:,} values of {packed}", got)
+        self._budget.claim(4 * count * width, accessor.trail)
+        raw = np.ndarray((count, width), dtype, view, start, (stride, dtype.itemsize))
+        if dtype.kind == "f":
+            return np.ascontiguousarray(raw, np.float32)
+        values: F32 = raw.astype(np.float32)
+        if accessor.raw("normalized") is True:
+            values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1.0))
+        return values
+
+    def view(self, fields: Fields) -> memoryview:
+        """Return the bytes of the buffer view that an object names."""
+        return self._slice(fields, "bufferView")[0]
+
+    def _slice(self, fields: Fields, key: str) -> tuple[memoryview, int]:
+        """Return the bytes of a buffer view and its stride, 0 without one."""
+        if key not in fields:
+            remedy = "only the extensions that gsvis knows can bring its values"
+            raise FormatError(fields.path, fields.where(key), "the number of a buffer view", "nothing", remedy)
+        view = self._at("bufferViews", fields, key)
+        buffer = self._at("buffers", view, "buffer")
+        if view.integer("buffer", 0, _MOST) != 0 or "uri" in buffer:
+            remedy = "pack it into one .glb"
+            raise FormatError(view.path, buffer.trail, "the file's own binary chunk", "another file", remedy)
+        start = view.integer("byteOffset", 0, _MOST) if "byteOffset" in view else 0
+        size = view.integer("byteLength", 1, _MOST)
+        if start + size > len(self._binary):
+            expected = f"at most {len(self._binary):,} bytes"
+            raise FormatError(view.path, view.trail, expected, f"{size:,} from byte {start:,}", "is it truncated?")
+        stride = view.integer("byteStride", 4, 252) if "byteStride" in view else 0
+        return self._binary[start : start + size], stride
+
+    def _at(self, kind: str, fields: Fields, key: str) -> Fields:
+        """Return the object of a list of the document whose number an object has at a key."""
+        every = self._root.items(kind) if kind in self._root else []
+        index = fields.integer(key, 0, max(len(every) - 1, 0))
+        if not every:
+            raise FormatError(fields.path, kind, "a list", "nothing")
+        return Fields(fields.path, f"{kind}[{index}]", every[index])

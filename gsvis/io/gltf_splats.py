@@ -1,0 +1,163 @@
+"""Read Gaussians from binary glTF (`.glb`) with the extension KHR_gaussian_splatting, plain or SPZ-compressed.
+
+Scales and opacities in the file are activated and linear, quaternions xyzw, harmonics in the order of 3DGS. The
+transforms of nodes are applied, so the scene stands in glTF's frame: +y up, right-handed. Triangles, points without the
+extension, materials and animations are left out.
+
+References:
+    https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussian_splatting (release candidate,
+    read in July 2026), KHR_gaussian_splatting_compression_spz_2 (draft), and glTF 2.0, chapter 4 for GLB.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.files.fields import Fields, parse_object
+from gsvis.files.limits import Budget, read_whole
+from gsvis.io._build import LEAST_SCALE, bytes_of_scene, format_error, gaussians_from
+from gsvis.io._gltf import LINEAR, SPLATS, SPZ, Accessors, sh_names
+from gsvis.io._gltf_nodes import Placed, place_meshes
+from gsvis.io.spz import decode_spz
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["MAGIC", "SPLATS", "SPZ", "load_gltf_splats"]
+
+F32 = NDArray[np.float32]
+MAGIC = b"glTF"
+_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_KNOWN = {SPLATS, SPZ, "KHR_mesh_quantization"}
+_TURN = np.diag([1.0, -1.0, -1.0])  # right-down-front, as SPZ is decoded, to what the stream holds
+_logger = logging.getLogger(__name__)
+
+
+def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
+    """Read the Gaussians of a binary glTF file, in the order of its nodes.
+
+    Args:
+        path: The file. Its buffer is its own binary chunk.
+
+    Returns:
+        The scene in the frame of glTF, +y up. A lower SH degree of a part is filled up with zeros.
+
+    Raises:
+        FormatError: If the file is no GLB of version 2, is damaged or truncated, holds no Gaussians, or needs an
+            extension, a kernel or a node transform that gsvis does not read.
+        OSError: If it cannot be opened.
+    """
+    data = read_whole(path)
+    document, binary = _chunks(path, data)
+    budget = Budget(path, len(data))
+    root = parse_object(path, document, budget)
+    required = root.items("extensionsRequired") if "extensionsRequired" in root else []
+    strange = [str(name)[:60] for name in required if not isinstance(name, str) or name not in _KNOWN]
+    if strange:
+        raise FormatError(path, "extensionsRequired", f"none but {', '.join(sorted(_KNOWN))}", ", ".join(strange[:3]))
+    accessors = Accessors(root, binary, budget)
+    parts = []
+    for mesh, placed in place_meshes(root):
+        for k, primitive in enumerate(mesh.items("primitives")):
+            fields = Fields(path, f"{mesh.trail}.primitives[{k}]", primitive)
+            if "extensions" in fields and SPLATS in fields.child("extensions"):
+                part = _primitive(fields, accessors, budget)
+                parts.append(part if placed is None else _put(path, part, placed))
+    if not parts:
+        remedy = "meshes and point clouds are no scene of Gaussians"
+        raise FormatError(path, "", f"a mesh with the extension {SPLATS}", "none", remedy)
+    return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+
+
+def _put(path: str | os.PathLike[str], part: Gaussians, placed: Placed) -> Gaussians:
+    """Return the Gaussians of a node where it stands."""
+    try:
+        with np.errstate(all="ignore"):  # what becomes infinite is refused
+            return part.transform(*placed)
+    except ValueError as error:
+        raise format_error(path, error) from error
+
+
+def _chunks(path: str | os.PathLike[str], data: bytes) -> tuple[bytes, memoryview]:
+    """Return the JSON and the binary chunk of a GLB; the latter may be empty."""
+    if len(data) < _HEAD.size + _CHUNK.size:
+        raise FormatError(path, "header", f"{_HEAD.size + _CHUNK.size} bytes", f"{len(data)}", "is the file truncated?")
+    magic, version, length = _HEAD.unpack_from(data)
+    if magic != MAGIC or version != 2:
+        raise FormatError(path, "header", "binary glTF of version 2", f"{magic!r} of version {version}")
+    if length != len(data):
+        raise FormatError(path, "header", f"a length of {len(data):,} bytes", f"{length:,}", "is the file truncated?")
+    found: dict[bytes, memoryview] = {}
+    at = _HEAD.size
+    while at + _CHUNK.size <= len(data):
+        size, kind = _CHUNK.unpack_from(data, at)
+        at += _CHUNK.size
+        if size > len(data) - at:
+            raise FormatError(path, f"byte {at - 8}", f"a chunk of at most {len(data) - at:,} bytes", f"{size:,}")
+        if not found and kind != b"JSON":
+            raise FormatError(path, f"byte {at - 4}", "a JSON chunk first", repr(kind)[1:])
+        found.setdefault(kind, memoryview(data)[at : at + size])
+        at += size
+    return bytes(found[b"JSON"]), found.get(b"BIN\0", memoryview(b""))
+
+
+def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussians:
+    """Return the Gaussians of one primitive in the frame of its mesh."""
+    path, splats = fields.path, fields.child("extensions").child(SPLATS)
+    if "mode" not in fields or fields.integer("mode", 0, 6) != 0:
+        raise FormatError(path, fields.where("mode"), "0, points", str(fields.raw("mode")))
+    if "kernel" in splats:
+        splats.text("kernel", ("ellipse",))
+    if splats.raw("colorSpace") == LINEAR:
+        _logger.warning("%s: colors are linear, and are read as they are; they look darker", path)
+    if "extensions" in splats and SPZ in splats.child("extensions"):
+        where = splats.child("extensions").child(SPZ)
+        return decode_spz(path, bytes(accessors.view(where))).transform(_TURN)
+    attributes = fields.child("attributes")
+    means = accessors.read(attributes, "POSITION", "VEC3")
+    budget.claim(bytes_of_scene(len(means), 0), attributes.where("POSITION"))
+    quats = accessors.read(attributes, f"{SPLATS}:ROTATION", "VEC4")
+    scales = accessors.read(attributes, f"{SPLATS}:SCALE", "VEC3")
+    if scales.size and scales.min() < 0.0:
+        remedy = "drafts of the extension stored logarithms; export it again with a newer program"
+        raise FormatError(path, f"{SPLATS}:SCALE", "scales of at least 0", f"{scales.min():g}", remedy)
+    opacities = accessors.read(attributes, f"{SPLATS}:OPACITY", "SCALAR")
+    bands = _bands(attributes)
+    budget.claim(12 * len(means) * sum(map(len, bands)), attributes.trail)
+    read = [[accessors.read(attributes, name, "VEC3") for name in names] for names in bands]
+    columns: list[tuple[str, F32]] = [("ROTATION", quats), ("SCALE", scales), ("OPACITY", opacities)]
+    columns += [
+        (name, column)
+        for names, band in zip(bands, read, strict=True)
+        for name, column in zip(names, band, strict=True)
+    ]
+    for name, column in columns:
+        if len(column) != len(means):
+            raise FormatError(path, attributes.where(name), f"{len(means):,} values", f"{len(column):,}")
+    higher = [column for band in read[1:] for column in band]
+    return gaussians_from(
+        path,
+        means,
+        np.ascontiguousarray(quats[:, [3, 0, 1, 2]]),
+        np.maximum(scales, np.float32(LEAST_SCALE)),
+        opacities[:, 0],
+        read[0][0][:, None, :],
+        np.stack(higher, axis=1) if higher else None,
+    )
+
+
+def _bands(attributes: Fields) -> list[tuple[str, ...]]:
+    """Return the names of the coefficients of each degree that is there; raise if one of them is missing."""
+    bands: list[Any] = [sh_names(degree) for degree in range(4)]
+    there = [sum(name in attributes for name in names) for names in bands]
+    highest = max((degree for degree in range(4) if there[degree]), default=0)
+    for degree in range(highest + 1):
+        if there[degree] != len(bands[degree]):
+            expected = f"all {len(bands[degree])} coefficients of degree {degree}"
+            raise FormatError(attributes.path, attributes.trail, expected, str(there[degree]))
+    return bands[: highest + 1]
