@@ -58,8 +58,8 @@ class Clean(Where):
     """Views that the guard draws before and after; 0 for no guard."""
     least_db: Annotated[float, DECIBELS] = 45.0
     """PSNR that each of them keeps when flyaways, interior and unseen go; else a class is given back."""
-    most_changed: Annotated[float, SHARE] = 0.3
-    """Share of their pixels that may end elsewhere when fog or floaters go; else the class is given back."""
+    most_changed: Annotated[float, SHARE] = 0.1
+    """Share of their pixels that fog or floaters that go may mostly make; else the class is given back."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards in the scene, such as -y."""
     seed: Annotated[int, WHOLE] = 0

@@ -51,7 +51,7 @@ class CleanConfig:
             the grid would hold more than 16 million.
         held_out: Views that the guard draws; 0 for no guard.
         least_db: PSNR in dB that each held-out view must keep when classes of `HIDDEN` go.
-        most_changed: Share of held-out pixels, in [0, 1], whose depth may change when fog or floaters go.
+        most_changed: Share of held-out pixels, in [0, 1], of which fog or floaters that go may make more than half.
         tau: Least weight of a visible Gaussian, in (0, 0.5].
         seed: Seed of eyes and views.
 
@@ -66,7 +66,7 @@ class CleanConfig:
     resolution: int = RESOLUTION
     held_out: int = 8
     least_db: float = 45.0
-    most_changed: float = 0.3
+    most_changed: float = 0.1
     tau: float = 1.0 / 255.0
     seed: int = 0
 

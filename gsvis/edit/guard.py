@@ -1,8 +1,8 @@
 """Keep cleaning from eating what pictures need: draw held-out views without each class, and give back what they miss.
 
 The views are random cameras in navigable space that gave no evidence. No PSNR tells fog that goes from a wall that
-goes, so the classes have two measures. What no eye sees must not change a view: PSNR. What eyes see may change a view,
-but not where it ends: the depth behind which half of the light is lost.
+goes, so the classes have two measures. What no eye sees must not change a view: PSNR. Fog and floaters may change a
+view, but not be what it shows: of few pixels more than half.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from gsvis.progress import Progress, silent
 from gsvis.render import psnr, rasterize, view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import SH_C0
 
 __all__ = ["PSNR_CAP", "Cost", "guard", "measure_cost"]
 
@@ -25,7 +26,7 @@ U8 = NDArray[np.uint8]
 PSNR_CAP = 100.0
 """PSNR in dB of equal images."""
 
-_MOVED = 0.05  # share of its depth by which a pixel's end must move to count as changed
+_MOST_OF = 0.5  # share of a pixel's light from which what goes is what the pixel shows
 _STAGE = "guard"
 
 
@@ -36,8 +37,8 @@ class Cost:
     Attributes:
         mean_db: Mean PSNR against the whole scene, dB; at most 100.
         worst_db: PSNR of the worst view, dB.
-        changed: Share of the pixels with something in them, in [0, 1], whose median depth moves by more than 5% or
-            is lost.
+        changed: Share of the pixels with something in them (alpha at least a half), in [0, 1], of which what goes
+            makes more than half.
         light_lost: Mean decrease of alpha over all pixels.
         back: Number of Gaussians that the guard gave back for this; 0 if they went.
     """
@@ -51,28 +52,39 @@ class Cost:
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """What views show: images (C, H, W, 3), alphas and median depths (C, H, W)."""
+    """What cameras show of a scene: images (C, H, W, 3) and alphas (C, H, W)."""
 
+    g: Gaussians
+    cameras: Cameras
     images: NDArray[np.float32]
     alphas: NDArray[np.float32]
-    depths: NDArray[np.float32]
 
     @classmethod
     def draw(cls, g: Gaussians, cameras: Cameras) -> _Views:
         drawn = rasterize(g, cameras, backend="cpu")
-        return cls(np.clip(drawn.images, 0.0, 1.0), drawn.alphas, drawn.median_depths)
+        return cls(g, cameras, np.clip(drawn.images, 0.0, 1.0), drawn.alphas)
 
-    def cost_of(self, without: _Views) -> Cost:
-        """Return the cost of the views without something."""
-        found = np.minimum(np.atleast_1d(psnr(without.images, self.images)), PSNR_CAP)
-        solid = self.depths > 0.0
-        moved = solid & (np.abs(without.depths - self.depths) > _MOVED * self.depths)
+    def cost_of(self, gone: NDArray[np.bool_]) -> Cost:
+        """Return the cost of the views without the Gaussians gone (N,)."""
+        if not gone.any():
+            return Cost(PSNR_CAP, PSNR_CAP, 0.0, 0.0)
+        without = rasterize(self.g[~gone], self.cameras, backend="cpu")
+        found = np.minimum(np.atleast_1d(psnr(np.clip(without.images, 0.0, 1.0), self.images)), PSNR_CAP)
+        filled = self.alphas >= 0.5
+        mostly = filled & (self._light_of(gone) > _MOST_OF * self.alphas)
         return Cost(
             mean_db=float(found.mean()),
             worst_db=float(found.min()),
-            changed=int(np.count_nonzero(moved)) / max(int(np.count_nonzero(solid)), 1),
+            changed=int(np.count_nonzero(mostly)) / max(int(np.count_nonzero(filled)), 1),
             light_lost=float(np.mean(self.alphas - without.alphas)),
         )
+
+    def _light_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Return (C, H, W) the sum of the weights of some Gaussians (N,): they are drawn white, the others black."""
+        g = self.g
+        base = np.where(chosen, 0.5 / SH_C0, -0.5 / SH_C0).astype(np.float32)[:, None, None].repeat(3, axis=2)
+        white = Gaussians(g.means, g.quats, g.scales, g.opacities, base)
+        return np.asarray(rasterize(white, self.cameras, backend="cpu").images[..., 0], np.float32)
 
 
 def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cost:
@@ -83,7 +95,7 @@ def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cos
         kept: (N,) those that stay.
         cameras: C > 0 cameras of one size.
     """
-    return _Views.draw(g, cameras).cost_of(_Views.draw(g[kept], cameras))
+    return _Views.draw(g, cameras).cost_of(~np.asarray(kept, bool))
 
 
 def guard(
@@ -99,7 +111,7 @@ def guard(
 
     First every Gaussian of `HIDDEN` that one of the views sees is given back. Then the views are drawn without each
     class. A class of `HIDDEN` is given back if a view keeps less than `least_db`; fog and floaters, if more than
-    `most_changed` of the pixels end elsewhere.
+    `most_changed` of the pixels show little else.
 
     Args:
         g: The scene, N Gaussians.
@@ -125,7 +137,7 @@ def guard(
     for group in groups:
         if not group:
             continue
-        costs |= _check_group(g, classes, cameras, whole, group, config)
+        costs |= _check_group(classes, whole, group, config)
         done += 1
         progress(_STAGE, done, steps)
     classes = classes.copy()
@@ -135,7 +147,7 @@ def guard(
             costs[name] = replace(costs[name], back=count)
             classes[classes == class_of(name)] = KEPT
         costs[name] = replace(costs[name], back=costs[name].back + back.get(name, 0))
-    total = whole.cost_of(_Views.draw(g[classes == KEPT], cameras))
+    total = whole.cost_of(classes != KEPT)
     costs["all"] = replace(total, back=sum(each.back for each in costs.values()))
     progress(_STAGE, steps, steps)
     return classes, costs
@@ -158,19 +170,14 @@ def _rescue(g: Gaussians, classes: U8, cameras: list[Cameras], tau: float) -> tu
     return np.where(rescued, np.uint8(KEPT), classes), counts
 
 
-def _check_group(
-    g: Gaussians, classes: U8, cameras: Cameras, whole: _Views, group: list[str], config: CleanConfig
-) -> dict[str, Cost]:
-    """Return the cost of each class of a group; drawn together if together they cost little enough."""
-    gone = np.isin(classes, [class_of(name) for name in group])
-    if not gone.any():
-        return dict.fromkeys(group, whole.cost_of(whole))
-    cost = whole.cost_of(_Views.draw(g[~gone], cameras))
+def _check_group(classes: U8, whole: _Views, group: list[str], config: CleanConfig) -> dict[str, Cost]:
+    """Return the cost of each class of a group; measured together if together they cost little enough."""
+    cost = whole.cost_of(np.isin(classes, [class_of(name) for name in group]))
     if len(group) == 1 or _within(group[0], cost, config):
         return dict.fromkeys(group, cost)
     found: dict[str, Cost] = {}
     for name in group:
-        found |= _check_group(g, classes, cameras, whole, [name], config)
+        found |= _check_group(classes, whole, [name], config)
     return found
 
 

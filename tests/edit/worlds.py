@@ -12,7 +12,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import box_in_room
 
-QUICK = CleanConfig(eyes=6, size=64, resolution=96, held_out=2, most_changed=0.1)
+QUICK = CleanConfig(eyes=6, size=64, resolution=96, held_out=2)
 
 
 @dataclass(frozen=True, eq=False)
